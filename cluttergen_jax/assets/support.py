@@ -1,0 +1,89 @@
+"""A support: the fixed thing that carries the objects, its collision made of boxes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Box:
+    """A solid box in the world frame.
+
+    Attributes:
+      center: metres.
+      half_extents: metres.
+      yaw: radians about z.
+      rgba: its colour where the support has no visual pieces.
+    """
+
+    center: tuple[float, float, float]
+    half_extents: tuple[float, float, float]
+    yaw: float = 0.0
+    rgba: tuple[float, float, float, float] = (0.72, 0.55, 0.38, 1.0)
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A queried region as it lies on a support's top.
+
+    Attributes:
+      center: metres, world x and y.
+      half_extents: metres, along its own x and y.
+      yaw: radians, from world x to its own x.
+    """
+
+    center: tuple[float, float] = (0.0, 0.0)
+    half_extents: tuple[float, float] = (0.3, 0.35)
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True)
+class SupportAsset:
+    """A table. World frame: z up, origin on the floor below the support's centre.
+
+    Attributes:
+      boxes: all of its collision, every part of the flat top among them.
+      top: height of the flat top that carries objects, metres.
+      region: the region queried by default: the largest good rectangle on the top, clear of rims and risers.
+      pieces: what is drawn instead of the boxes; empty means the boxes themselves are drawn.
+    """
+
+    name: str
+    label: str
+    boxes: tuple[Box, ...]
+    top: float
+    region: Rectangle
+    provenance: Provenance
+    pieces: tuple[Piece, ...] = ()
+
+
+def cuboid_table(width: float = 0.60, depth: float = 0.70, height: float = 0.70) -> SupportAsset:
+    """The paper's table: one box whose whole top is the queried region (paper, section 4).
+
+    Args:
+      width, depth, height: metres along x, y and z, each in [0.02, 10].
+
+    Raises:
+      ConfigError: a size is out of range or not a number.
+    """
+    size = np.array([width, depth, height], np.float64)
+    if not np.all(np.isfinite(size)) or size.min() < 0.02 or size.max() > 10.0:
+        raise ConfigError(
+            f"a table of {width} x {depth} x {height} m",
+            "each side between 0.02 and 10 m",
+            "sizes in metres, such as 0.60 x 0.70",
+        )
+    half = tuple(float(side) / 2 for side in size)
+    return SupportAsset(
+        name="table",
+        label="cuboid table",
+        boxes=(Box((0.0, 0.0, half[2]), (half[0], half[1], half[2])),),
+        top=float(height),
+        region=Rectangle((0.0, 0.0), (half[0], half[1]), 0.0),
+        provenance=Provenance("cluttergen_jax", "Apache-2.0"),
+    )
