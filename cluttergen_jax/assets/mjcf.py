@@ -1,0 +1,107 @@
+"""Objects and supports as MuJoCo bodies: the one place where an asset becomes geoms."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import ContactConfig
+
+VISUAL_GROUP = 2
+COLLISION_GROUP = 3
+
+
+def new_spec(timestep: float, contact: ContactConfig) -> mujoco.MjSpec:
+    """An empty model with the time step, the solver and the default contact parameters set."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep = timestep
+    spec.option.gravity = (0.0, 0.0, -contact.gravity)
+    spec.option.cone = {
+        "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
+        "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
+    }[contact.cone]
+    spec.option.impratio = contact.impratio
+    spec.option.iterations = contact.iterations
+    spec.option.noslip_iterations = contact.noslip_iterations
+    spec.default.geom.friction = contact.friction
+    spec.default.geom.solref = contact.solref
+    spec.default.geom.solimp = contact.solimp
+    spec.default.geom.condim = contact.condim
+    return spec
+
+
+def _yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
+    return (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
+
+
+def _add_visuals(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pieces: tuple[Piece, ...]) -> None:
+    for index, piece in enumerate(pieces):
+        mesh = spec.add_mesh(name=f"{name}/visual-{index}")
+        mesh.uservert = piece.mesh.vertices.astype(np.float32).ravel()
+        mesh.userface = piece.mesh.faces.ravel()
+        # A shell's volume is never singular, and a visual mesh carries no mass here.
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        body.add_geom(
+            name=f"{name}/visual-{index}",
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=mesh.name,
+            rgba=piece.rgba,
+            contype=0,
+            conaffinity=0,
+            group=VISUAL_GROUP,
+            mass=0,
+        )
+
+
+def add_object(
+    spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bool = False
+) -> mujoco.MjsBody:
+    """Adds a free body called `name` whose frame is the object frame.
+
+    The free joint's qpos is the object's pose: position, then quaternion wxyz. Mass and inertia are the
+    asset's own, never those of the collision parts.
+    """
+    body = spec.worldbody.add_body(name=name)
+    body.add_freejoint(name=name)
+    body.mass = asset.mass
+    body.ipos = asset.center_of_mass
+    inertia = np.asarray(asset.inertia)
+    body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    body.explicitinertial = True
+    for index, part in enumerate(asset.parts):
+        mesh = spec.add_mesh(name=f"{name}/part-{index}")
+        mesh.uservert = part.vertices.astype(np.float32).ravel()
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+        body.add_geom(
+            name=f"{name}/part-{index}",
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=mesh.name,
+            group=COLLISION_GROUP,
+            rgba=(0.6, 0.6, 0.65, 1.0),
+        )
+    if visual:
+        _add_visuals(spec, body, name, asset.pieces)
+    return body
+
+
+def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = False) -> None:
+    """Adds the support's boxes to the world body, and its visual pieces if asked for."""
+    body = spec.worldbody.add_body(name="support")
+    for index, box in enumerate(support.boxes):
+        is_drawn = visual and not support.pieces
+        body.add_geom(
+            name=f"support/box-{index}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=box.center,
+            quat=_yaw_quaternion(box.yaw),
+            size=box.half_extents,
+            rgba=box.rgba,
+            group=VISUAL_GROUP if is_drawn else COLLISION_GROUP,
+        )
+    if visual:
+        _add_visuals(spec, body, "support", support.pieces)

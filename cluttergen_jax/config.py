@@ -1,0 +1,117 @@
+"""The numbers that decide verdicts: stability and contact. One frozen default, in one place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from cluttergen_jax.errors import ConfigError
+
+
+def _check_positive(config: object, names: tuple[str, ...]) -> None:
+    for name in names:
+        value = getattr(config, name)
+        if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
+            raise ConfigError(
+                f"{type(config).__name__}.{name} = {value!r}",
+                "a finite number above zero",
+                f"leaving {name} at its default",
+            )
+
+
+@dataclass(frozen=True)
+class StabilityConfig:
+    """When an object stands still, and when a finished scene does (paper, section 3; made stricter).
+
+    Attributes:
+      timestep: seconds per simulation step.
+      max_steps: an attempt's last step.
+      quiet_steps: how many quiet steps in a row end an attempt.
+      settle_steps: how many steps may pass before those; stable means quiet by settle_steps + quiet_steps.
+      max_speed: m/s. A step is quiet if all four motions of the object's origin are below their limits.
+      max_acceleration: m/s^2, the velocity's difference over one step.
+      max_angular_speed: rad/s.
+      max_angular_acceleration: rad/s^2.
+      per_axis: compare every axis alone, as the published code does, instead of Euclidean norms.
+      stop_when_decided: end an attempt at the last step at which it could still have become stable.
+      judge_neighbours: ask that placed objects stay put and nothing penetrates. Without it only the
+        object in hand is judged and the others are put back: the paper's looser count.
+      max_shift: metres that a placed object may move during an attempt.
+      max_turn: radians that a placed object may turn during an attempt.
+      max_penetration: metres that any two bodies may overlap at the end of an attempt.
+      max_added_penetration: metres by which a pair may overlap more than it did at rest before the attempt.
+      stand_steps: first stage of the last check, everything awake.
+      stand_shift: metres; a scene that moved less than this in the first stage stands.
+      stand_full_steps: second stage of the last check, for the others.
+      stand_full_shift, stand_full_turn: metres and radians allowed by the end of the second stage.
+    """
+
+    timestep: float = 1 / 240
+    max_steps: int = 240
+    quiet_steps: int = 20
+    settle_steps: int = 40
+    max_speed: float = 0.005
+    max_acceleration: float = 1.0
+    max_angular_speed: float = math.radians(0.5)
+    max_angular_acceleration: float = math.radians(180)
+    per_axis: bool = False
+    stop_when_decided: bool = True
+    judge_neighbours: bool = True
+    max_shift: float = 0.002
+    max_turn: float = math.radians(2)
+    max_penetration: float = 0.002
+    max_added_penetration: float = 0.001
+    stand_steps: int = 60
+    stand_shift: float = 0.0001
+    stand_full_steps: int = 480
+    stand_full_shift: float = 0.005
+    stand_full_turn: float = math.radians(5)
+
+    def __post_init__(self) -> None:
+        flags = ("per_axis", "stop_when_decided", "judge_neighbours")
+        _check_positive(self, tuple(f.name for f in fields(self) if f.name not in flags))
+        if self.decision_step > self.max_steps:
+            raise ConfigError(
+                f"settle_steps + quiet_steps = {self.decision_step} with max_steps = {self.max_steps}",
+                "at most max_steps",
+                "raising max_steps",
+            )
+
+    @property
+    def decision_step(self) -> int:
+        """The last step at which an attempt can become stable."""
+        return self.settle_steps + self.quiet_steps
+
+    @property
+    def last_step(self) -> int:
+        """The step at which an attempt ends at the latest."""
+        return self.decision_step if self.stop_when_decided else self.max_steps
+
+
+@dataclass(frozen=True)
+class ContactConfig:
+    """Contact and solver parameters, the same in every engine and in every exported file.
+
+    There is no joint damping: it cannot be exported and hides creep. `benchmarks/contact.py` is the evidence.
+
+    Attributes:
+      friction: sliding, torsional and rolling coefficients (MuJoCo's order).
+      solref: time constant in seconds and damping ratio; the fastest that the time step allows is 2 dt.
+      solimp: MuJoCo's impedance: d0, dmax, width, midpoint, power.
+      condim: dimensions of a contact; 4 adds torsional friction.
+      cone: "elliptic" or "pyramidal".
+      impratio: ratio of frictional to normal impedance.
+      iterations: solver iterations at most.
+      noslip_iterations: no-slip iterations (native only; MJX has none).
+      gravity: m/s^2, downwards.
+    """
+
+    friction: tuple[float, float, float] = (0.5, 0.005, 0.0001)
+    solref: tuple[float, float] = (2 / 240, 1.0)
+    solimp: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)
+    condim: int = 4
+    cone: str = "elliptic"
+    impratio: float = 1.0
+    iterations: int = 100
+    noslip_iterations: int = 0
+    gravity: float = 9.81
