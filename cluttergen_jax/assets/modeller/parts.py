@@ -1,0 +1,120 @@
+"""Convex collision parts for what the modeller makes: at most 32 vertices each, metres, z up.
+
+A part is a `Mesh.points`: the hull of its vertices is meant, and every vertex is a corner of that hull.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.modeller.solids import Points2, ellipse, section_rings
+from cluttergen_jax.assets.object import MAX_PART_VERTICES
+from cluttergen_jax.errors import AssetError
+
+
+def hull_part(points: Sequence[Sequence[float]] | np.ndarray) -> Mesh:
+    """The convex hull of points f64[N, 3], reduced to its corners.
+
+    Raises:
+      AssetError: the points are flat, or their hull has more than 32 corners.
+    """
+    cloud = np.asarray(points, np.float64).reshape(-1, 3)
+    try:
+        corners = cloud[np.sort(ConvexHull(cloud).vertices)]
+    except QhullError as error:
+        raise AssetError(
+            f"{len(cloud)} points without volume", "points that span a solid", "a thicker part"
+        ) from error
+    if len(corners) > MAX_PART_VERTICES:
+        raise AssetError(
+            f"a part with {len(corners)} corners", f"at most {MAX_PART_VERTICES}", "fewer sides or more parts"
+        )
+    return Mesh.points(corners)
+
+
+def box_part(size: Sequence[float], center: Sequence[float] = (0, 0), z: float = 0.0) -> Mesh:
+    """A box of `size` (x, y, z) standing on height `z`, centred on `center` (x, y)."""
+    signs = np.array([(x, y, s) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for s in (0, 1)])
+    return hull_part(signs * np.asarray(size) + np.array([center[0], center[1], z]))
+
+
+def prism_part(polygon: Points2, height: float, z: float = 0.0, top: float = 1.0) -> Mesh:
+    """The hull of a polygon drawn up from `z` to `z + height`; `top` scales its upper outline."""
+    outline = np.asarray(polygon, np.float64)
+    low = np.column_stack([outline, np.full(len(outline), z)])
+    high = np.column_stack([outline * top, np.full(len(outline), z + height)])
+    return hull_part(np.concatenate([low, high]))
+
+
+def disc_part(profile: Points2, num: int = 12, phase: float = 0.0, center: Sequence[float] = (0, 0)) -> Mesh:
+    """A solid of revolution as a polygon of `num` sides.
+
+    Args:
+      profile: (radius, z) points that bulge outwards, such as [(r, 0), (r, h)]; a radius of 0 is one apex.
+      num: corners per ring; `num` times the number of rings is at most 32.
+      phase: radians; a corner lies on the x axis turned by this.
+      center: where its axis stands.
+    """
+    rings = [_ring(radius, z, num, phase) if radius > 0 else [[0.0, 0.0, z]] for radius, z in profile]
+    return hull_part(np.concatenate(rings) + np.array([center[0], center[1], 0.0]))
+
+
+def ring_sectors(
+    profile: Points2,
+    num: int = 8,
+    phase: float = 0.0,
+    start: float = 0.0,
+    stop: float = 2 * np.pi,
+    center: Sequence[float] = (0, 0),
+) -> tuple[Mesh, ...]:
+    """The wall of a cup, a bowl or a ring, as convex wedges.
+
+    Args:
+      profile: the wall's section, a convex outline of (radius, z) points, all radii positive.
+      num: wedges between the angles `start` and `stop`; corners lie on the true circle.
+      phase: radians added to all angles.
+      center: where the axis stands.
+    """
+    angles = np.linspace(start, stop, num + 1) + phase
+    outline = np.asarray(profile, np.float64)
+    shift = np.array([center[0], center[1], 0.0])
+    edges = [
+        np.column_stack([outline[:, 0] * np.cos(a), outline[:, 0] * np.sin(a), outline[:, 1]]) + shift
+        for a in angles
+    ]
+    return tuple(hull_part(np.concatenate([edges[k], edges[k + 1]])) for k in range(num))
+
+
+def swept_parts(
+    path: Sequence[Sequence[float]] | np.ndarray,
+    section: Points2 | float,
+    side: Sequence[float] = (0, 1, 0),
+    scales: Sequence[float] | np.ndarray | None = None,
+) -> tuple[Mesh, ...]:
+    """A bar along a path (a handle, a spout) as one convex cell per leg of the path.
+
+    Args:
+      path: f64[N, 3], the corners: N - 1 cells. Take few points of the path the solid was swept along.
+      section, side, scales: as in `solids.sweep`; a number stands for a round bar of that radius (6 corners).
+    """
+    outline = ellipse(section, section, 6) if isinstance(section, int | float) else section
+    rings = section_rings(path, outline, side, scales)
+    return tuple(hull_part(np.concatenate([rings[k], rings[k + 1]])) for k in range(len(rings) - 1))
+
+
+def thinned(path: np.ndarray, num_cells: int) -> np.ndarray:
+    """`num_cells + 1` stations picked evenly by length from a fine path, ends included."""
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    length = np.concatenate([[0.0], np.cumsum(steps)])
+    wanted = np.linspace(0.0, length[-1], num_cells + 1)
+    return np.stack([np.interp(wanted, length, path[:, k]) for k in range(path.shape[1])], -1)
+
+
+def _ring(radius: float, z: float, num: int, phase: float) -> np.ndarray:
+    """`num` points on a circle, f64[num, 3]."""
+    angles = np.linspace(0.0, 2 * np.pi, num, endpoint=False) + phase
+    return np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(num, z)], -1)

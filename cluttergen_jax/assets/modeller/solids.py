@@ -1,0 +1,205 @@
+"""Solids for the modeller: a small vocabulary over manifold3d. Metres, z up.
+
+Profiles are sequences of (radius, z); polygons are sequences of (x, y), counter-clockwise. What lies flat
+on the table is made with its lowest face at exactly z = 0. The convex parts that go with these solids are
+made by the functions of the same spirit in `parts.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import manifold3d
+import numpy as np
+from manifold3d import CrossSection, Manifold
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.errors import AssetError
+
+Points2 = Sequence[tuple[float, float]] | np.ndarray
+Rgb = tuple[float, float, float]
+
+SEGMENTS = 48
+
+
+def to_mesh(solid: Manifold) -> Mesh:
+    """The closed surface of a solid.
+
+    Raises:
+      AssetError: the solid is empty or not a valid manifold.
+    """
+    if solid.is_empty() or solid.status() != manifold3d.Error.NoError:
+        raise AssetError(
+            f"a solid with status {solid.status()} and {solid.num_tri()} triangles",
+            "a closed solid with volume",
+            "profiles that do not cross themselves",
+        )
+    mesh = solid.to_mesh64()
+    return Mesh(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts))
+
+
+def piece(solid: Manifold, color: Rgb, alpha: float = 1.0) -> Piece:
+    """A solid's surface in one colour, sRGB in [0, 1]."""
+    return Piece(to_mesh(solid), (*color, alpha))
+
+
+def revolve(profile: Points2, segments: int = SEGMENTS) -> Manifold:
+    """The body swept by a closed outline of (radius, z) points around the z axis."""
+    return Manifold.revolve(_section(profile), segments)
+
+
+def extrude(polygon: Points2, height: float, z: float = 0.0, top: float = 1.0) -> Manifold:
+    """A prism from `z` to `z + height`; `top` scales its upper outline about the origin."""
+    return Manifold.extrude(_section(polygon), height, scale_top=(top, top)).translate((0, 0, z))
+
+
+def box(size: Sequence[float], center: Sequence[float] = (0, 0), z: float = 0.0) -> Manifold:
+    """A box of `size` (x, y, z) standing on height `z`, centred on `center` (x, y)."""
+    return Manifold.cube(tuple(size)).translate((center[0] - size[0] / 2, center[1] - size[1] / 2, z))
+
+
+def rounded_box(
+    size: Sequence[float], radius: float, center: Sequence[float] = (0, 0), z: float = 0.0, segments: int = 16
+) -> Manifold:
+    """A box with all edges rounded by `radius`; its top and bottom stay flat inside the rounding."""
+    ball = Manifold.sphere(radius, segments)
+    reach = [side / 2 - radius for side in size]
+    corners = [
+        ball.translate(
+            (center[0] + sx * reach[0], center[1] + sy * reach[1], z + size[2] / 2 + sz * reach[2])
+        )
+        for sx in (-1, 1)
+        for sy in (-1, 1)
+        for sz in (-1, 1)
+    ]
+    return Manifold.batch_hull(corners)
+
+
+def rounded_rect(width: float, depth: float, radius: float, num: int = 6) -> np.ndarray:
+    """The outline of a rectangle with round corners, centred: f64[4 * (num + 1), 2]."""
+    turns = np.linspace(0.0, np.pi / 2, num + 1)
+    corners = []
+    for k, (sx, sy) in enumerate([(1, 1), (-1, 1), (-1, -1), (1, -1)]):
+        angles = turns + k * np.pi / 2
+        middle = np.array([sx * (width / 2 - radius), sy * (depth / 2 - radius)])
+        corners.append(middle + radius * np.stack([np.cos(angles), np.sin(angles)], -1))
+    return np.concatenate(corners)
+
+
+def ellipse(rx: float, ry: float, num: int = SEGMENTS) -> np.ndarray:
+    """The outline of an ellipse, centred: f64[num, 2]."""
+    angles = np.linspace(0.0, 2 * np.pi, num, endpoint=False)
+    return np.stack([rx * np.cos(angles), ry * np.sin(angles)], -1)
+
+
+def cylinder(
+    radius: float,
+    height: float,
+    z: float = 0.0,
+    top: float | None = None,
+    center: Sequence[float] = (0, 0),
+    segments: int = SEGMENTS,
+) -> Manifold:
+    """A cylinder, or a frustum if `top` gives another radius for its upper end, standing on height `z`."""
+    upper = radius if top is None else top
+    return Manifold.cylinder(height, radius, upper, segments).translate((center[0], center[1], z))
+
+
+def sweep(
+    path: Sequence[Sequence[float]] | np.ndarray,
+    section: Points2,
+    side: Sequence[float] = (0, 1, 0),
+    scales: Sequence[float] | np.ndarray | None = None,
+) -> Manifold:
+    """A solid swept by a convex outline along a path (a handle, a spout, a wire).
+
+    Args:
+      path: f64[N, 3], the centres of the sections; its bends should be wider than the section.
+      section: f64[M, 2], counter-clockwise; x goes along `side`, y along tangent x side.
+      side: a direction that is nowhere parallel to the path, such as the normal of a flat path.
+      scales: f64[N], the section's size at each station; 1 by default.
+    """
+    rings = section_rings(path, section, side, scales)
+    num_stations, num_corners = rings.shape[:2]
+    index = np.arange(num_stations * num_corners).reshape(num_stations, num_corners)
+    a, b = index[:-1], np.roll(index, -1, 1)[:-1]
+    c, d = index[1:], np.roll(index, -1, 1)[1:]
+    walls = np.concatenate([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
+    fan = np.stack([np.zeros(num_corners - 2), np.arange(1, num_corners - 1), np.arange(2, num_corners)], -1)
+    fan = fan.astype(np.int64)
+    faces = np.concatenate([walls, index[0][fan[:, ::-1]], index[-1][fan]])
+    mesh = manifold3d.Mesh64(
+        vert_properties=np.ascontiguousarray(rings.reshape(-1, 3)),
+        tri_verts=np.ascontiguousarray(faces, np.uint64),
+    )
+    return Manifold(mesh)
+
+
+def tube(
+    path: Sequence[Sequence[float]] | np.ndarray,
+    radius: float,
+    side: Sequence[float] = (0, 1, 0),
+    scales: Sequence[float] | np.ndarray | None = None,
+    segments: int = 16,
+) -> Manifold:
+    """A round bar along a path; the arguments are those of `sweep`."""
+    return sweep(path, ellipse(radius, radius, segments), side, scales)
+
+
+def section_rings(
+    path: Sequence[Sequence[float]] | np.ndarray,
+    section: Points2,
+    side: Sequence[float],
+    scales: Sequence[float] | np.ndarray | None = None,
+) -> np.ndarray:
+    """The section's outline at every station of a path, f64[N, M, 3]; see `sweep`."""
+    stations = np.asarray(path, np.float64)
+    outline = np.asarray(section, np.float64)
+    sizes = np.ones(len(stations)) if scales is None else np.asarray(scales, np.float64)
+    tangents = np.gradient(stations, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    sides = np.asarray(side, np.float64) - tangents * (tangents @ np.asarray(side, np.float64))[:, None]
+    sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+    ups = np.cross(tangents, sides)
+    flat = outline[None] * sizes[:, None, None]
+    return stations[:, None] + flat[..., :1] * sides[:, None] + flat[..., 1:] * ups[:, None]
+
+
+def smooth_path(points: Sequence[Sequence[float]] | np.ndarray, num: int = 24) -> np.ndarray:
+    """A smooth curve through the given points (Catmull-Rom, centripetal in spirit), f64[num, D].
+
+    Stations are evenly spaced in the curve's parameter; the ends are the first and the last point.
+    """
+    knots = np.asarray(points, np.float64)
+    padded = np.concatenate([2 * knots[:1] - knots[1:2], knots, 2 * knots[-1:] - knots[-2:-1]])
+    time = np.linspace(0.0, len(knots) - 1, num)
+    cell = np.minimum(time.astype(int), len(knots) - 2)
+    t = (time - cell)[:, None]
+    p0, p1, p2, p3 = (padded[cell + k] for k in range(4))
+    linear, square, cube = p2 - p0, 2 * p0 - 5 * p1 + 4 * p2 - p3, 3 * p1 - p0 - 3 * p2 + p3
+    return p1 + 0.5 * t * (linear + t * (square + t * cube))
+
+
+def union(*solids: Manifold) -> Manifold:
+    """All solids fused into one."""
+    return Manifold.batch_boolean(list(solids), manifold3d.OpType.Add)
+
+
+def difference(solid: Manifold, *tools: Manifold) -> Manifold:
+    """A solid with all `tools` cut away."""
+    return Manifold.batch_boolean([solid, *tools], manifold3d.OpType.Subtract)
+
+
+def above(solid: Manifold, z: float = 0.0) -> Manifold:
+    """What of a solid lies above height `z`: gives anything a flat face to rest on."""
+    return solid.trim_by_plane((0, 0, 1), z)
+
+
+def _section(polygon: Points2) -> CrossSection:
+    """A polygon as manifold3d wants it, whichever way round it was given."""
+    points = np.asarray(polygon, np.float64)
+    x, y = points.T
+    if np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0:
+        points = points[::-1]
+    return CrossSection([points])

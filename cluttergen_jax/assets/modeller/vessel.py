@@ -1,0 +1,76 @@
+"""Hollow bodies of revolution: cups, glasses, bowls, pots, plates, jars."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from manifold3d import Manifold
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.modeller.parts import disc_part, ring_sectors
+from cluttergen_jax.assets.modeller.solids import SEGMENTS, revolve, to_mesh
+from cluttergen_jax.assets.shape import Cavity
+
+Profile = Sequence[tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Vessel:
+    """A wall of revolution around an open hollow.
+
+    Attributes:
+      outer: (radius, z) from the foot (z = 0) to the rim, z never falling.
+      inner: (radius, z) from the floor to the rim, z never falling, ending at the outer rim's height.
+    """
+
+    outer: Profile
+    inner: Profile
+
+    @property
+    def floor(self) -> float:
+        """The height of the inner floor."""
+        return float(self.inner[0][1])
+
+    @property
+    def rim(self) -> float:
+        """The height of the rim's plane."""
+        return float(self.outer[-1][1])
+
+    def solid(self, segments: int = SEGMENTS) -> Manifold:
+        """The wall and the floor."""
+        outline = [(0.0, self.outer[0][1]), *self.outer, *reversed(self.inner), (0.0, self.floor)]
+        return revolve(outline, segments)
+
+    def cavity(self, segments: int = SEGMENTS) -> Cavity:
+        """The space inside, up to the rim's plane."""
+        inside = revolve([(0.0, self.floor), *self.inner, (0.0, self.rim)], segments)
+        return Cavity(to_mesh(inside), (0.0, 0.0, self.rim))
+
+    def outer_radius(self, z: float) -> float:
+        """The radius of the outside at height z."""
+        return float(np.interp(z, [p[1] for p in self.outer], [p[0] for p in self.outer]))
+
+    def inner_radius(self, z: float) -> float:
+        """The radius of the inside at height z, at or above the floor."""
+        return float(np.interp(z, [p[1] for p in self.inner], [p[0] for p in self.inner]))
+
+    def parts(self, num: int = 8, cuts: Sequence[float] = (), phase: float = 0.0) -> tuple[Mesh, ...]:
+        """One floor disc and rows of `num` wall wedges, rows parted at the heights `cuts`.
+
+        Only the disc reaches the table, so that a body has one flat face to stand on.
+        """
+        disc = [(self.outer_radius(z), z) for z in (self.outer[0][1], self.floor)]
+        heights = [self.floor, *cuts, self.rim]
+        rows = [self._row(low, high) for low, high in zip(heights[:-1], heights[1:], strict=True)]
+        walls = [wedge for row in rows for wedge in ring_sectors(row, num, phase)]
+        return (disc_part(disc, num if num >= 10 else 2 * num, phase), *walls)
+
+    def _row(self, low: float, high: float) -> list[tuple[float, float]]:
+        """The section of the wall between two heights; its foot is sunk a little into what lies below."""
+        sunk = low - min(0.5 * (self.floor - self.outer[0][1]), 0.002)
+        heights = np.linspace(low, high, 4)
+        outside = [(self.outer_radius(z), float(z)) for z in (sunk, *heights)]
+        inside = [(self.inner_radius(z), float(z)) for z in (low, high)]
+        return [*outside, *inside]
