@@ -1,0 +1,187 @@
+"""One object on disk: a folder of plain files, no pickle.
+
+    object.json    everything but the surfaces and the cloud; collision parts inline, rounded to 0.1 um
+    visual-N.obj   one coloured piece, vertices and triangles only
+    cloud.npy      f32[1024, 3]
+    object.xml     the object alone as MJCF, which opens in plain MuJoCo; written for others, never read
+
+`object.json` holds the digest of each surface and cloud file and of itself, so damage is noticed and named.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
+from cluttergen_jax.assets.object_xml import object_xml
+from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.errors import AssetError, PoolError
+
+FORMAT = 1
+NAME_PATTERN = re.compile(r"[a-z0-9_-]+")
+_CLOUD = "cloud.npy"
+_RECORD = "object.json"
+
+
+def object_files(asset: ObjectAsset) -> dict[str, bytes]:
+    """The files of an object's folder by name. Equal assets give equal bytes, before and after disk.
+
+    Raises:
+      AssetError: the name is not `[a-z0-9_-]+`.
+    """
+    if not NAME_PATTERN.fullmatch(asset.name):
+        raise AssetError(f"an object called {asset.name!r}", "names of a-z, 0-9, '_' and '-'")
+    files = {f"visual-{i}.obj": _obj_bytes(piece.mesh) for i, piece in enumerate(asset.pieces)}
+    files[_CLOUD] = _npy_bytes(asset.cloud)
+    record = _record(asset, {name: _digest(data) for name, data in files.items()})
+    record["hash"] = _digest(_canonical(record))
+    files[_RECORD] = (json.dumps(record, separators=(",", ":")) + "\n").encode()
+    files["object.xml"] = object_xml(asset, tuple(f"visual-{i}.obj" for i in range(len(asset.pieces))), files)
+    return files
+
+
+def object_hash(asset: ObjectAsset) -> str:
+    """Hex digest of everything that `write_object` would store."""
+    files = {f"visual-{i}.obj": _obj_bytes(piece.mesh) for i, piece in enumerate(asset.pieces)}
+    files[_CLOUD] = _npy_bytes(asset.cloud)
+    return _digest(_canonical(_record(asset, {name: _digest(data) for name, data in files.items()})))
+
+
+def write_object(folder: Path, asset: ObjectAsset) -> None:
+    """Writes the object's files into `folder`, which is made if need be."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, data in object_files(asset).items():
+        (folder / name).write_bytes(data)
+
+
+def read_object(folder: Path) -> ObjectAsset:
+    """Reads what `write_object` wrote.
+
+    Raises:
+      PoolError: a file is missing, damaged or of another format; the message names it.
+    """
+    record = _read_record(folder / _RECORD)
+    blobs: dict[str, bytes] = {}
+    for name, digest in record["files"].items():
+        blobs[name] = _read_bytes(folder / name)
+        if _digest(blobs[name]) != digest:
+            raise PoolError(f"{folder / name} does not match its digest in {_RECORD}", hint=_REWRITE)
+    try:
+        return _asset(record, blobs)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise PoolError(f"{folder / _RECORD} cannot be understood: {error!r}", hint=_REWRITE) from error
+
+
+_REWRITE = "importing or building the pool again"
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _canonical(record: Mapping[str, Any]) -> bytes:
+    return json.dumps(record, sort_keys=True, separators=(",", ":")).encode()
+
+
+def _rounded(values: np.ndarray, digits: int) -> Any:
+    # Adding zero turns a rounded -0.0 into 0.0, so that equal bodies are equal bytes.
+    return (np.round(np.asarray(values, np.float64), digits) + 0.0).tolist()
+
+
+def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "name": asset.name,
+        "label": asset.label,
+        "tier": asset.tier,
+        "mass": float(asset.mass),
+        "center_of_mass": _rounded(asset.center_of_mass, 7),
+        "inertia": [[float(f"{value:.6e}") for value in row] for row in np.asarray(asset.inertia)],
+        "parts": [_rounded(part.vertices, 7) for part in asset.parts],
+        "rgba": [list(map(float, piece.rgba)) for piece in asset.pieces],
+        "resting": [asdict(pose) for pose in asset.resting],
+        "provenance": asdict(asset.provenance),
+        "quality": asdict(asset.quality),
+        "flags": list(asset.flags),
+        "files": digests,
+    }
+
+
+def _asset(record: dict[str, Any], blobs: dict[str, bytes]) -> ObjectAsset:
+    pieces = tuple(
+        Piece(_parse_obj(blobs[f"visual-{i}.obj"]), (float(r), float(g), float(b), float(a)))
+        for i, (r, g, b, a) in enumerate(record["rgba"])
+    )
+    cloud = np.load(io.BytesIO(blobs[_CLOUD]), allow_pickle=False)
+    if cloud.shape != (CLOUD_SIZE, 3):
+        raise ValueError(f"a cloud of shape {cloud.shape}")
+    resting = tuple(
+        RestingPose(tuple(pose["quaternion"]), pose["height"], pose["likelihood"])
+        for pose in record["resting"]
+    )
+    return ObjectAsset(
+        name=record["name"],
+        label=record["label"],
+        pieces=pieces,
+        parts=tuple(Mesh.points(np.array(part, np.float64)) for part in record["parts"]),
+        mass=record["mass"],
+        center_of_mass=np.array(record["center_of_mass"], np.float64),
+        inertia=np.array(record["inertia"], np.float64).reshape(3, 3),
+        cloud=cloud,
+        resting=resting,
+        provenance=Provenance(**record["provenance"]),
+        tier=record["tier"],
+        quality=Quality(**record["quality"]),
+        flags=tuple(record["flags"]),
+    )
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise PoolError(f"{path} cannot be read ({error.strerror})", hint=_REWRITE) from error
+
+
+def _read_record(path: Path) -> dict[str, Any]:
+    try:
+        record = json.loads(_read_bytes(path))
+    except ValueError as error:
+        raise PoolError(f"{path} is not JSON: {error}", hint=_REWRITE) from error
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        raise PoolError(f"{path} is not an object of format {FORMAT}", hint=_REWRITE)
+    digest = record.pop("hash", None)
+    if digest != _digest(_canonical(record)):
+        raise PoolError(f"{path} does not match its own digest", hint=_REWRITE)
+    return record
+
+
+def _npy_bytes(cloud: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, np.ascontiguousarray(cloud, np.float32), allow_pickle=False)
+    return buffer.getvalue()
+
+
+def _obj_bytes(mesh: Mesh) -> bytes:
+    """A compact OBJ: five significant digits, no finer than a micrometre."""
+    rounded = np.round(mesh.vertices, 6) + 0.0
+    lines = [f"v {x:.5g} {y:.5g} {z:.5g}" for x, y, z in rounded.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _parse_obj(data: bytes) -> Mesh:
+    rows = [line.split() for line in data.decode("ascii").splitlines()]
+    vertices = np.array([row[1:4] for row in rows if row and row[0] == "v"], np.float64)
+    faces = np.array([row[1:4] for row in rows if row and row[0] == "f"], np.int32) - 1
+    return Mesh(vertices, faces)

@@ -1,0 +1,165 @@
+"""Pools on disk: what is written is what is read, and damage is named."""
+
+import dataclasses
+import json
+
+import mujoco
+import numpy as np
+import pytest
+
+from cluttergen_jax.assets import pool as pools
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
+from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.assets.pool import Pool, find_pool, list_pools, read_pool, write_pool
+from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.errors import PoolError
+
+CUBE_FACES = [[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5],
+              [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]  # fmt: skip
+
+
+def make_box(name="box", half=(0.03, 0.02, 0.041234567), seed=0):
+    """A box of the given half extents as an asset; its cloud is drawn from the seed."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+    rng = np.random.default_rng(seed)
+    cloud = rng.uniform(-1, 1, (CLOUD_SIZE, 3)).astype(np.float32) * np.array(half, np.float32)
+    x, y, z = np.square(half)
+    return ObjectAsset(
+        name=name,
+        label="a box",
+        pieces=(Piece(Mesh(corners, CUBE_FACES), (0.1, 0.2, 0.3, 1.0)),),
+        parts=(Mesh.points(corners),),
+        mass=0.25,
+        center_of_mass=np.zeros(3),
+        inertia=np.diag([y + z, x + z, x + y]) * 0.25 / 3,
+        cloud=cloud,
+        resting=(RestingPose((1.0, 0.0, 0.0, 0.0), half[2], 0.75),),
+        provenance=Provenance("a test", "CC0"),
+        quality=Quality(deviation=0.01, solo_rate=1.0, solo_trials=256, solo_steps=22.5),
+        flags=("a flag",),
+    )
+
+
+@pytest.fixture
+def pool():
+    return Pool("two", (make_box("tall"), make_box("flat", (0.05, 0.05, 0.01), seed=1)), licence="CC0")
+
+
+def test_what_is_written_is_read(tmp_path, pool):
+    path = write_pool(tmp_path / "two", pool)
+    again = read_pool(path)
+    assert (again.name, again.names, again.tier, again.licence) == ("two", pool.names, "standard", "CC0")
+    for old, new in zip(pool.objects, again.objects, strict=True):
+        for field in ("label", "mass", "resting", "provenance", "quality", "flags", "tier"):
+            assert getattr(old, field) == getattr(new, field)
+        np.testing.assert_array_equal(old.cloud, new.cloud)
+        np.testing.assert_allclose(old.inertia, new.inertia, rtol=1e-6)
+        np.testing.assert_allclose(old.parts[0].vertices, new.parts[0].vertices, atol=1e-7)
+        np.testing.assert_allclose(old.pieces[0].mesh.vertices, new.pieces[0].mesh.vertices, atol=1e-6)
+        np.testing.assert_array_equal(old.pieces[0].mesh.faces, new.pieces[0].mesh.faces)
+
+
+def test_hash_survives_the_disk_and_sees_every_change(tmp_path, pool):
+    assert read_pool(write_pool(tmp_path / "a", pool)).hash == pool.hash
+    asset = pool.objects[0]
+    changes = [
+        {"mass": 0.26},
+        {"flags": ()},
+        {"cloud": asset.cloud + 1e-6},
+        {"parts": (Mesh.points(asset.parts[0].vertices + 1e-6),)},
+        {"pieces": (dataclasses.replace(asset.pieces[0], rgba=(0.0, 0.2, 0.3, 1.0)),)},
+    ]
+    hashes = {object_hash(dataclasses.replace(asset, **change)) for change in changes}
+    assert len(hashes | {object_hash(asset)}) == len(changes) + 1
+
+
+def test_bytes_are_the_same_each_time(tmp_path, pool):
+    first, second = (write_pool(tmp_path / name, pool) for name in "ab")
+    for path in first.rglob("*"):
+        if path.is_file():
+            assert path.read_bytes() == (second / path.relative_to(first)).read_bytes()
+
+
+def test_the_mjcf_opens_in_plain_mujoco(tmp_path, pool):
+    path = write_pool(tmp_path / "two", pool)
+    model = mujoco.MjModel.from_xml_path(str(path / "tall" / "object.xml"))
+    assert model.body("tall").mass[0] == pytest.approx(0.25)
+    assert model.nmesh == 2
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data)
+    assert np.isfinite(data.qpos).all()
+
+
+@pytest.mark.parametrize("name", ["object.json", "visual-0.obj", "cloud.npy"])
+@pytest.mark.parametrize("harm", ["cut", "gone", "changed"])
+def test_a_damaged_file_is_named(tmp_path, pool, name, harm):
+    path = write_pool(tmp_path / "two", pool) / "flat" / name
+    data = path.read_bytes()
+    if harm == "gone":
+        path.unlink()
+    else:
+        path.write_bytes(data[:-20] if harm == "cut" else data.replace(b"0", b"1", 1))
+    with pytest.raises(PoolError, match=rf"flat/{name}"):
+        read_pool(tmp_path / "two")
+
+
+def test_a_damaged_index_is_named(tmp_path, pool):
+    path = write_pool(tmp_path / "two", pool) / "pool.json"
+    for text in ("{", "[]", json.dumps({"format": 99}), json.dumps({"format": 1})):
+        path.write_text(text)
+        with pytest.raises(PoolError, match=r"pool\.json"):
+            read_pool(tmp_path / "two")
+
+
+def test_nothing_is_overwritten_untold(tmp_path, pool):
+    path = write_pool(tmp_path / "two", pool)
+    with pytest.raises(PoolError, match="exists"):
+        write_pool(path, pool)
+    other = Pool("two", pool.objects[:1])
+    write_pool(path, other, overwrite=True)
+    assert read_pool(path).names == ("tall",)
+    assert [each.name for each in tmp_path.iterdir()] == ["two"]
+    (tmp_path / "notes").mkdir()
+    with pytest.raises(PoolError, match="exists"):
+        write_pool(tmp_path / "notes", pool, overwrite=True)
+
+
+def test_a_failed_write_leaves_nothing(tmp_path, pool, monkeypatch):
+    path = write_pool(tmp_path / "two", pool)
+
+    def fail(folder, asset):
+        folder.mkdir()
+        (folder / "half").write_text("written")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pools, "write_object", fail)
+    for target in (path, tmp_path / "other"):
+        with pytest.raises(KeyboardInterrupt):
+            write_pool(target, pool, overwrite=True)
+    assert [each.name for each in tmp_path.iterdir()] == ["two"]
+    assert read_pool(path).hash == pool.hash
+
+
+def test_pools_are_found_by_name_and_by_path(tmp_path, pool, monkeypatch):
+    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path))
+    write_pool(tmp_path / "pools" / "mine", pool)
+    assert list_pools()["mine"] == tmp_path / "pools" / "mine"
+    assert find_pool("mine").hash == pool.hash
+    assert find_pool(tmp_path / "pools" / "mine").hash == pool.hash
+    with pytest.raises(PoolError, match="mine"):
+        find_pool("yours")
+
+
+def test_all_is_the_union_and_clashes_are_prefixed(tmp_path, monkeypatch):
+    monkeypatch.setattr(pools, "embedded_root", lambda: tmp_path)
+    write_pool(tmp_path / "pools" / "study", Pool("study", (make_box("box"), make_box("lamp"))))
+    write_pool(tmp_path / "pools" / "dining", Pool("dining", (make_box("box"),)))
+    assert find_pool("all").names == ("dining-box", "study-box", "lamp")
+
+
+def test_names_are_unique_and_plain(pool):
+    with pytest.raises(PoolError, match="twice"):
+        Pool("two", (make_box(), make_box()))
+    with pytest.raises(PoolError, match="called"):
+        Pool("../two", pool.objects)
