@@ -8,12 +8,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from manifold3d import Manifold
 from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.modeller.solids import Points2, ellipse, section_rings
+from cluttergen_jax.assets.modeller.solids import Points2, ellipse, section_rings, to_mesh
 from cluttergen_jax.assets.object import MAX_PART_VERTICES
 from cluttergen_jax.errors import AssetError
+
+LIFT = 0.0004
 
 
 def hull_part(points: Sequence[Sequence[float]] | np.ndarray) -> Mesh:
@@ -50,7 +54,13 @@ def prism_part(polygon: Points2, height: float, z: float = 0.0, top: float = 1.0
     return hull_part(np.concatenate([low, high]))
 
 
-def disc_part(profile: Points2, num: int = 12, phase: float = 0.0, center: Sequence[float] = (0, 0)) -> Mesh:
+def disc_part(
+    profile: Points2,
+    num: int = 12,
+    phase: float = 0.0,
+    center: Sequence[float] = (0, 0),
+    is_standing: bool = False,
+) -> Mesh:
     """A solid of revolution as a polygon of `num` sides.
 
     Args:
@@ -58,9 +68,16 @@ def disc_part(profile: Points2, num: int = 12, phase: float = 0.0, center: Seque
       num: corners per ring; `num` times the number of rings is at most 32.
       phase: radians; a corner lies on the x axis turned by this.
       center: where its axis stands.
+      is_standing: the lowest ring touches the table with four corners only; the others end `LIFT` higher.
+        A simulator keeps four contacts between two faces. Where a face has more corners its choice may change
+        from step to step, and something tall and light then trembles without end.
     """
+    feet: list[np.ndarray] = []
+    if is_standing:
+        (radius, low), *others = profile
+        feet, profile = [_ring(radius, low, 4, phase)], [(radius, low + LIFT), *others]
     rings = [_ring(radius, z, num, phase) if radius > 0 else [[0.0, 0.0, z]] for radius, z in profile]
-    return hull_part(np.concatenate(rings) + np.array([center[0], center[1], 0.0]))
+    return hull_part(np.concatenate([*feet, *rings]) + np.array([center[0], center[1], 0.0]))
 
 
 def ring_sectors(
@@ -106,12 +123,50 @@ def swept_parts(
     return tuple(hull_part(np.concatenate([rings[k], rings[k + 1]])) for k in range(len(rings) - 1))
 
 
-def thinned(path: np.ndarray, num_cells: int) -> np.ndarray:
-    """`num_cells + 1` stations picked evenly by length from a fine path, ends included."""
+def thinned(path: np.ndarray, num_cells: int, bulge: float = 0.0) -> np.ndarray:
+    """`num_cells + 1` stations picked evenly by length from a fine path, ends included.
+
+    `bulge` moves the stations between the ends away from the ends' middle by this share, because a polygon
+    inscribed in an arch lies inside it.
+    """
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     length = np.concatenate([[0.0], np.cumsum(steps)])
     wanted = np.linspace(0.0, length[-1], num_cells + 1)
-    return np.stack([np.interp(wanted, length, path[:, k]) for k in range(path.shape[1])], -1)
+    stations = np.stack([np.interp(wanted, length, path[:, k]) for k in range(path.shape[1])], -1)
+    middle = (stations[0] + stations[-1]) / 2
+    stations[1:-1] += bulge * (stations[1:-1] - middle)
+    return stations
+
+
+def upright_part(outline: Points2, depth: float, y: float = 0.0) -> Mesh:
+    """The hull of an outline of (x, z) given `depth` along y, centred on `y`; see `solids.upright`."""
+    flat = np.asarray(outline, np.float64)
+    faces = [
+        np.column_stack([flat[:, 0], np.full(len(flat), y + s * depth), flat[:, 1]]) for s in (-0.5, 0.5)
+    ]
+    return hull_part(np.concatenate(faces))
+
+
+def ball_part(radius: float, center: Sequence[float]) -> Mesh:
+    """A ball as 32 corners, which lie outside its surface by about as much as the faces lie inside."""
+    golden = (1 + 5**0.5) / 2
+    signs = (-1.0, 1.0)
+    cyclic = [(0.0, a, b * golden) for a in signs for b in signs]
+    cyclic += [(0.0, a / golden, b * golden) for a in signs for b in signs]
+    corners = [np.roll(corner, turn) for corner in cyclic for turn in range(3)]
+    corners += [np.array((a, b, c)) for a in signs for b in signs for c in signs]
+    directions = np.stack([corner / np.linalg.norm(corner) for corner in corners])
+    return hull_part(1.03 * radius * directions + np.asarray(center))
+
+
+def corners_of(solid: Manifold) -> Mesh:
+    """The hull of a solid that has few corners."""
+    return hull_part(to_mesh(solid).vertices)
+
+
+def turned(part: Mesh, degrees: Sequence[float], shift: Sequence[float] = (0, 0, 0)) -> Mesh:
+    """A part turned about x, then y, then z (as `Manifold.rotate` does), then moved by `shift`."""
+    return part.transformed(Rotation.from_euler("xyz", degrees, degrees=True).as_matrix(), np.asarray(shift))
 
 
 def _ring(radius: float, z: float, num: int, phase: float) -> np.ndarray:

@@ -196,6 +196,16 @@ def above(solid: Manifold, z: float = 0.0) -> Manifold:
     return solid.trim_by_plane((0, 0, 1), z)
 
 
+def hull(points: Sequence[Sequence[float]] | np.ndarray) -> Manifold:
+    """The convex solid spanned by points f64[N, 3]."""
+    return Manifold.hull_points(np.asarray(points, np.float64).reshape(-1, 3))
+
+
+def upright(outline: Points2, depth: float, y: float = 0.0) -> Manifold:
+    """An outline of (x, z), as seen from the front (-y), given `depth` along y and centred on `y`."""
+    return extrude(outline, depth).rotate((90.0, 0.0, 0.0)).translate((0.0, y + depth / 2, 0.0))
+
+
 def _section(polygon: Points2) -> CrossSection:
     """A polygon as manifold3d wants it, whichever way round it was given."""
     points = np.asarray(polygon, np.float64)
