@@ -41,7 +41,7 @@ class StabilityConfig:
       max_penetration: metres that any two bodies may overlap at the end of an attempt.
       max_added_penetration: metres by which a pair may overlap more than it did at rest before the attempt.
       stand_steps: first stage of the last check, everything awake.
-      stand_shift: metres; a scene that moved less than this in the first stage stands.
+      stand_shift, stand_turn: metres and radians; a scene that moved less in the first stage stands.
       stand_full_steps: second stage of the last check, for the others.
       stand_full_shift, stand_full_turn: metres and radians allowed by the end of the second stage.
     """
@@ -63,6 +63,7 @@ class StabilityConfig:
     max_added_penetration: float = 0.001
     stand_steps: int = 60
     stand_shift: float = 0.0001
+    stand_turn: float = math.radians(0.1)
     stand_full_steps: int = 480
     stand_full_shift: float = 0.005
     stand_full_turn: float = math.radians(5)

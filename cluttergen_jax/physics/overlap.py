@@ -1,0 +1,37 @@
+"""How deep bodies overlap in a scene at rest, pair by pair."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.physics.layout import Layout
+
+
+class OverlapProbe:
+    """Collides one scene at a time, without dynamics, everything awake."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+        self._data = mujoco.MjData(layout.model)
+        self._parked = layout.parked
+
+    def depths(self, poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:
+        """Overlap of every pair of bodies.
+
+        Args:
+          poses: f[K, 7]; is_placed: bool[K].
+
+        Returns:
+          f64[K + 1, K + 1], metres, symmetric, index K for the support, zero where apart.
+        """
+        model, data, num_objects = self._layout.model, self._data, self._layout.num_objects
+        data.qpos[:] = np.where(is_placed[:, None], poses, self._parked).ravel()
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        depths = np.zeros((num_objects + 1, num_objects + 1))
+        pair = self._layout.geom_object[data.contact.geom]
+        depth = np.maximum(-data.contact.dist, 0.0)
+        np.maximum.at(depths, (pair[:, 0], pair[:, 1]), depth)
+        return np.maximum(depths, depths.T)

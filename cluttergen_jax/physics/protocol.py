@@ -1,0 +1,33 @@
+"""The narrow waist between the decision process and a simulator."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.types import Array, Settling, Standing
+
+
+class Physics(Protocol):
+    """Releases objects at rest and reports how they settle: SI units, world frame, one scene.
+
+    Both functions are pure and may be called under `jit`, `vmap` (of `vmap`), `cond`, `while_loop` and
+    `scan`. Index k is object k of the compiled world. An inactive scene costs nothing and returns its input.
+    """
+
+    config: StabilityConfig
+
+    def settle(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
+        """One attempt: lets go of the focus object among the placed ones.
+
+        Args:
+          poses: f32[K, 7], position and quaternion wxyz of every object; read where placed.
+          is_placed: bool[K], the focus object included.
+          focus: i32, the object in hand.
+          is_active: bool.
+        """
+        ...
+
+    def stand(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
+        """The last check of a finished scene, everything awake (contract: staged, 60 then 480 steps)."""
+        ...

@@ -1,0 +1,88 @@
+"""A reusable batch of MuJoCo simulations: release poses, step some of them, read motions and failures."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch, SimulationError
+
+from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.physics.rotation import rotate
+
+_FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
+_BAD = [
+    int(mujoco.mjtWarning.mjWARN_BADQPOS),
+    int(mujoco.mjtWarning.mjWARN_BADQVEL),
+    int(mujoco.mjtWarning.mjWARN_BADQACC),
+]
+
+
+def sleeping_model(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy in which every object starts asleep, and a diverging scene is left to be seen, not reset."""
+    model = model.__copy__()
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    model.tree_sleep_policy[:] = mujoco.mjtSleepPolicy.mjSLEEP_INIT
+    return model
+
+
+class Simulations:
+    """A fixed number of simulations of one model, used again by every call.
+
+    `release` resets them (`mjSTAGE_NONE`: positions, velocities, warm start and sleeping state), so that no
+    call sees what an earlier one left behind.
+    """
+
+    def __init__(self, model: mujoco.MjModel, layout: Layout, size: int, num_threads: int) -> None:
+        self._batch = Batch(model, size, num_threads, persistent=True)
+        self._policy = self._batch.expand("tree_sleep_policy")
+        self._num_objects = layout.num_objects
+        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._threads_error = np.zeros(size, bool)
+
+    def release(self, poses: np.ndarray, is_placed: np.ndarray, never_sleeps: np.ndarray) -> np.ndarray:
+        """Puts the first n simulations at rest: placed objects at `poses`, the others parked.
+
+        Args:
+          poses: f[n, K, 7]; is_placed, never_sleeps: bool[n, K].
+
+        Returns:
+          f64[n, K, 7], the poses as simulated, quaternions normalised.
+        """
+        num = len(poses)
+        ids = np.arange(num)
+        self._policy[:num] = np.where(
+            never_sleeps, int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER), int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)
+        )
+        self._batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        self._threads_error[:num] = False
+        start = self.poses(ids)
+        start[is_placed] = poses[is_placed]
+        start[..., 3:] /= np.linalg.norm(start[..., 3:], axis=-1, keepdims=True)
+        self._qpos[:num] = start.reshape(num, -1)
+        return start
+
+    def step(self, ids: np.ndarray) -> None:
+        """One time step of the simulations `ids`; one that raises is marked, the others go on."""
+        try:
+            self._batch.step(ids)
+        except SimulationError as error:
+            self._threads_error[error.ids] = True
+
+    def failures(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the simulations `ids`: which ran out of room, and which are still finite; bool[n] each."""
+        warning = self._batch.warning[ids, :, 1]
+        overflowed = warning[:, _FULL].any(1) | self._threads_error[ids]
+        finite = np.isfinite(self._qpos[ids]).all(1) & np.isfinite(self._qvel[ids]).all(1)
+        return overflowed, finite & ~warning[:, _BAD].any(1)
+
+    def poses(self, ids: np.ndarray) -> np.ndarray:
+        """f64[n, K, 7]: where all objects are now."""
+        return self._qpos[ids].reshape(len(ids), self._num_objects, 7)
+
+    def velocity(self, ids: np.ndarray, focus: np.ndarray) -> np.ndarray:
+        """f64[n, 6]: linear and angular velocity of one object each, at its origin, world frame."""
+        velocity = self._qvel[ids].reshape(len(ids), self._num_objects, 6)[np.arange(len(ids)), focus]
+        quaternion = self.poses(ids)[np.arange(len(ids)), focus, 3:]
+        velocity[:, 3:] = rotate(np, quaternion, velocity[:, 3:])
+        return velocity

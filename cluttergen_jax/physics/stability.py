@@ -1,0 +1,165 @@
+"""The rule that judges stability, written once over the Python array API standard.
+
+Every function takes the array namespace `xp` (NumPy in the native engine, `jax.numpy` in MJX) and arrays with
+any leading axes, so the same lines decide in both engines.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.physics.rotation import norm, turn_between
+from cluttergen_jax.types import Array, Verdict
+
+
+class Track(NamedTuple):
+    """What is remembered of an attempt while it runs; leading axes are those of the batch.
+
+    Attributes:
+      step: i32, steps taken.
+      hold: i32, quiet steps in a row.
+      is_over: bool, the attempt has ended.
+      is_quiet: bool, it ended quiet and in time.
+      velocity: f[..., 6], of the focus object after the last step, linear then angular, world frame.
+      motion_sum, speed_sum: f, see `Settling`.
+      shift, turn: f[..., K], see `Settling`.
+    """
+
+    step: Array
+    hold: Array
+    is_over: Array
+    is_quiet: Array
+    velocity: Array
+    motion_sum: Array
+    speed_sum: Array
+    shift: Array
+    turn: Array
+
+
+def new_track(xp: Any, batch: tuple[int, ...], num_objects: int, dtype: Any) -> Track:
+    """A track at release: at rest, nothing counted."""
+
+    def scalar(kind: Any) -> Array:
+        return xp.zeros(batch, dtype=kind)
+
+    return Track(
+        step=scalar(xp.int32),
+        hold=scalar(xp.int32),
+        is_over=scalar(xp.bool),
+        is_quiet=scalar(xp.bool),
+        velocity=xp.zeros((*batch, 6), dtype=dtype),
+        motion_sum=scalar(dtype),
+        speed_sum=scalar(dtype),
+        shift=xp.zeros((*batch, num_objects), dtype=dtype),
+        turn=xp.zeros((*batch, num_objects), dtype=dtype),
+    )
+
+
+def is_quiet_step(xp: Any, velocity: Array, acceleration: Array, config: StabilityConfig) -> Array:
+    """Whether all four motions are below their limits (paper, section 3.1).
+
+    Args:
+      velocity, acceleration: f[..., 6], linear then angular, world frame.
+
+    Returns:
+      bool[...].
+    """
+    limits = (
+        (velocity[..., :3], config.max_speed),
+        (velocity[..., 3:], config.max_angular_speed),
+        (acceleration[..., :3], config.max_acceleration),
+        (acceleration[..., 3:], config.max_angular_acceleration),
+    )
+    quiet = None
+    for motion, limit in limits:
+        size = xp.max(xp.abs(motion), axis=-1) if config.per_axis else norm(xp, motion)
+        quiet = size < limit if quiet is None else quiet & (size < limit)
+    return quiet
+
+
+def moved(xp: Any, poses: Array, start: Array) -> tuple[Array, Array]:
+    """How far and how much every object is from where it was: shift and turn, f[..., K] each."""
+    shift = norm(xp, poses[..., :3] - start[..., :3])
+    return shift, turn_between(xp, poses[..., 3:], start[..., 3:])
+
+
+def advance(
+    xp: Any, track: Track, velocity: Array, shift: Array, turn: Array, config: StabilityConfig
+) -> Track:
+    """The track after one more step of an attempt that is still running.
+
+    Args:
+      velocity: f[..., 6], the focus object's, after the step.
+      shift, turn: f[..., K], how far every object is from its start.
+    """
+    acceleration = (velocity - track.velocity) / config.timestep
+    step = track.step + 1
+    hold = xp.where(is_quiet_step(xp, velocity, acceleration, config), track.hold + 1, 0)
+    ends_quiet = hold >= config.quiet_steps
+    return Track(
+        step=step,
+        hold=hold,
+        is_over=ends_quiet | (step >= config.last_step),
+        is_quiet=ends_quiet & (step <= config.decision_step),
+        velocity=velocity,
+        motion_sum=track.motion_sum + norm(xp, velocity) + norm(xp, acceleration),
+        speed_sum=track.speed_sum + xp.sum(xp.abs(velocity), axis=-1),
+        shift=xp.maximum(track.shift, shift),
+        turn=xp.maximum(track.turn, turn),
+    )
+
+
+def verdict_of_attempt(
+    xp: Any,
+    track: Track,
+    is_neighbour: Array,
+    fell: Array,
+    penetrates: Array,
+    overflowed: Array,
+    is_finite: Array,
+    config: StabilityConfig,
+) -> Array:
+    """The attempt's verdict, i32[...]: the gravest of all that went wrong.
+
+    Args:
+      is_neighbour: bool[..., K], placed objects other than the focus.
+      fell, penetrates, overflowed, is_finite: bool[...].
+    """
+    displaced = xp.any(
+        is_neighbour & ((track.shift > config.max_shift) | (track.turn > config.max_turn)), axis=-1
+    )
+    verdict = xp.where(track.is_quiet, int(Verdict.STABLE), int(Verdict.UNSETTLED))
+    if config.judge_neighbours:
+        verdict = xp.where(track.is_quiet & penetrates, int(Verdict.PENETRATING), verdict)
+        verdict = xp.where(displaced, int(Verdict.DISPLACED), verdict)
+    verdict = xp.where(fell, int(Verdict.FELL), verdict)
+    verdict = xp.where(overflowed, int(Verdict.OVERFLOW), verdict)
+    return xp.astype(xp.where(is_finite, verdict, int(Verdict.NON_FINITE)), xp.int32)
+
+
+def penetrates(xp: Any, depth: Array, depth_before: Array, config: StabilityConfig) -> Array:
+    """Whether any pair overlaps too much at the end of an attempt.
+
+    Args:
+      depth: f[..., P], overlap of each pair now, metres, zero where apart.
+      depth_before: f[..., P], the pair's own overlap at rest before the attempt; zero for the focus
+        object's pairs.
+
+    Returns:
+      bool[...].
+    """
+    allowed = xp.minimum(depth_before + config.max_added_penetration, config.max_penetration)
+    return xp.any(depth > allowed, axis=-1)
+
+
+def stands_early(xp: Any, shift: Array, turn: Array, is_placed: Array, config: StabilityConfig) -> Array:
+    """Whether a scene passed the first stage of the last check, bool[...]."""
+    moved_too_far = (shift > config.stand_shift) | (turn > config.stand_turn)
+    return ~xp.any(is_placed & moved_too_far, axis=-1)
+
+
+def stands_fully(xp: Any, shift: Array, turn: Array, is_placed: Array, config: StabilityConfig) -> Array:
+    """Whether a scene is still within the limits of the second stage, bool[...]."""
+    moved_too_far = (shift > config.stand_full_shift) | (turn > config.stand_full_turn)
+    return ~xp.any(is_placed & moved_too_far, axis=-1)

@@ -1,0 +1,97 @@
+"""Vocabulary of the physics waist: verdicts, and what `settle` and `stand` report."""
+
+from __future__ import annotations
+
+import enum
+from typing import Any
+
+from flax import struct
+
+Array = Any
+"""A JAX or a NumPy array; shapes and units stand with each field."""
+
+
+class Verdict(enum.IntEnum):
+    """How an attempt or a finished scene was judged. On the host `sentence` explains it."""
+
+    NONE = -1
+    STABLE = 0
+    UNSETTLED = 1
+    DISPLACED = 2
+    PENETRATING = 3
+    FELL = 4
+    OUTSIDE = 5
+    OVERFLOW = 6
+    NON_FINITE = 7
+    CREPT = 8
+
+    @property
+    def sentence(self) -> str:
+        """What the code means, for people."""
+        return _SENTENCES[self]
+
+    @property
+    def label(self) -> str:
+        """The word used in tables and files, such as `non-finite`."""
+        return self.name.lower().replace("_", "-")
+
+
+_SENTENCES = {
+    Verdict.NONE: "nothing was judged",
+    Verdict.STABLE: "came to rest in time, and nothing else was disturbed",
+    Verdict.UNSETTLED: "did not come to rest in time",
+    Verdict.DISPLACED: "a placed object was moved",
+    Verdict.PENETRATING: "two bodies overlap",
+    Verdict.FELL: "fell below the support's top",
+    Verdict.OUTSIDE: "came to rest outside the queried region",
+    Verdict.OVERFLOW: "the simulator ran out of room for contacts",
+    Verdict.NON_FINITE: "the simulation diverged",
+    Verdict.CREPT: "the finished scene moved in the last check",
+}
+
+
+@struct.dataclass
+class Settling:
+    """One attempt, as the simulator saw it. K objects in the compiled world, T + 1 trajectory rows.
+
+    Attributes:
+      verdict: i32, a `Verdict`; OUTSIDE and CREPT are never given here. NONE if the scene was inactive.
+      num_steps: i32, the step at which the attempt ended.
+      poses: f32[K, 7], final poses of all objects, world frame, metres, wxyz.
+      trajectory: f32[T + 1, 13], the focus object's position, quaternion wxyz, linear and angular velocity
+        in the world frame (m, m/s, rad/s): at release, then after each step; rows after `num_steps` are zero.
+      motion_sum: f32, sum over steps of |v| + |a| with v, a in R^6 (the paper's reward).
+      speed_sum: f32, sum over steps of the 1-norm of v in R^6 (the published code's reward).
+      shift: f32[K], the farthest that each placed neighbour was from its start, metres.
+      turn: f32[K], the most that each placed neighbour had turned, radians.
+      penetration: f32, the deepest overlap at the end of an attempt that came to rest, metres; else zero.
+      is_quiet: bool, the focus object came to rest in time: all that the paper's looser count asks.
+    """
+
+    verdict: Array
+    num_steps: Array
+    poses: Array
+    trajectory: Array
+    motion_sum: Array
+    speed_sum: Array
+    shift: Array
+    turn: Array
+    penetration: Array
+    is_quiet: Array
+
+
+@struct.dataclass
+class Standing:
+    """The last check of a finished scene, everything awake, from rest.
+
+    Attributes:
+      verdict: i32: STABLE, CREPT, OVERFLOW or NON_FINITE; NONE if the scene was inactive.
+      num_steps: i32, steps simulated.
+      shift: f32[K], how far each placed object was from its start at most, metres.
+      turn: f32[K], how much each had turned at most, radians.
+    """
+
+    verdict: Array
+    num_steps: Array
+    shift: Array
+    turn: Array
