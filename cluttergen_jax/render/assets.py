@@ -1,0 +1,163 @@
+"""Pictures of objects, supports and scenes that need no world: for `cluttergen inspect` and for looking."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_object, add_support, new_spec
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.render.camera import View, axes
+from cluttergen_jax.render.dress import dress
+from cluttergen_jax.render.picture import distinct_colour, render_model
+from cluttergen_jax.render.sheet import contact_sheet
+
+
+def _empty() -> mujoco.MjSpec:
+    return new_spec(StabilityConfig().timestep, ContactConfig())
+
+
+def _add_surface(
+    spec: mujoco.MjSpec, name: str, mesh: Mesh, rgba: tuple[float, ...], offset: np.ndarray
+) -> None:
+    surface = spec.add_mesh(name=name)
+    surface.uservert = mesh.vertices.astype(np.float32).ravel()
+    if len(mesh.faces):
+        surface.userface = mesh.faces.ravel()
+        surface.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    else:
+        surface.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    spec.worldbody.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=name,
+        pos=offset,
+        rgba=rgba,
+        contype=0,
+        conaffinity=0,
+        group=VISUAL_GROUP,
+    )
+
+
+def render_object(
+    asset: ObjectAsset, *, width: int = 480, height: int = 240, samples: int = 16
+) -> np.ndarray:
+    """uint8[height, width, 3]: the object's surfaces, and right of them its parts in distinct colours."""
+    spec = _empty()
+    half = asset.half_extents
+    view = View(azimuth=115.0, elevation=-24.0)
+    right = axes(view.azimuth, view.elevation)[0]
+    # Half the object's width as it is seen, and a little room.
+    shift = right * 1.12 * float(np.abs(right) @ half)
+    lift = np.array([0.0, 0.0, half[2]])
+    for index, piece in enumerate(asset.pieces):
+        _add_surface(spec, f"piece-{index}", piece.mesh, piece.rgba, lift - shift)
+    for index, part in enumerate(asset.parts):
+        _add_surface(spec, f"part-{index}", Mesh.points(part.vertices), distinct_colour(index), lift + shift)
+    return render_model(dress(spec).compile(), camera=view, width=width, height=height, samples=samples)
+
+
+def object_sheet(objects: Sequence[ObjectAsset], columns: int = 4, samples: int = 16) -> np.ndarray:
+    """A contact sheet: every object's surfaces beside its collision parts, and its name beneath."""
+    images = [render_object(asset, samples=samples) for asset in objects]
+    captions = [f"{asset.name} (parts: {len(asset.parts)})" for asset in objects]
+    return contact_sheet(images, captions, columns)
+
+
+def scene_spec(
+    assets: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None
+) -> tuple[mujoco.MjSpec, np.ndarray]:
+    """A dressed spec of objects on a support, and its qpos.
+
+    Args:
+      assets: K objects; the same one may come twice.
+      poses: f[K, 7], position then wxyz, world frame.
+      support: None leaves only the floor.
+
+    Raises:
+      ConfigError: not one pose per object.
+    """
+    poses = np.asarray(poses, np.float64)
+    if poses.shape != (len(assets), 7):
+        raise ConfigError(f"poses of shape {poses.shape} for {len(assets)} objects", f"({len(assets)}, 7)")
+    spec = _empty()
+    if support is not None:
+        add_support(spec, support, visual=True)
+    for index, asset in enumerate(assets):
+        add_object(spec, asset, f"{index:02d}-{asset.name}", visual=True)
+    return dress(spec), poses.ravel()
+
+
+def render_scene(
+    assets: Sequence[ObjectAsset],
+    poses: np.ndarray,
+    support: SupportAsset | None,
+    *,
+    camera: View | None = None,
+    close: bool = False,
+    width: int = 640,
+    height: int = 480,
+    hulls: bool = False,
+    samples: int = 32,
+) -> np.ndarray:
+    """Draws objects standing on a support.
+
+    Args:
+      assets, poses, support: as for `scene_spec`.
+      camera: None is the default view.
+      close: fit the view to the objects and the region instead of the whole support.
+      width, height, hulls, samples: as for `render_model`.
+
+    Returns:
+      uint8[height, width, 3].
+    """
+    spec, qpos = scene_spec(assets, poses, support)
+    view = camera or View()
+    if close and view.bounds is None:
+        view = replace(view, bounds=close_bounds(assets, poses, support))
+    return render_model(
+        spec.compile(), qpos, camera=view, width=width, height=height, hulls=hulls, samples=samples
+    )
+
+
+def _region_corners(support: SupportAsset) -> np.ndarray:
+    """f64[4, 3]: the corners of the support's region, at its top."""
+    region = support.region
+    along = np.array([np.cos(region.yaw), np.sin(region.yaw)])
+    turn = np.stack([along, [-along[1], along[0]]])
+    plane = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * region.half_extents @ turn + region.center
+    return np.column_stack([plane, np.full(4, support.top)])
+
+
+def close_bounds(
+    assets: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Lower and upper corner of the box around the objects' collision parts and the support's region."""
+    points = [] if support is None else [_region_corners(support)]
+    for asset, pose in zip(assets, np.asarray(poses, np.float64), strict=True):
+        matrix = np.zeros(9)
+        mujoco.mju_quat2Mat(matrix, pose[3:])
+        points.extend(part.vertices @ matrix.reshape(3, 3).T + pose[:3] for part in asset.parts)
+    if not points:
+        raise ConfigError("a close view of neither objects nor a support")
+    everything = np.concatenate(points)
+    lower, upper = everything.min(0), everything.max(0)
+    return (float(lower[0]), float(lower[1]), float(lower[2])), (
+        float(upper[0]),
+        float(upper[1]),
+        float(upper[2]),
+    )
+
+
+def render_support(
+    support: SupportAsset, *, width: int = 640, height: int = 480, samples: int = 32
+) -> np.ndarray:
+    """uint8[height, width, 3]: the empty support."""
+    return render_scene([], np.zeros((0, 7)), support, width=width, height=height, samples=samples)

@@ -1,0 +1,221 @@
+"""Pictures: colours where they belong, framing that loses nothing, and clear words where nothing can draw."""
+
+import os
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+from PIL import Image
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.object import ObjectAsset, RestingPose
+from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.render.assets import object_sheet, render_scene, scene_spec
+from cluttergen_jax.render.camera import View, axes, corners, fitted_eye
+from cluttergen_jax.render.dress import dress
+from cluttergen_jax.render.gl import renderer_status
+from cluttergen_jax.render.picture import contact_sheet, render_model, save_png
+
+IS_DRAWING, STATUS = renderer_status()
+needs_gl = pytest.mark.skipif(not IS_DRAWING, reason=STATUS)
+CUBE_FACES = np.reshape(
+    [
+        0,
+        1,
+        3,
+        0,
+        3,
+        2,
+        4,
+        6,
+        7,
+        4,
+        7,
+        5,
+        0,
+        4,
+        5,
+        0,
+        5,
+        1,
+        2,
+        3,
+        7,
+        2,
+        7,
+        6,
+        0,
+        2,
+        6,
+        0,
+        6,
+        4,
+        1,
+        5,
+        7,
+        1,
+        7,
+        3,
+    ],
+    (12, 3),
+)
+
+
+def cube(name, half, rgba):
+    vertices = corners(-np.full(3, half), np.full(3, half))
+    mesh = Mesh(vertices, CUBE_FACES)
+    return ObjectAsset(
+        name=name,
+        label=name,
+        pieces=(Piece(mesh, rgba),),
+        parts=(Mesh.points(vertices),),
+        mass=0.2,
+        center_of_mass=np.zeros(3),
+        inertia=np.eye(3) * 0.2 * (2 * half) ** 2 / 6,
+        cloud=np.zeros((1024, 3), np.float32),
+        resting=(RestingPose((1, 0, 0, 0), half, 1.0),),
+        provenance=Provenance("test", "Apache-2.0"),
+    )
+
+
+RED = cube("red", 0.05, (0.9, 0.1, 0.1, 1.0))
+GREEN = cube("green", 0.04, (0.1, 0.8, 0.1, 1.0))
+
+
+def status_with(value):
+    code = "from cluttergen_jax.render.gl import renderer_status; print(*renderer_status(), sep='|')"
+    env = {**os.environ, "MUJOCO_GL": value}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip().split("|", 1)
+
+
+def test_nonsense_backend_is_named_and_choices_given():
+    is_ok, message = status_with("nonsense")
+    assert is_ok == "False"
+    assert "nonsense" in message
+    assert "glfw" in message
+    assert "Try:" in message
+
+
+def test_switched_off_backend_is_reported_not_raised():
+    is_ok, message = status_with("off")
+    assert is_ok == "False"
+    assert "MUJOCO_GL=off" in message
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_fitted_eye_sees_all_points_and_stands_as_near_as_it_can(seed):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(30, 3)) * rng.uniform(0.1, 2.0, 3) + rng.normal(size=3)
+    margin = rng.uniform(0, 0.3)
+    view = View(rng.uniform(0, 360), rng.uniform(-85, 30), rng.uniform(10, 80), margin)
+    aspect = rng.uniform(0.5, 2.0)
+    seen = (points - fitted_eye(points, view, aspect)) @ axes(view.azimuth, view.elevation).T
+    assert seen[:, 2].min() > 0
+    tangent = np.tan(np.radians(view.field_of_view) / 2)
+    on_screen = np.abs(seen[:, :2] / seen[:, 2:]) / [tangent * aspect, tangent]
+    reach = on_screen.max(0)
+    assert reach.max() == pytest.approx(1 - 2 * margin, rel=1e-9)
+
+
+@needs_gl
+def test_objects_have_their_colours_where_they_stand():
+    poses = np.array([[-0.15, 0, 0.75, 1, 0, 0, 0], [0.15, 0, 0.74, 1, 0, 0, 0]])
+    # Seen from above with +x to the right: azimuth 90 looks along +y.
+    view = View(azimuth=90, elevation=-89)
+    image = render_scene([RED, GREEN], poses, cuboid_table(0.6, 0.4, 0.7), camera=view, samples=4).astype(int)
+    height, width, _ = image.shape
+    assert (height, width) == (480, 640)
+    is_red = (image[..., 0] > 2 * image[..., 1]) & (image[..., 0] > 100)
+    is_green = (image[..., 1] > 2 * image[..., 0]) & (image[..., 1] > 80)
+    # The table's 0.6 m fill the width but for the margins, so 0.25 m from the middle is about 0.22 of it.
+    red_x, green_x = np.argwhere(is_red)[:, 1].mean() / width, np.argwhere(is_green)[:, 1].mean() / width
+    assert red_x + green_x == pytest.approx(1.0, abs=0.02)
+    assert 0.2 < red_x < 0.35
+    for mask, half in ((is_red, 0.05), (is_green, 0.04)):
+        assert mask.sum() > 0.5 * (2 * half / 0.6 * width) ** 2 * 0.7
+        assert np.argwhere(mask)[:, 0].mean() / height == pytest.approx(0.5, abs=0.05)
+
+
+@needs_gl
+def test_hulls_replace_surfaces_and_show_selects_bodies():
+    poses = np.array([[-0.15, 0, 0.05, 1, 0, 0, 0], [0.15, 0, 0.04, 1, 0, 0, 0]])
+    hulls = render_scene([RED, RED], poses, None, hulls=True, samples=2).astype(int)
+    is_red = (hulls[..., 0] > 3 * hulls[..., 1]) & (hulls[..., 0] > 3 * hulls[..., 2])
+    assert not is_red.any()
+    spec, qpos = scene_spec([RED, GREEN], poses, None)
+    model = spec.compile()
+    groups, colours = model.geom_group.copy(), model.geom_rgba.copy()
+    alone = render_model(model, qpos, show=["00-red"], samples=2).astype(int)
+    assert ((alone[..., 0] > 2 * alone[..., 1]) & (alone[..., 0] > 100)).any()
+    assert not ((alone[..., 1] > 2 * alone[..., 0]) & (alone[..., 1] > 80)).any()
+    np.testing.assert_array_equal(model.geom_group, groups)
+    np.testing.assert_array_equal(model.geom_rgba, colours)
+    with pytest.raises(ConfigError, match="body"):
+        render_model(model, qpos, show=["blue"], samples=1)
+
+
+@needs_gl
+def test_pictures_repeat_exactly_and_shadows_are_cast():
+    pose = np.array([[0, 0, 0.05, 1, 0, 0, 0]])
+    first = render_scene([RED], pose, None, samples=3, width=160, height=120)
+    np.testing.assert_array_equal(first, render_scene([RED], pose, None, samples=3, width=160, height=120))
+    grey = first.astype(int)
+    is_floor = np.ptp(grey, axis=-1) < 12
+    brightness = grey.mean(-1)[is_floor]
+    assert brightness.max() - brightness.min() > 30
+
+
+def test_dress_changes_no_physics():
+    def spec_of():
+        spec = mujoco.MjSpec()
+        body = spec.worldbody.add_body(pos=(0, 0, 1))
+        body.add_freejoint()
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.1, 0.1, 0.1))
+        return spec
+
+    plain, dressed = spec_of().compile(), dress(spec_of()).compile()
+    fallen = []
+    for model in (plain, dressed):
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 300)
+        assert data.ncon == 0
+        fallen.append(data.qpos.copy())
+    np.testing.assert_array_equal(*fallen)
+
+
+@needs_gl
+def test_object_sheet_draws_surface_and_parts():
+    sheet = object_sheet([RED, GREEN, RED], columns=2, samples=2)
+    assert sheet.shape == (2 * (240 + 8 + 24) + 8, 2 * (480 + 8) + 8, 3)
+    left, right = sheet[8:248, 8:188].astype(int), sheet[8:248, 308:488].astype(int)
+    assert not np.array_equal(right, np.broadcast_to(right[0, 0], right.shape))
+    assert ((left[..., 0] > 3 * left[..., 1]) & (left[..., 0] > 100)).any()
+    assert not ((right[..., 0] > 3 * right[..., 1]) & (right[..., 0] > 100)).any()
+
+
+def test_contact_sheet_places_every_image():
+    images = [np.full((30, 40, 3), 10 * i, np.uint8) for i in range(1, 6)]
+    sheet = contact_sheet(images, [str(i) for i in range(5)], columns=3)
+    assert sheet.shape == (2 * (30 + 8 + 24) + 8, 3 * 48 + 8, 3)
+    for i in range(5):
+        row, column = divmod(i, 3)
+        assert (sheet[8 + 62 * row + 15, 8 + 48 * column + 20] == 10 * (i + 1)).all()
+    with pytest.raises(ConfigError, match="caption"):
+        contact_sheet(images, ["one"])
+    with pytest.raises(ConfigError):
+        contact_sheet([])
+
+
+def test_save_png_keeps_pixels_and_leaves_nothing_else(tmp_path):
+    image = np.random.default_rng(0).integers(0, 255, (20, 30, 3), np.uint8)
+    path = save_png(image, tmp_path / "new" / "a.png")
+    np.testing.assert_array_equal(np.asarray(Image.open(path)), image)
+    with pytest.raises(TypeError):
+        save_png(np.zeros((4, 4, 3), np.complex64), tmp_path / "new" / "b.png")
+    assert [p.name for p in path.parent.iterdir()] == ["a.png"]
