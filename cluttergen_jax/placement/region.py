@@ -1,0 +1,131 @@
+"""Queried regions: from an action to a pose, and from a settled pose to "inside" or "outside"."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+from flax import struct
+
+from cluttergen_jax.types import Array
+
+
+@struct.dataclass
+class Region:
+    """A rectangle on the support's top in which objects are to be placed.
+
+    Attributes:
+      T_world_region: origin at the rectangle's centre on the top, x along its first side, z up.
+      half_extents: f32[2], metres, along its x and y.
+    """
+
+    T_world_region: jaxlie.SE3
+    half_extents: Array
+
+
+@struct.dataclass
+class KeepOut:
+    """Upright boxes that settled objects must stay out of, seen from above.
+
+    Attributes:
+      center: f32[B, 2], world x and y, metres.
+      half_extents: f32[B, 2], metres.
+      yaw: f32[B], radians.
+    """
+
+    center: Array
+    half_extents: Array
+    yaw: Array
+
+
+def make_region(center: Array, half_extents: Array, yaw: Array, top: Array) -> Region:
+    """A region on a flat top: f32[2] metres, f32[2] metres, radians, metres."""
+    position = jnp.append(jnp.asarray(center, jnp.float32), jnp.asarray(top, jnp.float32))
+    rotation = jaxlie.SO3.from_z_radians(jnp.asarray(yaw, jnp.float32))
+    return Region(
+        jaxlie.SE3.from_rotation_and_translation(rotation, position), jnp.asarray(half_extents, jnp.float32)
+    )
+
+
+def no_keep_out() -> KeepOut:
+    """No box at all."""
+    return KeepOut(jnp.zeros((0, 2)), jnp.zeros((0, 2)), jnp.zeros((0,)))
+
+
+def to_pose(transform: jaxlie.SE3) -> Array:
+    """f32[..., 7]: position, then quaternion wxyz."""
+    return jnp.concatenate([transform.translation(), transform.rotation().wxyz], axis=-1)
+
+
+def from_pose(pose: Array) -> jaxlie.SE3:
+    """The inverse of `to_pose`."""
+    return jaxlie.SE3.from_rotation_and_translation(jaxlie.SO3(pose[..., 3:]), pose[..., :3])
+
+
+def action_scale(region: Region, height_range: Array) -> tuple[Array, Array]:
+    """The corner of action 0 and the size of the action box in the region frame, f32[3] each.
+
+    Args:
+      height_range: f32, metres: the tallest placed object's height plus that of the object in hand.
+    """
+    lower = jnp.append(-region.half_extents, 0.0)
+    return lower, jnp.append(2 * region.half_extents, height_range)
+
+
+def pose_of_action(action: Array, region: Region, height_range: Array) -> Array:
+    """The world pose f32[7] that an action in (0,1)^4 proposes for the object's origin (contract.md)."""
+    lower, size = action_scale(region, height_range)
+    yaw = 2 * jnp.pi * action[3]
+    T_region_object = jaxlie.SE3.from_rotation_and_translation(
+        jaxlie.SO3.from_z_radians(yaw), lower + action[:3] * size
+    )
+    return to_pose(region.T_world_region @ T_region_object)
+
+
+def action_of_pose(position: Array, yaw: Array, region: Region, height_range: Array) -> Array:
+    """The action that proposes a position in the region frame, f32[3] metres, and a yaw in radians.
+
+    Clipped to [0, 1]: a pose outside the region has no action.
+    """
+    lower, size = action_scale(region, height_range)
+    turn = jnp.mod(yaw / (2 * jnp.pi), 1.0)
+    return jnp.clip(jnp.append((position - lower) / size, turn), 0.0, 1.0)
+
+
+def box_corners(pose: Array, half_extents: Array) -> Array:
+    """The eight world corners of an object's box: f32[8, 3] from f32[7] and f32[3]."""
+    signs = jnp.stack(jnp.meshgrid(*[jnp.array([-1.0, 1.0])] * 3, indexing="ij"), axis=-1).reshape(8, 3)
+    return jax.vmap(from_pose(pose).apply)(signs * half_extents)
+
+
+def is_inside(pose: Array, half_extents: Array, region: Region, containment: str) -> Array:
+    """Whether a settled object lies in the region.
+
+    Args:
+      pose: f32[7], world; half_extents: f32[3] of the object's box; containment: "center" or "footprint".
+    """
+    points = pose[None, :3] if containment == "center" else box_corners(pose, half_extents)
+    local = jax.vmap(region.T_world_region.inverse().apply)(points)[:, :2]
+    return jnp.all(jnp.abs(local) <= region.half_extents + 1e-6)
+
+
+def is_kept_out(pose: Array, half_extents: Array, keep_out: KeepOut) -> Array:
+    """Whether an object's footprint meets any keep-out box: separating axes, never too lenient."""
+    corners = box_corners(pose, half_extents)[:, :2]
+    heading = from_pose(pose).rotation().as_matrix()[:2, 0]
+    heading = heading / jnp.maximum(jnp.linalg.norm(heading), 1e-6)
+
+    def meets(center: Array, half: Array, yaw: Array) -> Array:
+        side = jnp.array([jnp.cos(yaw), jnp.sin(yaw)])
+        box = center + (
+            jnp.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * half @ jnp.stack([side, _left(side)])
+        )
+        axes = jnp.stack([side, _left(side), heading, _left(heading)])
+        ours, theirs = corners @ axes.T, box @ axes.T
+        return jnp.all((ours.min(0) <= theirs.max(0)) & (theirs.min(0) <= ours.max(0)))
+
+    return jnp.any(jax.vmap(meets)(keep_out.center, keep_out.half_extents, keep_out.yaw))
+
+
+def _left(direction: Array) -> Array:
+    return jnp.array([-direction[1], direction[0]])

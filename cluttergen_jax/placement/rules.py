@@ -1,0 +1,209 @@
+"""The rules of the problem, below any reinforcement-learning wrapper: begin an episode, make an attempt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from cluttergen_jax.physics.protocol import Physics
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.region import KeepOut, Region, is_inside, is_kept_out, no_keep_out, pose_of_action
+from cluttergen_jax.placement.reward import reward_of
+from cluttergen_jax.placement.types import Counts, Episode, Geometry, History
+from cluttergen_jax.types import Array, Settling, Verdict
+
+_NUM_COUNTED_VERDICTS = int(Verdict.NON_FINITE) + 1
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """The decision process for one compiled world; pure functions of episodes, one at a time.
+
+    Attributes:
+      config: what is asked of an episode.
+      physics: the simulator behind the waist.
+      geometry: the world's objects.
+      region: the queried region of every episode that is not given another.
+    """
+
+    config: PlacementConfig
+    physics: Physics
+    geometry: Geometry
+    region: Region
+
+    def begin(
+        self,
+        key: Array,
+        region: Region | None = None,
+        keep_out: KeepOut | None = None,
+        start_index: Array | None = None,
+        start_poses: Array | None = None,
+    ) -> Episode:
+        """A new episode on an empty support, or around objects that already stand there.
+
+        Args:
+          key: consumed.
+          region: where to place; the default region if None.
+          keep_out: where not to place.
+          start_index: i32[N], objects of the world that already stand; they count as neighbours and are
+            not drawn again.
+          start_poses: f32[N, 7], their world poses.
+        """
+        key_order, key_episode = jax.random.split(key)
+        num_objects, config = self.geometry.num_objects, self.config
+        poses = jnp.zeros((num_objects, 7), jnp.float32).at[:, 3].set(1.0)
+        is_placed = jnp.zeros(num_objects, bool)
+        if start_index is not None:
+            poses = poses.at[start_index].set(jnp.asarray(start_poses, jnp.float32))
+            is_placed = is_placed.at[start_index].set(True)
+        num_slots, max_attempts = config.num_objects, config.max_attempts
+        return Episode(
+            key=key_episode,
+            region=self.region if region is None else region,
+            keep_out=no_keep_out() if keep_out is None else keep_out,
+            object_index=self._draw_order(key_order, is_placed),
+            slot=jnp.int32(0),
+            attempt=jnp.int32(0),
+            poses=poses,
+            is_placed=is_placed,
+            history=empty_history(max_attempts, self.physics.config.max_steps),
+            counts=Counts(
+                attempts=jnp.zeros(num_slots, jnp.int32),
+                steps=jnp.zeros(num_slots, jnp.int32),
+                verdicts=jnp.zeros(_NUM_COUNTED_VERDICTS, jnp.int32),
+                simulated_steps=jnp.int32(0),
+                reward=jnp.float32(0),
+            ),
+            is_over=jnp.bool_(False),
+            is_success=jnp.bool_(False),
+            verdict=jnp.int32(Verdict.NONE),
+            drift=jnp.float32(0),
+        )
+
+    def _draw_order(self, key: Array, is_taken: Array) -> Array:
+        """i32[S]: the objects to place, a uniform permutation of a uniform subset of those not taken."""
+        ranks = jnp.arange(self.geometry.num_objects, dtype=jnp.float32)
+        if self.config.order == "random":
+            ranks = jax.random.uniform(key, ranks.shape)
+        ranks = jnp.where(is_taken, jnp.inf, ranks)
+        chosen = jnp.argsort(ranks)[: self.config.num_objects].astype(jnp.int32)
+        chosen = jnp.where(jnp.isfinite(ranks[chosen]), chosen, -1)
+        padding = self.config.num_objects - chosen.shape[0]
+        return jnp.pad(chosen, (0, padding), constant_values=-1)
+
+    def focus(self, episode: Episode) -> Array:
+        """i32: the object in hand (of a finished episode: some object)."""
+        slot = jnp.minimum(episode.slot, self.config.num_objects - 1)
+        return jnp.maximum(episode.object_index[slot], 0)
+
+    def height_range(self, episode: Episode) -> Array:
+        """f32, metres: the tallest placed object's height plus that of the object in hand."""
+        heights = 2 * self.geometry.half_extents[:, 2]
+        return jnp.max(jnp.where(episode.is_placed, heights, 0.0)) + heights[self.focus(episode)]
+
+    def attempt(self, episode: Episode, action: Array) -> tuple[Episode, Array]:
+        """One attempt: propose, let go, judge, commit or revert. A finished episode is left as it is.
+
+        Args:
+          action: f32[4] in (0, 1): x, y, z and turn in the queried region (contract.md).
+
+        Returns:
+          The episode after the attempt, and its reward, f32.
+        """
+        is_active = ~episode.is_over
+        focus, height_range = self.focus(episode), self.height_range(episode)
+        proposed = pose_of_action(action, episode.region, height_range)
+        settling = self.physics.settle(
+            episode.poses.at[focus].set(proposed), episode.is_placed.at[focus].set(True), focus, is_active
+        )
+        verdict = self._judge_place(episode, focus, settling)
+        is_stable = verdict == Verdict.STABLE
+        is_last = episode.slot + 1 >= episode.num_slots
+        reward = reward_of(settling, is_stable, episode.slot + 1, is_last, self.config)
+        after = self._push(episode, action, height_range, settling)
+        after = self._commit(after, focus, settling, is_stable)
+        after = self._count(after, episode.slot, settling, verdict, reward)
+        after = self._finish(after, is_stable & is_last & is_active)
+        after = jax.tree.map(lambda new, old: jnp.where(is_active, new, old), after, episode)
+        return after, jnp.where(is_active, reward, 0.0)
+
+    def _judge_place(self, episode: Episode, focus: Array, settling: Settling) -> Array:
+        """The attempt's verdict once the queried region and the keep-out boxes have their say, i32."""
+        pose, half_extents = settling.poses[focus], self.geometry.half_extents[focus]
+        inside = is_inside(pose, half_extents, episode.region, self.config.containment)
+        inside &= ~is_kept_out(pose, half_extents, episode.keep_out)
+        is_misplaced = (settling.verdict == Verdict.STABLE) & ~inside
+        return jnp.where(is_misplaced, int(Verdict.OUTSIDE), settling.verdict)
+
+    def _push(self, episode: Episode, action: Array, height_range: Array, settling: Settling) -> Episode:
+        """The episode with the attempt at the end of the object's history."""
+        row, history = episode.attempt, episode.history
+        region = jnp.append(episode.region.half_extents, height_range)
+        return episode.replace(
+            history=History(
+                action=history.action.at[row].set(action),
+                region=history.region.at[row].set(region),
+                trajectory=history.trajectory.at[row].set(settling.trajectory),
+                num_steps=history.num_steps.at[row].set(settling.num_steps),
+                is_tried=history.is_tried.at[row].set(True),
+            )
+        )
+
+    def _commit(self, episode: Episode, focus: Array, settling: Settling, is_stable: Array) -> Episode:
+        """Stable: the settled poses of all stay and the next slot begins. Else: as it was before."""
+        is_focus = jnp.arange(self.geometry.num_objects) == focus
+        is_placed = episode.is_placed | is_focus
+        # Where neighbours are not judged, the paper's looser count puts them back by hand.
+        moves = is_placed if self.physics.config.judge_neighbours else is_focus
+        attempt = jnp.where(is_stable, 0, episode.attempt + 1)
+        return episode.replace(
+            poses=jnp.where((moves & is_stable)[:, None], settling.poses, episode.poses),
+            is_placed=jnp.where(is_stable, is_placed, episode.is_placed),
+            slot=episode.slot + is_stable.astype(jnp.int32),
+            attempt=attempt,
+            is_over=attempt >= self.config.max_attempts,
+            history=jax.tree.map(
+                lambda rows: jnp.where(is_stable, jnp.zeros_like(rows), rows), episode.history
+            ),
+        )
+
+    def _count(
+        self, episode: Episode, slot: Array, settling: Settling, verdict: Array, reward: Array
+    ) -> Episode:
+        """The episode with the attempt added to its figures."""
+        counts = episode.counts
+        return episode.replace(
+            verdict=verdict.astype(jnp.int32),
+            counts=Counts(
+                attempts=counts.attempts.at[slot].add(1),
+                steps=counts.steps.at[slot].add(settling.num_steps),
+                verdicts=counts.verdicts.at[verdict].add(1),
+                simulated_steps=counts.simulated_steps + settling.num_steps,
+                reward=counts.reward + reward,
+            ),
+        )
+
+    def _finish(self, episode: Episode, is_filled: Array) -> Episode:
+        """The episode after the last check, which runs only if every slot has just been filled."""
+        standing = self.physics.stand(episode.poses, episode.is_placed, is_filled)
+        counts = episode.counts
+        return episode.replace(
+            is_over=episode.is_over | is_filled,
+            is_success=is_filled & (standing.verdict == Verdict.STABLE),
+            verdict=jnp.where(is_filled, standing.verdict, episode.verdict),
+            drift=jnp.max(standing.shift),
+            counts=counts.replace(simulated_steps=counts.simulated_steps + standing.num_steps),
+        )
+
+
+def empty_history(max_attempts: int, max_steps: int) -> History:
+    """No attempt yet: all rows zero."""
+    return History(
+        action=jnp.zeros((max_attempts, 4), jnp.float32),
+        region=jnp.zeros((max_attempts, 3), jnp.float32),
+        trajectory=jnp.zeros((max_attempts, max_steps + 1, 13), jnp.float32),
+        num_steps=jnp.zeros(max_attempts, jnp.int32),
+        is_tried=jnp.zeros(max_attempts, bool),
+    )

@@ -1,0 +1,116 @@
+"""State of the decision process: frozen pytrees, one episode each."""
+
+from __future__ import annotations
+
+from flax import struct
+
+from cluttergen_jax.placement.region import KeepOut, Region
+from cluttergen_jax.types import Array
+
+
+@struct.dataclass
+class Geometry:
+    """What the decision process knows of the compiled world's K objects; constants under `jit`.
+
+    Attributes:
+      half_extents: f32[K, 3], of each object's box, object frame, metres.
+      cloud: f32[K, P, 3], surface points, object frame, farthest-point ordered.
+      column_xy: f32[K, C, 2]; column_bottom, column_top: f32[K, C]; is_column: bool[K, C]: each object
+        seen from above (`assets.columns`), padded.
+      boxes: f32[B, 7]: the support's boxes: centre, half extents, yaw; world, metres, radians.
+      top: f32, height of the support's top, metres.
+    """
+
+    half_extents: Array
+    cloud: Array
+    column_xy: Array
+    column_bottom: Array
+    column_top: Array
+    is_column: Array
+    boxes: Array
+    top: Array
+
+    @property
+    def num_objects(self) -> int:
+        """K."""
+        return self.half_extents.shape[0]
+
+
+@struct.dataclass
+class History:
+    """The failed attempts of the object in hand, oldest first; A rows, T + 1 trajectory rows.
+
+    Attributes:
+      action: f32[A, 4].
+      region: f32[A, 3], the region's half extents and the height range, metres.
+      trajectory: f32[A, T + 1, 13], world frame (`types.Settling`).
+      num_steps: i32[A].
+      is_tried: bool[A], the rows that count; all others are zero.
+    """
+
+    action: Array
+    region: Array
+    trajectory: Array
+    num_steps: Array
+    is_tried: Array
+
+
+@struct.dataclass
+class Counts:
+    """Figures of one episode so far. S slots.
+
+    Attributes:
+      attempts: i32[S], attempts used by each slot.
+      steps: i32[S], steps of all attempts of each slot added up (the paper's stable steps).
+      verdicts: i32[8], attempts by `Verdict` code, STABLE to NON_FINITE.
+      simulated_steps: i32, steps simulated, the last check included.
+      reward: f32, sum of rewards.
+    """
+
+    attempts: Array
+    steps: Array
+    verdicts: Array
+    simulated_steps: Array
+    reward: Array
+
+
+@struct.dataclass
+class Episode:
+    """Filling one support. K objects in the world, S slots.
+
+    Attributes:
+      key: for whoever draws next in this episode.
+      region: where objects are to go.
+      keep_out: where they must not.
+      object_index: i32[S], the object of each slot, padded with -1.
+      slot: i32, the slot in hand; S or the first padded one when all are filled.
+      attempt: i32, attempts of this slot that failed so far.
+      poses: f32[K, 7], world poses of the placed objects, zero elsewhere.
+      is_placed: bool[K].
+      history: failed attempts of the object in hand.
+      counts: figures so far.
+      is_over: bool, every slot is filled or one slot's attempts are used up.
+      is_success: bool, every slot is filled and the finished scene stands.
+      verdict: i32, the latest attempt's verdict; once all slots are filled, the last check's.
+      drift: f32, metres, the largest movement in the last check.
+    """
+
+    key: Array
+    region: Region
+    keep_out: KeepOut
+    object_index: Array
+    slot: Array
+    attempt: Array
+    poses: Array
+    is_placed: Array
+    history: History
+    counts: Counts
+    is_over: Array
+    is_success: Array
+    verdict: Array
+    drift: Array
+
+    @property
+    def num_slots(self) -> Array:
+        """i32: how many slots are to be filled."""
+        return (self.object_index >= 0).sum(-1)

@@ -1,0 +1,102 @@
+"""The compiled world: objects and a support as one MuJoCo model, every object free and parked."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.columns import Columns, cut_columns
+from cluttergen_jax.assets.mjcf import add_object, add_support, new_spec
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.physics.layout import Layout
+
+MAX_OBJECTS = 200
+COLUMN_SPACING = 0.007
+_PARKING_START = 50.0
+_PARKING_HEIGHT = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """K objects that can be placed on one support; meshes are fixed from here on.
+
+    Attributes:
+      names: unique, in the order of the object index.
+      objects: the assets, one for each index (an asset may stand there more than once).
+      support: the table.
+      layout: the compiled model and what belongs to what.
+      columns: each object seen from above.
+    """
+
+    names: tuple[str, ...]
+    objects: tuple[ObjectAsset, ...]
+    support: SupportAsset
+    layout: Layout
+    columns: tuple[Columns, ...]
+
+    @property
+    def num_objects(self) -> int:
+        """K."""
+        return len(self.objects)
+
+
+def unique_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Names made unique by a number: mug, mug-2, mug-3."""
+    seen: dict[str, int] = {}
+    result = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        result.append(name if seen[name] == 1 else f"{name}-{seen[name]}")
+    return tuple(result)
+
+
+def repeated(objects: Sequence[ObjectAsset], num_objects: int) -> tuple[ObjectAsset, ...]:
+    """The objects over again until there are at least `num_objects`, each equally often."""
+    return tuple(objects) * -(-num_objects // len(objects))
+
+
+def make_world(
+    objects: Sequence[ObjectAsset],
+    support: SupportAsset,
+    stability: StabilityConfig,
+    contact: ContactConfig,
+) -> World:
+    """Compiles a world.
+
+    Raises:
+      ConfigError: there are no objects, or more than MAX_OBJECTS.
+    """
+    if not 1 <= len(objects) <= MAX_OBJECTS:
+        raise ConfigError(f"a world of {len(objects)} objects", f"1 to {MAX_OBJECTS}", "a smaller pool")
+    names = unique_names([asset.name for asset in objects])
+    spec = new_spec(stability.timestep, contact)
+    add_support(spec, support)
+    x = _PARKING_START
+    for name, asset in zip(names, objects, strict=True):
+        body = add_object(spec, asset, re.sub(r"[^\w-]", "_", name))
+        x += asset.radius
+        body.pos = (x, 0.0, _PARKING_HEIGHT)
+        x += asset.radius + 0.1
+    model = _compile(spec)
+    columns = {id(asset): cut_columns(asset, COLUMN_SPACING) for asset in objects}
+    return World(
+        names=names,
+        objects=tuple(objects),
+        support=support,
+        layout=Layout.of(model, support.top),
+        columns=tuple(columns[id(asset)] for asset in objects),
+    )
+
+
+def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    model = spec.compile()
+    # Bodies keep their parking place as qpos0, at the identity orientation.
+    assert np.all(model.qpos0.reshape(-1, 7)[:, 3] == 1.0)
+    return model
