@@ -1,0 +1,97 @@
+"""Mesh files: OBJ, STL, PLY, GLB, GLTF and DAE, through trimesh."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.errors import AssetError
+
+GREY = (0.7, 0.7, 0.7, 1.0)
+
+
+def read_mesh_file(path: Path) -> tuple[list[Piece], str]:
+    """The file's surfaces in its own unit and frame, each with one colour, and which axis is up.
+
+    Every geometry of a scene graph is placed where its nodes put it. The colour is the material's, or the
+    mean over texture or vertex colours. A DAE file's declared unit is applied.
+
+    Raises:
+      AssetError: the file is missing or cannot be understood.
+    """
+    if not path.is_file():
+        raise AssetError(f"mesh file {path} is missing", hint="restoring the file or its name")
+    try:
+        scene = trimesh.load_scene(str(path), process=False)
+    except Exception as error:  # trimesh's loaders raise whatever their parsers do.
+        raise AssetError(f"{path} cannot be read as a mesh: {type(error).__name__}: {error}") from error
+    is_linear = path.suffix.lower() in (".glb", ".gltf")
+    pieces = []
+    for node in sorted(scene.graph.nodes_geometry):
+        transform, name = scene.graph[node]
+        geometry = scene.geometry[name]
+        if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
+            mesh = Mesh(geometry.vertices, geometry.faces).transformed(transform[:3, :3], transform[:3, 3])
+            if np.linalg.det(transform[:3, :3]) < 0:
+                mesh = Mesh(mesh.vertices, mesh.faces[:, ::-1])
+            pieces.append(Piece(mesh, mean_colour(geometry.visual, is_linear)))
+    if not pieces:
+        raise AssetError(f"{path} holds no triangles", "a surface mesh, not points or curves")
+    return pieces, _up(path, is_linear)
+
+
+def _up(path: Path, is_gltf: bool) -> str:
+    if is_gltf:
+        return "y"
+    if path.suffix.lower() == ".dae":
+        declared = re.search(rb"<up_axis>\s*([XYZ])_UP", path.read_bytes())
+        # COLLADA's own default is y.
+        return declared.group(1).decode().lower() if declared else "y"
+    return "z"
+
+
+def mean_colour(visual: Any, is_linear: bool = False) -> tuple[float, float, float, float]:
+    """One sRGB colour for a trimesh visual; grey where it has none."""
+    try:
+        if visual.kind == "texture":
+            colours = _texture_colours(visual, is_linear)
+        elif visual.defined:
+            colours = np.atleast_2d(visual.face_colors) / 255.0
+        else:
+            return GREY
+    except Exception:  # A broken texture must not cost the object.
+        return GREY
+    r, g, b, a = np.asarray(colours, np.float64).reshape(-1, 4).mean(0).clip(0, 1)
+    return (round(float(r), 4), round(float(g), 4), round(float(b), 4), round(float(max(a, 0.2)), 4))
+
+
+def _texture_colours(visual: Any, is_linear: bool) -> np.ndarray:
+    material = visual.material
+    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    if image is not None and visual.uv is not None:
+        return trimesh.visual.color.uv_to_color(visual.uv, image) / 255.0
+    main = np.asarray(material.main_color, np.float64) / 255.0
+    # trimesh's own default, where a material names a texture that is not there.
+    if np.allclose(main[:3], 100 / 255):
+        return np.array(GREY)
+    if is_linear:
+        main[:3] = np.where(main[:3] <= 0.0031308, 12.92 * main[:3], 1.055 * main[:3] ** (1 / 2.4) - 0.055)
+    return main
+
+
+def cleaned(mesh: Mesh) -> Mesh:
+    """The mesh with equal vertices welded and flat, doubled or unused triangles and vertices dropped."""
+    digits = 6 - int(np.floor(np.log10(max(float(np.ptp(mesh.vertices)), 1e-9))))
+    _, first, inverse = np.unique(
+        np.round(mesh.vertices, digits), axis=0, return_index=True, return_inverse=True
+    )
+    tri = trimesh.Trimesh(mesh.vertices[first], inverse.reshape(-1)[mesh.faces], process=False)
+    tri.update_faces(tri.nondegenerate_faces(height=1e-9) & tri.unique_faces())
+    tri.remove_unreferenced_vertices()
+    return Mesh(tri.vertices, tri.faces)

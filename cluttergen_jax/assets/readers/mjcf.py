@@ -1,0 +1,104 @@
+"""MJCF bodies: compiled by MuJoCo itself, geoms turned into meshes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.readers import primitives
+from cluttergen_jax.assets.readers.convex import MAX_PARTS
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.errors import AssetError
+
+_GEOM = mujoco.mjtGeom
+
+
+def read_mjcf(path: Path, body: str = "") -> tuple[list[Piece], tuple[Mesh, ...] | None, float]:
+    """One body with all that hangs on it, at the model's reference configuration.
+
+    Pieces are the geoms that collide with nothing, or all of them where every geom collides. Parts are
+    the colliding geoms: MuJoCo takes the convex hull of each, so they are convex parts already.
+
+    Args:
+      path: the MJCF file.
+      body: the body's name, or "#N" for the N-th body of the world, or "" for the only one.
+
+    Returns:
+      pieces, parts (None if more than 32), and the mass in kilograms.
+
+    Raises:
+      AssetError: MuJoCo cannot compile the file (its own message is kept), or the body has no geoms.
+    """
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise AssetError(f"{path} cannot be compiled as MJCF: {error}") from error
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    root = _root(model, path, body)
+    solid = [i for i in range(model.ngeom) if _belongs(model, i, root) and _is_solid(model, i)]
+    if not solid:
+        raise AssetError(f"{path}: body {body or root!r} has no geoms that are solid")
+    is_colliding = {i: bool(model.geom_contype[i] or model.geom_conaffinity[i]) for i in solid}
+    visual = [i for i in solid if not is_colliding[i]] or solid
+    pieces = [Piece(_geom_mesh(model, data, i), _colour(model, i)) for i in visual]
+    parts = tuple(Mesh.points(_geom_mesh(model, data, i, 16).vertices) for i in solid if is_colliding[i])
+    mass = float(model.body_subtreemass[root]) if root else float(model.body_mass.sum())
+    return pieces, parts if 0 < len(parts) <= MAX_PARTS else None, mass
+
+
+def _root(model: mujoco.MjModel, path: Path, body: str) -> int:
+    """The body's id; 0, the world body, where the geoms lie in the world itself."""
+    children = [i for i in range(1, model.nbody) if model.body_parentid[i] == 0]
+    if body.startswith("#"):
+        return children[int(body[1:])]
+    if body:
+        return int(model.body(body).id)
+    if len(children) > 1:
+        names = ", ".join(model.body(i).name for i in children)
+        raise AssetError(f"{path} holds {len(children)} bodies and none was chosen", names)
+    return children[0] if children else 0
+
+
+def _belongs(model: mujoco.MjModel, geom: int, root: int) -> bool:
+    body = int(model.geom_bodyid[geom])
+    while body not in (root, 0):
+        body = int(model.body_parentid[body])
+    return body == root
+
+
+def _is_solid(model: mujoco.MjModel, geom: int) -> bool:
+    return model.geom_type[geom] not in (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_HFIELD, _GEOM.mjGEOM_SDF)
+
+
+def _colour(model: mujoco.MjModel, geom: int) -> tuple[float, float, float, float]:
+    material = int(model.geom_matid[geom])
+    r, g, b, a = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
+    return (float(r), float(g), float(b), float(a))
+
+
+def _geom_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int, sections: int = 32) -> Mesh:
+    """The geom's surface in the world frame of the reference configuration."""
+    size = model.geom_size[geom]
+    kind = model.geom_type[geom]
+    if kind == _GEOM.mjGEOM_MESH:
+        mesh = _mesh_asset(model, int(model.geom_dataid[geom]))
+    elif kind == _GEOM.mjGEOM_BOX:
+        mesh = primitives.box(size)
+    elif kind == _GEOM.mjGEOM_CYLINDER:
+        mesh = primitives.cylinder(size[0], size[1], sections)
+    elif kind == _GEOM.mjGEOM_CAPSULE:
+        mesh = primitives.capsule(size[0], size[1])
+    else:
+        mesh = primitives.ellipsoid(size if kind == _GEOM.mjGEOM_ELLIPSOID else np.full(3, size[0]))
+    return mesh.transformed(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
+
+
+def _mesh_asset(model: mujoco.MjModel, mesh: int) -> Mesh:
+    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    first_face, face_count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    faces = model.mesh_face[first_face : first_face + face_count]
+    return Mesh(model.mesh_vert[first : first + count], faces)

