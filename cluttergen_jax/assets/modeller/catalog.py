@@ -7,13 +7,18 @@ from collections.abc import Callable
 
 import numpy as np
 
+from cluttergen_jax.assets.modeller.dining import DINING
+from cluttergen_jax.assets.modeller.kitchen import KITCHEN
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.errors import PoolError
 
 Family = Callable[[np.random.Generator | None], Shape]
 
 # Each pool's families are gathered in a dict of its own file; this one only joins them.
-_POOLS: dict[str, dict[str, Family]] = {}
+_POOLS: dict[str, dict[str, Family]] = {
+    "dining": DINING,
+    "kitchen": KITCHEN,
+}
 
 FAMILIES: dict[str, Family] = {name: family for pool in _POOLS.values() for name, family in pool.items()}
 POOLS: dict[str, tuple[str, ...]] = {pool: tuple(families) for pool, families in _POOLS.items()}

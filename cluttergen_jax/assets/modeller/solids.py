@@ -93,6 +93,22 @@ def ellipse(rx: float, ry: float, num: int = SEGMENTS) -> np.ndarray:
     return np.stack([rx * np.cos(angles), ry * np.sin(angles)], -1)
 
 
+def on_front(polygon: Points2, y: float, thickness: float = 0.0006) -> Manifold:
+    """A flat decal on the face that looks towards -y: the polygon's (x, y) become (x, z).
+
+    Args:
+      y: where the face lies. Half of the thickness stands proud of it.
+    """
+    return (
+        Manifold.extrude(_section(polygon), thickness).rotate((90, 0, 0)).translate((0, y + thickness / 2, 0))
+    )
+
+
+def from_side(outline: Points2, width: float) -> Manifold:
+    """A body of `width` along y, centred on y = 0, whose outline seen from the side is (x, z) points."""
+    return Manifold.extrude(_section(outline), width).rotate((90, 0, 0)).translate((0, width / 2, 0))
+
+
 def cylinder(
     radius: float,
     height: float,

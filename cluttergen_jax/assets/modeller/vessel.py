@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -43,6 +44,20 @@ class Vessel:
         outline = [(0.0, self.outer[0][1]), *self.outer, *reversed(self.inner), (0.0, self.floor)]
         return revolve(outline, segments)
 
+    def layers(self, thickness: float, segments: int = SEGMENTS) -> tuple[Manifold, Manifold]:
+        """The solid in two closed shells, outside and lining, for two colours."""
+        grown = [(0.0, self.floor - thickness), *((r + thickness, z - thickness) for r, z in self.inner)]
+        tool = revolve([*grown, (grown[-1][0], self.rim + 1.0), (0.0, self.rim + 1.0)], segments)
+        whole = self.solid(segments)
+        return whole - tool, whole ^ tool
+
+    def inside(self, segments: int = SEGMENTS) -> Manifold:
+        """The space inside, open upwards: what has to be cut from handles that reach through the wall."""
+        radius = self.inner[-1][0]
+        return revolve(
+            [(0.0, self.floor), *self.inner, (radius, self.rim + 1.0), (0.0, self.rim + 1.0)], segments
+        )
+
     def cavity(self, segments: int = SEGMENTS) -> Cavity:
         """The space inside, up to the rim's plane."""
         inside = revolve([(0.0, self.floor), *self.inner, (0.0, self.rim)], segments)
@@ -63,9 +78,9 @@ class Vessel:
         """
         disc = [(self.outer_radius(z), z) for z in (self.outer[0][1], self.floor)]
         heights = [self.floor, *cuts, self.rim]
-        rows = [self._row(low, high) for low, high in zip(heights[:-1], heights[1:], strict=True)]
+        rows = [self._row(low, high) for low, high in itertools.pairwise(heights)]
         walls = [wedge for row in rows for wedge in ring_sectors(row, num, phase)]
-        return (disc_part(disc, num if num >= 10 else 2 * num, phase), *walls)
+        return (disc_part(disc, num if num >= 10 else 12, phase, is_standing=True), *walls)
 
     def _row(self, low: float, high: float) -> list[tuple[float, float]]:
         """The section of the wall between two heights; its foot is sunk a little into what lies below."""
