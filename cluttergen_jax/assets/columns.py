@@ -9,6 +9,7 @@ from scipy.spatial import ConvexHull
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.errors import AssetError
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,11 @@ def _part_range(part: Mesh, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
 
 
 def cut_columns(asset: ObjectAsset, spacing: float) -> Columns:
-    """Cuts an asset into columns `spacing` metres apart, at least one."""
+    """Cuts an asset into columns `spacing` metres apart, farthest-point ordered: any prefix is a sample.
+
+    Raises:
+      AssetError: no vertical line through the grid meets the object.
+    """
     half = asset.half_extents[:2]
     counts = np.maximum(np.ceil(2 * half / spacing), 1).astype(int)
     axes = [
@@ -52,5 +57,19 @@ def cut_columns(asset: ObjectAsset, spacing: float) -> Columns:
         hit, bottom, top = _part_range(part, xy)
         lowest = np.where(hit, np.minimum(lowest, bottom), lowest)
         highest = np.where(hit, np.maximum(highest, top), highest)
-    hit = np.isfinite(lowest)
-    return Columns(xy[hit], lowest[hit], highest[hit])
+    hit = np.flatnonzero(np.isfinite(lowest))
+    if not hit.size:
+        raise AssetError(f"{asset.name}: no column of {spacing * 1000:g} mm meets it", hint="a finer spacing")
+    order = hit[farthest_first(xy[hit])]
+    return Columns(xy[order], lowest[order], highest[order])
+
+
+def farthest_first(points: np.ndarray) -> np.ndarray:
+    """The order in which each point is the farthest from all before it, starting farthest from the mean."""
+    order = np.empty(len(points), int)
+    order[0] = np.argmax(((points - points.mean(0)) ** 2).sum(1))
+    distance = np.full(len(points), np.inf)
+    for place in range(1, len(points)):
+        distance = np.minimum(distance, ((points - points[order[place - 1]]) ** 2).sum(1))
+        order[place] = np.argmax(distance)
+    return order

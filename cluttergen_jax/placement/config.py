@@ -25,6 +25,7 @@ class PlacementConfig:
       order: "random" draws a fresh uniform permutation of a uniform subset each episode; "fixed" takes the
         world's objects in their order.
       reward: "paper" (its equation 1), "code" (what its published code pays) or "compressed".
+      keeps_history: remember failed attempts; methods that never look back run faster without.
       motion_cost: c of the paper's equation 1.
       success_reward: R0 of the paper's equation 1.
     """
@@ -34,6 +35,7 @@ class PlacementConfig:
     containment: str = "center"
     order: str = "random"
     reward: str = "paper"
+    keeps_history: bool = True
     motion_cost: float = 0.005
     success_reward: float = 100.0
 

@@ -94,7 +94,6 @@ def heights_under(heights: HeightMap, xy: Array) -> Array:
     return jnp.where(in_grid, heights.height[index[..., 0], index[..., 1]], VOID)
 
 
-def columns_at(geometry: Geometry, focus: Array, position: Array, yaw: Array) -> Array:
-    """Where an upright object's columns stand: f32[C, 2] in the region frame."""
-    rotation = jaxlie.SO2.from_radians(yaw).as_matrix()
-    return geometry.column_xy[focus] @ rotation.T + position
+def columns_at(xy: Array, position: Array, yaw: Array) -> Array:
+    """Points of an upright object's frame, f32[C, 2], where they stand in the region frame."""
+    return xy @ jaxlie.SO2.from_radians(yaw).as_matrix().T + position

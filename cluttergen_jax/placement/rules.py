@@ -68,7 +68,7 @@ class Rules:
             attempt=jnp.int32(0),
             poses=poses,
             is_placed=is_placed,
-            history=empty_history(max_attempts, self.physics.config.max_steps),
+            history=empty_history(max_attempts * config.keeps_history, self.physics.config.max_steps),
             counts=Counts(
                 attempts=jnp.zeros(num_slots, jnp.int32),
                 steps=jnp.zeros(num_slots, jnp.int32),
@@ -139,6 +139,8 @@ class Rules:
 
     def _push(self, episode: Episode, action: Array, height_range: Array, settling: Settling) -> Episode:
         """The episode with the attempt at the end of the object's history."""
+        if not self.config.keeps_history:
+            return episode
         row, history = episode.attempt, episode.history
         region = jnp.append(episode.region.half_extents, height_range)
         return episode.replace(

@@ -14,14 +14,16 @@ class Geometry:
 
     Attributes:
       half_extents: f32[K, 3], of each object's box, object frame, metres.
+      center_of_mass: f32[K, 3], object frame, metres.
       cloud: f32[K, P, 3], surface points, object frame, farthest-point ordered.
       column_xy: f32[K, C, 2]; column_bottom, column_top: f32[K, C]; is_column: bool[K, C]: each object
-        seen from above (`assets.columns`), padded.
+        seen from above (`assets.columns`), farthest-point ordered, padded.
       boxes: f32[B, 7]: the support's boxes: centre, half extents, yaw; world, metres, radians.
       top: f32, height of the support's top, metres.
     """
 
     half_extents: Array
+    center_of_mass: Array
     cloud: Array
     column_xy: Array
     column_bottom: Array

@@ -1,0 +1,30 @@
+"""Rejection sampling done right: anywhere in the region, at the object's own height."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from cluttergen_jax.placement.region import action_of_pose
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.types import Array
+
+CLEARANCE = 0.001
+"""Metres above its rest at which an object is let go."""
+
+
+class Random:
+    """A uniform position and turn on the support's surface (the paper's RRS, with its height mended)."""
+
+    def __init__(self, rules: Rules) -> None:
+        self.rules = rules
+
+    def __call__(self, key: Array, episode: Episode) -> Array:
+        """See `placement.proposer.Proposer`."""
+        key_position, key_turn = jax.random.split(key)
+        region, focus = episode.region, self.rules.focus(episode)
+        xy = jax.random.uniform(key_position, (2,), minval=-1.0) * region.half_extents
+        yaw = jax.random.uniform(key_turn, maxval=2 * jnp.pi)
+        height = self.rules.geometry.half_extents[focus, 2] + CLEARANCE
+        return action_of_pose(jnp.append(xy, height), yaw, region, self.rules.height_range(episode))

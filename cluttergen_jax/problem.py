@@ -1,0 +1,134 @@
+"""The composition root: from names and numbers to a compiled world, its physics and its rules."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import jax.numpy as jnp
+import numpy as np
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.physics import make_physics
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.region import Region, make_region
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.types import Geometry
+from cluttergen_jax.world import World, make_world, repeated
+
+SMALLEST_REGION = 0.02
+
+
+@dataclass(frozen=True)
+class ProblemConfig:
+    """Which objects on which support, judged how.
+
+    Attributes:
+      pool: a pool's name or folder.
+      objects: names of the pool's objects to use; empty means all of them.
+      repeat: let objects stand there more than once when there are fewer than `placement.num_objects`.
+      support: a support's name or folder; "table" is the paper's, "table-0.40x0.50" one of that size.
+      region: the queried region; None takes the support's own.
+      engine: "auto", "native", "warp" or "jax".
+    """
+
+    pool: str = "dining"
+    objects: tuple[str, ...] = ()
+    repeat: bool = False
+    support: str = "table"
+    region: Rectangle | None = None
+    engine: str = "auto"
+    num_threads: int = 0
+    placement: PlacementConfig = field(default_factory=PlacementConfig)
+    stability: StabilityConfig = field(default_factory=StabilityConfig)
+    contact: ContactConfig = field(default_factory=ContactConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Everything that is needed to place objects: see `make_problem`."""
+
+    config: ProblemConfig
+    world: World
+    rules: Rules
+    region: Rectangle
+
+
+def make_problem(config: ProblemConfig) -> Problem:
+    """Finds the assets, compiles the world and wires it to an engine.
+
+    Raises:
+      PoolError: a pool, an object or a support cannot be found.
+      ConfigError: more objects are asked for than there are, or the region is not on the support.
+    """
+    pool = find_pool(config.pool)
+    chosen = [pool[name] for name in config.objects] if config.objects else list(pool.objects)
+    return compose(chosen, find_support(config.support), config)
+
+
+def compose(objects: Sequence[ObjectAsset], support: SupportAsset, config: ProblemConfig) -> Problem:
+    """`make_problem` for assets that are at hand already."""
+    wanted = config.placement.num_objects
+    if wanted > len(objects):
+        if not config.repeat:
+            raise ConfigError(
+                f"{wanted} objects asked for, {len(objects)} in pool {config.pool!r}",
+                f"1 to {len(objects)}, or more with --repeat",
+                "--repeat, the pool 'all' with its 50 objects, or fewer objects",
+            )
+        objects = repeated(objects, wanted)
+    region = config.region or support.region
+    _check_region(region, support)
+    world = make_world(objects, support, config.stability, config.contact)
+    physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
+    rules = Rules(config.placement, physics, geometry_of(world), region_of(region, support))
+    return Problem(config, world, rules, region)
+
+
+def region_of(rectangle: Rectangle, support: SupportAsset) -> Region:
+    """A rectangle on a support's top as the decision process sees it."""
+    return make_region(
+        jnp.array(rectangle.center), jnp.array(rectangle.half_extents), rectangle.yaw, support.top
+    )
+
+
+def geometry_of(world: World) -> Geometry:
+    """The world's objects as arrays, columns padded to the longest."""
+    most = max(len(columns.top) for columns in world.columns)
+
+    def padded(arrays: list[np.ndarray]) -> jnp.ndarray:
+        rows = [np.pad(a, [(0, most - len(a))] + [(0, 0)] * (a.ndim - 1)) for a in arrays]
+        return jnp.asarray(np.stack(rows), jnp.float32)
+
+    boxes = [(*box.center, *box.half_extents, box.yaw) for box in world.support.boxes]
+    return Geometry(
+        half_extents=jnp.asarray(np.stack([asset.half_extents for asset in world.objects]), jnp.float32),
+        center_of_mass=jnp.asarray(world.layout.center_of_mass, jnp.float32),
+        cloud=jnp.asarray(np.stack([asset.cloud for asset in world.objects]), jnp.float32),
+        column_xy=padded([columns.xy for columns in world.columns]),
+        column_bottom=padded([columns.bottom for columns in world.columns]),
+        column_top=padded([columns.top for columns in world.columns]),
+        is_column=padded([np.ones(len(columns.top)) for columns in world.columns]) > 0,
+        boxes=jnp.asarray(np.array(boxes), jnp.float32),
+        top=jnp.float32(world.support.top),
+    )
+
+
+def _check_region(region: Rectangle, support: SupportAsset) -> None:
+    """Refuses a region that is not a finite rectangle over the support's top."""
+    numbers = np.array([*region.center, *region.half_extents, region.yaw])
+    corners = np.array(region.center) + np.array(region.half_extents) * [[-1, -1], [-1, 1], [1, -1], [1, 1]]
+    reach = [np.hypot(*(np.abs(box.center[:2]) + np.hypot(*box.half_extents[:2]))) for box in support.boxes]
+    if not np.all(np.isfinite(numbers)) or min(region.half_extents) * 2 < SMALLEST_REGION:
+        raise ConfigError(f"a region of {region}", f"finite, sides from {SMALLEST_REGION} m", "--region 0.4x0.5")
+    if np.abs(corners).max() > max(reach):
+        raise ConfigError(
+            f"a region of {region} reaches beyond support {support.name!r}",
+            f"a rectangle on its top, by default {support.region}",
+            "a smaller region, or a larger table such as --support table-1.40x1.40",
+        )
