@@ -32,7 +32,7 @@ class Crate:
     flare: float = 0.0
 
     def outline(self, z: float, inset: float = 0.0) -> np.ndarray:
-        """The four corners at height z, counter-clockwise from (-x, -y), moved inwards by `inset`: f64[4, 3]."""
+        """The four corners at height z, moved in by `inset`: f64[4, 3], from (-x, -y) on anticlockwise."""
         half_x = self.width / 2 + self.flare * z / self.height - inset
         half_y = self.depth / 2 + self.flare * z / self.height - inset
         return np.array(

@@ -1,0 +1,278 @@
+"""Computers and what is typed on: laptop, mouse, keyboard, calculator, desk phone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from manifold3d import Manifold
+
+from cluttergen_jax.assets.modeller.draw import Rng, choose, made_by, shade, vary
+from cluttergen_jax.assets.modeller.lettering import lettering
+from cluttergen_jax.assets.modeller.palette import (
+    BLACK,
+    BLUE,
+    BRIGHT,
+    CHARCOAL,
+    DARK,
+    GREEN,
+    GREY,
+    NAVY,
+    ORANGE,
+    PAPER,
+    RED,
+    SILVER,
+    SKY,
+    STEEL,
+    TEAL,
+    WHITE,
+    YELLOW,
+)
+from cluttergen_jax.assets.modeller.parts import box_part, hull_part, turned
+from cluttergen_jax.assets.modeller.solids import box, cylinder, hull, piece, rounded_box, smooth_path, union
+from cluttergen_jax.assets.shape import Shape
+
+DISPLAY = (0.70, 0.80, 0.66)
+
+
+def key(width: float, depth: float, height: float, center: Sequence[float]) -> Manifold:
+    """A key cap that narrows upwards, its foot sunk 0.5 mm below z = 0."""
+    corners = [(sx * width / 2, sy * depth / 2) for sx in (-1, 1) for sy in (-1, 1)]
+    low = [(center[0] + x, center[1] + y, -0.0005) for x, y in corners]
+    high = [(center[0] + 0.8 * x, center[1] + 0.8 * y, height) for x, y in corners]
+    return hull(low + high)
+
+
+def key_grid(
+    columns: int, rows: int, size: Sequence[float], height: float, center: Sequence[float] = (0, 0)
+) -> list[list[Manifold]]:
+    """Keys over a rectangle `size` (x, y): rows from the back to the front, each a list of keys."""
+    pitch_x, pitch_y = size[0] / columns, size[1] / rows
+    return [
+        [
+            key(
+                0.86 * pitch_x,
+                0.84 * pitch_y,
+                height,
+                (center[0] + (i - (columns - 1) / 2) * pitch_x, center[1] + ((rows - 1) / 2 - j) * pitch_y),
+            )
+            for i in range(columns)
+        ]
+        for j in range(rows)
+    ]
+
+
+def wedge(width: float, depth: float, front: float, back: float) -> tuple[np.ndarray, float]:
+    """The corners of a block whose top slopes, f64[8, 3], and the slope in degrees."""
+    corners = [
+        (sx * width / 2, sy * depth / 2, z)
+        for sx in (-1, 1)
+        for sy, top in ((-1, front), (1, back))
+        for z in (0.0, top)
+    ]
+    return np.array(corners), float(np.degrees(np.arctan2(back - front, depth)))
+
+
+def _on_slope(solid: Manifold, front: float, back: float, slope: float) -> Manifold:
+    """A solid drawn on z = 0 laid onto a wedge's top."""
+    return solid.rotate((slope, 0, 0)).translate((0, 0, (front + back) / 2))
+
+
+def laptop(rng: Rng = None) -> Shape:
+    """An open laptop, keyboard towards -y."""
+    width, depth = vary(rng, 0.300, 0.08), vary(rng, 0.205, 0.06)
+    base, lid, lean = 0.016, 0.007, vary(rng, 16.0, 0.4)
+    pose = {"rotate": (-lean, 0, 0), "move": (0, depth / 2 - 0.006, base - 0.004)}
+
+    def raised(solid: Manifold) -> Manifold:
+        return solid.rotate(pose["rotate"]).translate(pose["move"])
+
+    screen_size = (width, lid, 0.96 * depth)
+    screen = box((0.93 * width, 0.002, 0.82 * depth), (0, -lid / 2), 0.10 * depth)
+    windows = [
+        (box((0.40 * width, 0.002, 0.46 * depth), (-0.16 * width, -lid / 2 - 0.0006), 0.33 * depth), WHITE),
+        (box((0.40 * width, 0.002, 0.06 * depth), (-0.16 * width, -lid / 2 - 0.0010), 0.76 * depth), ORANGE),
+        (box((0.24 * width, 0.002, 0.30 * depth), (0.24 * width, -lid / 2 - 0.0006), 0.42 * depth), YELLOW),
+    ]
+    deck = (0.86 * width, 0.42 * depth)
+    grid = key_grid(13, 5, deck, 0.0016, (0, 0.16 * depth))
+    grid[4][3:9] = [key(0.44 * deck[0], 0.84 * deck[1] / 5, 0.0016, (-0.03 * width, -0.008 * depth))]
+    keys = union(*[one for row in grid for one in row]).translate((0, 0, base))
+    pad = box((0.34 * width, 0.27 * depth, 0.001), (0, -0.29 * depth), base - 0.0006)
+    shell = rounded_box((width, depth, base), 0.003) + raised(rounded_box(screen_size, 0.003))
+    return Shape(
+        name="laptop",
+        label="laptop",
+        pieces=(
+            piece(shell, shade(rng, (SILVER, GREY, CHARCOAL, STEEL, NAVY))),
+            piece(keys, shade(rng, (BLACK, CHARCOAL), 0.02)),
+            piece(pad, GREY if rng is None else shade(rng, (STEEL, GREY))),
+            piece(raised(screen), choose(rng, (NAVY, TEAL, BLACK))),
+            *[piece(raised(solid), color) for solid, color in windows],
+        ),
+        provenance=made_by("laptop"),
+        parts=(
+            box_part((width, depth, base)),
+            turned(box_part(screen_size), pose["rotate"], pose["move"]),
+        ),
+        mass=vary(rng, 1.4, 0.15),
+    )
+
+
+def mouse(rng: Rng = None) -> Shape:
+    """A computer mouse with two buttons and a wheel, its front towards -y."""
+    size = np.array([vary(rng, 0.063, 0.1), vary(rng, 0.108, 0.1), vary(rng, 0.037, 0.1)])
+    # Each level: height, share of width, share of length, and how far it sits back.
+    levels = np.array([(0, 0.90, 0.93, 0), (0.30, 1, 1, 0), (0.68, 0.84, 0.84, 0.03), (1, 0.40, 0.36, 0.09)])
+    body = hull(_mouse_skin(smooth_path(levels, 13), 40) * size)
+    core = hull(_mouse_skin(smooth_path(levels, 13), 40) * size * (0.90, 0.93, 0.93))
+    seam = 0.06 * size[1]
+    groove = box((0.0018, 0.6 * size[1], 1.0), (0, seam - 0.3 * size[1]), 0.45 * size[2])
+    split = box((1.0, 0.0016, 1.0), (0, seam), 0.45 * size[2])
+    # Buttons and body are thin over a core: faces deep inside would be sampled as if they were seen.
+    front = (body - core) ^ box((1.0, 1.0, 1.0), (0, seam - 0.5), 0.45 * size[2])
+    wheel = cylinder(0.012, 0.008, -0.004, segments=24).rotate((0, 90, 0))
+    wheel = wheel.translate((0, -0.24 * size[1], 0.60 * size[2])) - core
+    feet = _mouse_skin(levels[:1], 4)
+    lifted = _mouse_skin(levels, 8) + (0, 0, 0.03) * (np.arange(32) < 8)[:, None]
+    outline = np.concatenate([feet, lifted[:8], lifted[8:24], lifted[24::2]]) * size
+    return Shape(
+        name="mouse",
+        label="computer mouse",
+        pieces=(
+            piece(body - front - ((groove + split) - core), shade(rng, (CHARCOAL, WHITE, GREY, *BRIGHT[:2]))),
+            piece(front - groove - split, shade(rng, (GREY, CHARCOAL, BLACK))),
+            piece(wheel, shade(rng, (RED, BLUE, GREEN, BLACK))),
+        ),
+        provenance=made_by("mouse"),
+        parts=(hull_part(outline),),
+        mass=vary(rng, 0.10, 0.2),
+    )
+
+
+def _mouse_skin(levels: np.ndarray, num: int) -> np.ndarray:
+    """Rounded outlines of `num` corners at each level, in shares of the size: f64[L * num, 3]."""
+    turns = np.linspace(0, 2 * np.pi, num, endpoint=False) + np.pi / num
+    x, y = (np.sign(c) * np.abs(c) ** 0.8 / 2 for c in (np.cos(turns), np.sin(turns)))
+    rings = [np.column_stack([x * wide, y * long + back, np.full(num, z)]) for z, wide, long, back in levels]
+    return np.concatenate(rings)
+
+
+def keyboard(rng: Rng = None) -> Shape:
+    """A compact computer keyboard, its space bar towards -y."""
+    width, depth = vary(rng, 0.330, 0.1), vary(rng, 0.125, 0.06)
+    front, back, travel = 0.011, vary(rng, 0.021, 0.15), 0.006
+    corners, slope = wedge(width, depth, front, back)
+    columns = 14 if rng is None else int(rng.integers(12, 16))
+    area = (width - 0.014, depth - 0.014)
+    grid = key_grid(columns, 5, area, travel)
+    row = -0.4 * area[1]
+    bar = [key(0.46 * area[0], 0.168 * area[1], travel, (-0.02 * area[0], row))]
+    grid[4] = [one for k, one in enumerate(grid[4]) if abs((k + 0.5) / columns - 0.48) > 0.26] + bar
+    accent = [grid[0][0], grid[2][-1]]
+    grey = [
+        *grid[0][-2:],
+        *grid[1][:1],
+        *grid[2][:1],
+        *grid[3][:1],
+        *grid[3][-1:],
+        *grid[4][:3],
+        *grid[4][-4:-1],
+    ]
+    plain = [one for line in grid for one in line if all(one is not other for other in accent + grey)]
+    tops = corners[corners[:, 2] > 0] * (0.955, 0.90, 1) + (0, 0, 0.85 * travel)
+    return Shape(
+        name="keyboard",
+        label="computer keyboard",
+        pieces=(
+            piece(hull(corners), shade(rng, (CHARCOAL, BLACK, SILVER, NAVY))),
+            piece(_on_slope(union(*plain), front, back, slope), shade(rng, (WHITE, PAPER, SKY), 0.03)),
+            piece(_on_slope(union(*grey), front, back, slope), shade(rng, (GREY, TEAL))),
+            piece(_on_slope(union(*accent), front, back, slope), shade(rng, (ORANGE, RED, BLUE, GREEN))),
+        ),
+        provenance=made_by("keyboard"),
+        parts=(hull_part(np.concatenate([corners, tops])),),
+        mass=vary(rng, 0.65, 0.2),
+    )
+
+
+def calculator(rng: Rng = None) -> Shape:
+    """A desk calculator, its display at the back."""
+    width, depth = vary(rng, 0.098, 0.12), vary(rng, 0.150, 0.1)
+    front, back = 0.015, vary(rng, 0.034, 0.2)
+    corners, slope = wedge(width, depth, front, back)
+    grid = key_grid(4, 5, (0.86 * width, 0.58 * depth), 0.005, (0, -0.16 * depth))
+    frame = box((0.84 * width, 0.21 * depth, 0.003), (0, 0.31 * depth), -0.001)
+    glass = box((0.76 * width, 0.15 * depth, 0.001), (0, 0.31 * depth), 0.0016)
+    number = "".join(
+        str(d) for d in ([1, 2, 3, 4, 5] if rng is None else rng.choice([0, 1, 2, 3, 4, 5, 7, 8, 9], 5))
+    )
+    digits = lettering(number, 0.085 * depth).translate((0.08 * width, 0.31 * depth, 0.0026))
+    operators = [grid[j][3] for j in range(4)]
+    numbers = [grid[j][i] for j in range(1, 5) for i in range(3)]
+    tinted = [
+        (union(*numbers), shade(rng, (WHITE, PAPER), 0.02)),
+        (union(*operators), GREY),
+        (union(*grid[0][:3]), shade(rng, (RED, ORANGE))),
+        (grid[4][3], shade(rng, (ORANGE, BLUE, GREEN))),
+        (frame, BLACK),
+        (glass, DISPLAY),
+        (digits, BLACK),
+    ]
+    tops = corners[corners[:, 2] > 0] * (0.86, 0.88, 1) + (0, 0, 0.003)
+    return Shape(
+        name="calculator",
+        label="calculator",
+        pieces=(
+            piece(hull(corners), shade(rng, (CHARCOAL, NAVY, TEAL, *BRIGHT))),
+            *[piece(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
+        ),
+        provenance=made_by("calculator"),
+        parts=(hull_part(np.concatenate([corners, tops])),),
+        mass=vary(rng, 0.22, 0.2),
+    )
+
+
+def desk_phone(rng: Rng = None) -> Shape:
+    """A desk telephone, its handset lying on the left of the keypad."""
+    width, depth = vary(rng, 0.185, 0.08), vary(rng, 0.195, 0.08)
+    front, back = 0.028, vary(rng, 0.066, 0.15)
+    corners, slope = wedge(width, depth, front, back)
+    pad = key_grid(3, 4, (0.36 * width, 0.40 * depth), 0.005, (0.22 * width, -0.20 * depth))
+    display = box((0.42 * width, 0.22 * depth, 0.006), (0.22 * width, 0.24 * depth), -0.001)
+    glass = box((0.38 * width, 0.17 * depth, 0.001), (0.22 * width, 0.24 * depth), 0.0046)
+    time = lettering("12:45", 0.07 * depth).translate((0.22 * width, 0.24 * depth, 0.0056))
+    left, reach = -0.26 * width, 0.42 * depth
+    # The handset hangs a little above the body, on a cradle under its grip.
+    ends = [((0.050, 0.050, 0.030), (left, s * reach), 0.0015) for s in (-1, 1)]
+    grip = ((0.036, 2 * reach, 0.017), (left, 0), 0.0225)
+    cradle = box((0.024, 0.020, 0.027), (left, 0), -0.001)
+    handset = union(*[rounded_box(size, 0.008, at, z) for size, at, z in (*ends, grip)])
+    turn, lift = (slope, 0, 0), (0, 0, (front + back) / 2)
+    tinted = [
+        (union(*[one for row in pad for one in row]), WHITE),
+        (display, BLACK),
+        (glass, DISPLAY),
+        (time, BLACK),
+        (cradle - handset, BLACK),
+        (handset, shade(rng, (RED, CHARCOAL, GREY, BLACK))),
+    ]
+    return Shape(
+        name="desk_phone",
+        label="desk telephone",
+        pieces=(
+            piece(hull(corners), shade(rng, (CHARCOAL, *DARK, RED, GREEN, PAPER))),
+            *[piece(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
+        ),
+        provenance=made_by("desk_phone"),
+        parts=(
+            hull_part(corners),
+            *[turned(box_part(size, at, z), turn, lift) for size, at, z in (*ends, grip)],
+            turned(
+                box_part(*((0.40 * width, 0.22 * depth, 0.006), (0.22 * width, 0.24 * depth), -0.001)),
+                turn,
+                lift,
+            ),
+        ),
+        mass=vary(rng, 0.85, 0.15),
+    )

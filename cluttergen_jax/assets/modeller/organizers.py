@@ -1,0 +1,176 @@
+"""What holds pens and papers: a pencil cup, a pen holder, a letter tray."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.modeller.crate import Crate
+from cluttergen_jax.assets.modeller.draw import Rng, made_by, shade, vary
+from cluttergen_jax.assets.modeller.palette import (
+    BLACK,
+    BLUE,
+    BRIGHT,
+    CHARCOAL,
+    DARK,
+    DARK_WOOD,
+    GREY,
+    PAPER,
+    RED,
+    TEAL,
+    WHITE,
+    WOOD,
+    YELLOW,
+)
+from cluttergen_jax.assets.modeller.parts import box_part, hull_part, swept_parts, upright_part
+from cluttergen_jax.assets.modeller.solids import (
+    Rgb,
+    box,
+    ellipse,
+    hull,
+    piece,
+    revolve,
+    sweep,
+    to_mesh,
+    union,
+)
+from cluttergen_jax.assets.modeller.vessel import Vessel
+from cluttergen_jax.assets.shape import Cavity, Piece, Shape
+
+RAW_WOOD = (0.90, 0.76, 0.55)
+
+
+def pencil_cup(rng: Rng = None) -> Shape:
+    """A round cup with two pencils that lean on its rim."""
+    foot, rim = vary(rng, 0.036, 0.1), vary(rng, 0.041, 0.1)
+    height = vary(rng, 0.100, 0.12)
+    cup = Vessel([(foot, 0.0), (rim, height)], [(foot - 0.003, 0.005), (rim - 0.003, height)])
+    levels = [
+        (0.62 * height, 0.0007),
+        (0.78 * height, 0.0007),
+        (0.78 * height, -0.001),
+        (0.62 * height, -0.001),
+    ]
+    band = revolve([(cup.outer_radius(z) + out, z) for z, out in levels])
+    pieces = [piece(cup.solid(), shade(rng, (TEAL, *BRIGHT, CHARCOAL))), piece(band, WHITE)]
+    parts = list(cup.parts(8))
+    for angle, length, color in ((5.0, 0.165, YELLOW), (1.9, 0.150, RED)):
+        start = _around(angle + vary(rng, 0.5, 0.5), foot - 0.010, 0.0068)
+        along = _around(angle, rim - 0.0085, height) - start
+        solids, part = _pencil(
+            start, along / np.linalg.norm(along), vary(rng, length, 0.1), shade(rng, (color, *BRIGHT))
+        )
+        pieces += solids
+        parts.append(part)
+    return Shape(
+        name="pencil_cup",
+        label="pencil cup",
+        pieces=tuple(pieces),
+        provenance=made_by("pencil_cup"),
+        parts=tuple(parts),
+        cavity=cup.cavity(),
+        mass=vary(rng, 0.22, 0.2),
+    )
+
+
+def _around(angle: float, radius: float, z: float) -> np.ndarray:
+    return np.array([radius * np.cos(angle), radius * np.sin(angle), z])
+
+
+def _pencil(start: np.ndarray, end: np.ndarray, length: float, color: Rgb) -> tuple[list[Piece], Mesh]:
+    """A sharpened pencil of a given length from `start` towards `end`, and its part."""
+    along = (end - start) / np.linalg.norm(end - start)
+    stations = [start + along * s for s in (0.0, length - 0.022, length - 0.006, length)]
+    outline = ellipse(0.004, 0.004, 6)
+    pieces = [
+        piece(sweep(stations[:2], outline), color),
+        piece(sweep(stations[1:3], outline, scales=[1.0, 0.35]), RAW_WOOD),
+        piece(sweep(stations[2:], outline, scales=[0.35, 0.1]), BLACK),
+    ]
+    cells = swept_parts([stations[0], stations[1], stations[3]], outline, scales=[1.0, 1.0, 0.1])
+    return pieces, hull_part(np.concatenate([cell.vertices for cell in cells]))
+
+
+def pen_holder(rng: Rng = None) -> Shape:
+    """A box in two compartments; two pens and a ruler stand in the smaller one."""
+    crate = Crate(vary(rng, 0.108, 0.12), vary(rng, 0.076, 0.1), vary(rng, 0.098, 0.12), 0.004, 0.005)
+    shelf = 0.16 * crate.width
+    wall = ((0.003, crate.depth - 0.006, 0.86 * crate.height), (shelf, 0), 0.002)
+    left, right = shelf + 0.0035, crate.width / 2 - 0.006
+    stripe = [box((crate.width + 0.001, crate.depth + 0.001, 0.010), z=0.80 * crate.height)]
+    stripe.append(stripe[0] - box((crate.width - 0.001, crate.depth - 0.001, 1.0)))
+    pieces = [
+        piece(crate.solid() + box(*wall), shade(rng, (CHARCOAL, *DARK, *BRIGHT, WOOD))),
+        piece(stripe[1], shade(rng, (GREY, WHITE, YELLOW))),
+    ]
+    parts = [*crate.parts(), box_part(*wall)]
+    top = crate.height + vary(rng, 0.048, 0.2)
+    for y, drift, color in ((-0.30, -0.10, BLUE), (-0.08, 0.04, RED)):
+        start = np.array([right - 0.004, y * crate.depth, crate.floor + 0.001])
+        end = np.array([left + 0.004, (y + drift) * crate.depth, top - 0.01 * (y < -0.2)])
+        solids, part = _pen(start, end, shade(rng, (color, *BRIGHT)))
+        pieces += solids
+        parts.append(part)
+    edge = [(left + 0.0015, crate.floor - 0.001), (left + 0.0045, crate.floor - 0.001)]
+    outline = [*edge, (right - 0.001, top + 0.012), (right - 0.004, top + 0.012)]
+    flat = {"depth": 0.026, "y": 0.5 * crate.depth - 0.020}
+    ruler = hull(upright_part(outline, **flat).vertices)
+    return Shape(
+        name="pen_holder",
+        label="pen holder",
+        pieces=(*pieces, piece(ruler - box(*wall), YELLOW)),
+        provenance=made_by("pen_holder"),
+        parts=(*parts, upright_part(outline, **flat)),
+        cavity=Cavity(
+            to_mesh(hull(crate.cavity().solid.vertices) - box(*wall)),
+            ((shelf - crate.width / 2) / 2, 0.0, crate.height),
+        ),
+        mass=vary(rng, 0.30, 0.2),
+    )
+
+
+def _pen(start: np.ndarray, end: np.ndarray, color: Rgb) -> tuple[list[Piece], Mesh]:
+    """A pen with its cap up, and its part."""
+    neck = start + 0.62 * (end - start)
+    outline = ellipse(0.0042, 0.0042, 12)
+    pieces = [piece(sweep([start, neck], outline * 0.9), WHITE), piece(sweep([neck, end], outline), color)]
+    return pieces, swept_parts([start, end], ellipse(0.0042, 0.0042, 6))[0]
+
+
+def letter_tray(rng: Rng = None) -> Shape:
+    """Two trays one above the other, open to the front (-y), with paper in both."""
+    width, depth = vary(rng, 0.245, 0.08), vary(rng, 0.190, 0.08)
+    height, wall = vary(rng, 0.115, 0.1), 0.0045
+    step, sheets = 0.52 * height, vary(rng, 0.010, 0.5)
+    side = [(-0.5, 0.0), (0.5, 0.0), (0.5, 1.0), (0.1, 1.0), (-0.5, 0.78)]
+    panels = [
+        np.array([(x + s, y * depth, z * height) for s in (-wall / 2, wall / 2) for y, z in side])
+        for x in (-(width - wall) / 2, (width - wall) / 2)
+    ]
+    inner = width - 2 * wall
+    back = ((inner, wall, height), (0, (depth - wall) / 2))
+    shelves = [((inner, depth - wall, wall), (0, -wall / 2), z) for z in (0.0, step)]
+    lips = [((inner, wall, 0.014), (0, (wall - depth) / 2), z + wall) for z in (0.0, step)]
+    papers = [
+        ((0.86 * inner, depth - 3.5 * wall, thick), (0.03 * inner, 0), z + wall)
+        for z, thick in ((0.0, 1.6 * sheets), (step, sheets))
+    ]
+    frame = union(*[hull(panel) for panel in panels], *[box(*cell) for cell in (back, *shelves, *lips)])
+    floor = step + wall
+    inside = box((inner, depth - 2 * wall, height - floor), z=floor) - box(*papers[1])
+    return Shape(
+        name="letter_tray",
+        label="letter tray",
+        pieces=(
+            piece(frame, shade(rng, (WOOD, *DARK, DARK_WOOD, TEAL))),
+            piece(box(*papers[0]), WHITE),
+            piece(box(*papers[1]), shade(rng, (PAPER, WHITE))),
+        ),
+        provenance=made_by("letter_tray"),
+        parts=(
+            *[hull_part(panel) for panel in panels],
+            *[box_part(*cell) for cell in (back, *shelves, *lips, *papers)],
+        ),
+        cavity=Cavity(to_mesh(inside), (0.0, 0.0, height)),
+        mass=vary(rng, 1.1, 0.2),
+    )
