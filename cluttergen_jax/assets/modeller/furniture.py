@@ -1,0 +1,69 @@
+"""All supports of the modeller: the paper's cuboid and ten pieces of furniture.
+
+The boxes of tops, rims, risers, shelves and benches are where the surfaces are. Legs that lean are upright
+boxes: nothing on the top touches them, and what falls past them has failed already.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from cluttergen_jax.assets.modeller.draw import Rng, vary
+from cluttergen_jax.assets.modeller.tables_desk import drawer_desk, l_desk, shelf_desk
+from cluttergen_jax.assets.modeller.tables_plain import picnic_table, tray_table, trestle_table
+from cluttergen_jax.assets.modeller.tables_round import bar_table, coffee_table, oval_table, round_table
+from cluttergen_jax.assets.support import SupportAsset, cuboid_table
+from cluttergen_jax.errors import ConfigError, PoolError
+
+CUBOID = "table"
+
+
+def _cuboid(rng: Rng = None) -> SupportAsset:
+    """The paper's table, or one of similar size."""
+    return cuboid_table(vary(rng, 0.60), vary(rng, 0.70), vary(rng, 0.70, 0.05))
+
+
+SUPPORTS: dict[str, Callable[[np.random.Generator | None], SupportAsset]] = {
+    CUBOID: _cuboid,
+    "round_table": round_table,
+    "oval_table": oval_table,
+    "l_desk": l_desk,
+    "tray_table": tray_table,
+    "shelf_desk": shelf_desk,
+    "trestle_table": trestle_table,
+    "drawer_desk": drawer_desk,
+    "coffee_table": coffee_table,
+    "bar_table": bar_table,
+    "picnic_table": picnic_table,
+}
+
+
+def make_support(name: str, seed: int | None = None, size: tuple[float, ...] | None = None) -> SupportAsset:
+    """A support by name.
+
+    Args:
+      name: a key of `SUPPORTS`; "table" is the paper's cuboid.
+      seed: None for the canonical proportions; equal seeds give equal supports, named `name-seed`.
+      size: for "table" only: width, depth and perhaps height, metres.
+
+    Raises:
+      PoolError: there is no such support.
+      ConfigError: a size that cannot be, or that was given for a piece of furniture or with a seed.
+    """
+    if name not in SUPPORTS:
+        raise PoolError(f"no support named {name!r}", ", ".join(SUPPORTS), "one of these names")
+    if size is not None:
+        if name != CUBOID or seed is not None or len(size) not in (2, 3):
+            raise ConfigError(
+                f"size={size!r} for support {name!r} with seed {seed!r}",
+                f"two or three lengths in metres, for {CUBOID!r} without a seed",
+                "leaving size out",
+            )
+        return cuboid_table(*size)
+    if seed is None:
+        return SUPPORTS[name](None)
+    support = SUPPORTS[name](np.random.default_rng(seed))
+    return replace(support, name=f"{support.name}-{seed}")
