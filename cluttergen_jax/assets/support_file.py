@@ -1,0 +1,190 @@
+"""One support on disk: `support.json`, and one OBJ per coloured piece.
+
+`find_support` looks among the embedded supports first, then takes its argument for a folder.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.pool import embedded_root
+from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
+from cluttergen_jax.errors import PoolError
+
+FORMAT = 1
+_RECORD = "support.json"
+_NAME = re.compile(r"[a-z0-9_-]+")
+_REWRITE = "writing the support again"
+
+
+def write_support(folder: str | Path, support: SupportAsset, *, overwrite: bool = False) -> Path:
+    """Writes a support's folder as a whole: it is built beside its place and then renamed into it.
+
+    Raises:
+      PoolError: a bad name, or something is there already that is not a support or may not be replaced.
+    """
+    folder = Path(folder)
+    if not _NAME.fullmatch(support.name):
+        raise PoolError(f"a support called {support.name!r}", "names of a-z, 0-9, '_' and '-'")
+    if folder.exists() and not (overwrite and (folder / _RECORD).is_file()):
+        raise PoolError(f"{folder} exists", "a support's folder" if overwrite else "a new folder")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as scratch:
+        fresh = Path(scratch) / "fresh"
+        fresh.mkdir()
+        for index, piece in enumerate(support.pieces):
+            (fresh / f"visual-{index}.obj").write_text(_obj_text(piece.mesh), encoding="ascii")
+        (fresh / _RECORD).write_text(json.dumps(_record(support), indent=1) + "\n", encoding="utf-8")
+        old = Path(scratch) / "old"
+        if folder.exists():
+            folder.rename(old)
+        try:
+            fresh.rename(folder)
+        except OSError:
+            if old.exists():
+                old.rename(folder)
+            raise
+    return folder
+
+
+def read_support(folder: str | Path) -> SupportAsset:
+    """Reads what `write_support` wrote.
+
+    Raises:
+      PoolError: a file is missing, damaged or of another format; the message names it.
+    """
+    path = Path(folder) / _RECORD
+    record = _read_json(path)
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        raise PoolError(f"{path} is not a support of format {FORMAT}", hint=_REWRITE)
+    try:
+        return _support(record, Path(folder))
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise PoolError(f"{path} cannot be understood: {error!r}", hint=_REWRITE) from error
+    except OSError as error:
+        raise PoolError(f"{error.filename} cannot be read ({error.strerror})", hint=_REWRITE) from error
+
+
+def list_supports() -> dict[str, Path]:
+    """Every embedded support by name, with its folder."""
+    root = embedded_root() / "supports"
+    folders = sorted(root.iterdir()) if root.is_dir() else []
+    return {folder.name: folder for folder in folders if (folder / _RECORD).is_file()}
+
+
+def find_support(name_or_path: str | Path) -> SupportAsset:
+    """The embedded support of that name, or the one in that folder.
+
+    Raises:
+      PoolError: nothing is called so (the message lists what exists), or its files are damaged.
+    """
+    supports = list_supports()
+    if str(name_or_path) in supports:
+        return read_support(supports[str(name_or_path)])
+    if (Path(name_or_path) / _RECORD).is_file():
+        return read_support(name_or_path)
+    raise PoolError(
+        f"no support is called {str(name_or_path)!r}, and there is none at that path",
+        ", ".join(supports) or "none is installed",
+        f"a folder that holds {_RECORD}",
+    )
+
+
+def _read_json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise PoolError(f"{path} cannot be read ({error.strerror})", hint=_REWRITE) from error
+    except ValueError as error:
+        raise PoolError(f"{path} is not JSON: {error}", hint=_REWRITE) from error
+
+
+def _rounded(value: Any) -> Any:
+    """Numbers to a tenth of a micrometre, through lists, tuples and dicts; -0.0 becomes 0.0."""
+    if isinstance(value, float):
+        return round(value, 7) + 0.0
+    if isinstance(value, list | tuple):
+        return [_rounded(each) for each in value]
+    if isinstance(value, dict):
+        return {key: _rounded(each) for key, each in value.items()}
+    return value
+
+
+def _record(support: SupportAsset) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "name": support.name,
+        "label": support.label,
+        "top": _rounded(support.top),
+        "region": _rounded(asdict(support.region)),
+        "boxes": [_rounded(asdict(box)) for box in support.boxes],
+        "pieces": [
+            {"file": f"visual-{index}.obj", "rgba": _rounded(piece.rgba)}
+            for index, piece in enumerate(support.pieces)
+        ],
+        "provenance": asdict(support.provenance),
+    }
+
+
+def _floats(values: Any, count: int) -> tuple[Any, ...]:
+    numbers = tuple(float(value) for value in values)
+    if len(numbers) != count or not np.all(np.isfinite(numbers)):
+        raise ValueError(f"{values!r} where {count} numbers belong")
+    return numbers
+
+
+def _support(record: dict[str, Any], folder: Path) -> SupportAsset:
+    region = record["region"]
+    boxes = tuple(
+        Box(
+            _floats(box["center"], 3),
+            _floats(box["half_extents"], 3),
+            float(box["yaw"]),
+            _floats(box["rgba"], 4),
+        )
+        for box in record["boxes"]
+    )
+    if not boxes:
+        raise ValueError("a support without boxes")
+    pieces = tuple(
+        Piece(
+            _parse_obj((folder / Path(piece["file"]).name).read_text(encoding="ascii")),
+            _floats(piece["rgba"], 4),
+        )
+        for piece in record["pieces"]
+    )
+    return SupportAsset(
+        name=record["name"],
+        label=record["label"],
+        boxes=boxes,
+        top=float(record["top"]),
+        region=Rectangle(
+            _floats(region["center"], 2), _floats(region["half_extents"], 2), float(region["yaw"])
+        ),
+        provenance=Provenance(**record["provenance"]),
+        pieces=pieces,
+    )
+
+
+def _obj_text(mesh: Mesh) -> str:
+    lines = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in (np.round(mesh.vertices, 6) + 0.0).tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
+    return "\n".join(lines) + "\n"
+
+
+def _parse_obj(text: str) -> Mesh:
+    rows = [line.split() for line in text.splitlines()]
+    vertices = np.array([row[1:4] for row in rows if row and row[0] == "v"], np.float64)
+    faces = np.array([row[1:4] for row in rows if row and row[0] == "f"], np.int32) - 1
+    if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError("a surface whose triangles name vertices that it does not have")
+    return Mesh(vertices, faces)

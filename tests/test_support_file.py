@@ -1,0 +1,81 @@
+"""Supports on disk: what is read is what was written, and damage is named."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
+from cluttergen_jax.assets.support_file import find_support, list_supports, read_support, write_support
+from cluttergen_jax.errors import PoolError
+
+
+def assert_same(left, right):
+    assert (left.name, left.label, left.provenance) == (right.name, right.label, right.provenance)
+    assert left.top == pytest.approx(right.top, abs=1e-7)
+    np.testing.assert_allclose(left.region.center, right.region.center, atol=1e-7)
+    np.testing.assert_allclose(left.region.half_extents, right.region.half_extents, atol=1e-7)
+    assert len(left.boxes) == len(right.boxes)
+    for a, b in zip(left.boxes, right.boxes, strict=True):
+        np.testing.assert_allclose(
+            (*a.center, *a.half_extents, a.yaw), (*b.center, *b.half_extents, b.yaw), atol=1e-7
+        )
+        np.testing.assert_allclose(a.rgba, b.rgba, atol=1e-7)
+    for a, b in zip(left.pieces, right.pieces, strict=True):
+        np.testing.assert_allclose(a.rgba, b.rgba, atol=1e-7)
+        np.testing.assert_array_equal(a.mesh.faces, b.mesh.faces)
+        np.testing.assert_allclose(a.mesh.vertices, b.mesh.vertices, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["table", "round_table", "tray_table", "picnic_table"])
+def test_write_and_read_are_inverse(name, tmp_path):
+    support = make_support(name, 7)
+    folder = write_support(tmp_path / "any" / "place", support)
+    once = read_support(folder)
+    assert_same(once, support)
+    again = write_support(tmp_path / "again", once)
+    assert {f.name: f.read_bytes() for f in again.iterdir()} == {
+        f.name: f.read_bytes() for f in folder.iterdir()
+    }
+    assert {f.name for f in tmp_path.iterdir()} == {"any", "again"}
+
+
+def test_embedded_supports_are_what_the_modeller_makes():
+    assert set(list_supports()) == set(SUPPORTS)
+    for name in SUPPORTS:
+        assert_same(find_support(name), make_support(name))
+
+
+def test_overwriting_replaces_the_whole_folder_and_only_a_support(tmp_path):
+    folder = write_support(tmp_path / "a", make_support("bar_table"))
+    with pytest.raises(PoolError, match="exists"):
+        write_support(folder, make_support("table"))
+    write_support(folder, make_support("table"), overwrite=True)
+    assert [f.name for f in folder.iterdir()] == ["support.json"]
+    other = tmp_path / "mine"
+    other.mkdir()
+    (other / "letter.txt").write_text("keep me")
+    with pytest.raises(PoolError, match="exists"):
+        write_support(other, make_support("table"), overwrite=True)
+    assert (other / "letter.txt").read_text() == "keep me"
+
+
+def test_damage_is_named(tmp_path):
+    with pytest.raises(PoolError, match="round_table"):
+        find_support("sofa")
+    with pytest.raises(PoolError, match=r"support\.json"):
+        read_support(tmp_path)
+    folder = write_support(tmp_path / "a", make_support("bar_table"))
+    path = folder / "support.json"
+    whole = json.loads(path.read_text())
+    for key in ("boxes", "region", "top"):
+        path.write_text(json.dumps({k: v for k, v in whole.items() if k != key}))
+        with pytest.raises(PoolError, match=key):
+            read_support(folder)
+    path.write_text(json.dumps(whole | {"boxes": [whole["boxes"][0] | {"center": [0, float("nan"), 0]}]}))
+    with pytest.raises(PoolError, match="3 numbers"):
+        read_support(folder)
+    path.write_text(json.dumps(whole))
+    (folder / "visual-1.obj").unlink()
+    with pytest.raises(PoolError, match=r"visual-1\.obj"):
+        read_support(folder)
