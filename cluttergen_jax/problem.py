@@ -125,7 +125,9 @@ def _check_region(region: Rectangle, support: SupportAsset) -> None:
     corners = np.array(region.center) + np.array(region.half_extents) * [[-1, -1], [-1, 1], [1, -1], [1, 1]]
     reach = [np.hypot(*(np.abs(box.center[:2]) + np.hypot(*box.half_extents[:2]))) for box in support.boxes]
     if not np.all(np.isfinite(numbers)) or min(region.half_extents) * 2 < SMALLEST_REGION:
-        raise ConfigError(f"a region of {region}", f"finite, sides from {SMALLEST_REGION} m", "--region 0.4x0.5")
+        raise ConfigError(
+            f"a region of {region}", f"finite, sides from {SMALLEST_REGION} m", "--region 0.4x0.5"
+        )
     if np.abs(corners).max() > max(reach):
         raise ConfigError(
             f"a region of {region} reaches beyond support {support.name!r}",

@@ -48,13 +48,18 @@ class World:
 
 
 def unique_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Names made unique by a number: mug, mug-2, mug-3."""
+    """Names made unique by a number: mug, mug#2, mug#3."""
     seen: dict[str, int] = {}
     result = []
     for name in names:
         seen[name] = seen.get(name, 0) + 1
-        result.append(name if seen[name] == 1 else f"{name}-{seen[name]}")
+        result.append(name if seen[name] == 1 else f"{name}#{seen[name]}")
     return tuple(result)
+
+
+def base_name(name: str) -> str:
+    """The asset's name behind a unique one: mug of mug#3."""
+    return re.sub(r"#\d+$", "", name)
 
 
 def repeated(objects: Sequence[ObjectAsset], num_objects: int) -> tuple[ObjectAsset, ...]:
@@ -80,7 +85,7 @@ def make_world(
     add_support(spec, support)
     x = _PARKING_START
     for name, asset in zip(names, objects, strict=True):
-        body = add_object(spec, asset, re.sub(r"[^\w-]", "_", name))
+        body = add_object(spec, asset, name)
         x += asset.radius
         body.pos = (x, 0.0, _PARKING_HEIGHT)
         x += asset.radius + 0.1

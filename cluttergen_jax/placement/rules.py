@@ -9,7 +9,14 @@ import jax.numpy as jnp
 
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.region import KeepOut, Region, is_inside, is_kept_out, no_keep_out, pose_of_action
+from cluttergen_jax.placement.region import (
+    KeepOut,
+    Region,
+    is_inside,
+    is_kept_out,
+    no_keep_out,
+    pose_of_action,
+)
 from cluttergen_jax.placement.reward import reward_of
 from cluttergen_jax.placement.types import Counts, Episode, Geometry, History
 from cluttergen_jax.types import Array, Settling, Verdict

@@ -3,85 +3,55 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
 from cluttergen_jax.placement.proposer import Proposer
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.types import Counts, Episode
+from cluttergen_jax.placement.scenes import Scenes, scenes_of
+from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
 BLOCK_SIZE = 256
 
 
-@struct.dataclass
-class Scenes:
-    """Finished episodes, failures included. S slots, any leading axes.
+@dataclass(frozen=True, eq=False)
+class BlockSampler:
+    """Episodes side by side until the last one is over; those that are over cost no physics.
+
+    `sample` is the whole as one function to compile; `begin`, `step` and `finish` are its pieces, for drivers
+    that show progress and answer to Ctrl-C between steps.
 
     Attributes:
-      object_index: i32[S], the compiled world's object in each slot, -1 where there is none.
-      is_placed: bool[S], the slot was filled.
-      T_world_object: f32[S, 7], world pose of each slot's object (zero and identity where not placed).
-      is_success: bool, every slot filled and the finished scene stands.
-      is_filled: bool, every slot filled.
-      verdict: i32, the last check's `Verdict`, or the last failed attempt's.
-      drift: f32, metres, the largest movement in the last check.
-      counts: the episode's figures.
+      rules: the decision process.
+      propose: who chooses the poses.
+      begin_one: makes an episode from a key; `rules.begin` unless something stands there already.
     """
 
-    object_index: Array
-    is_placed: Array
-    T_world_object: Array
-    is_success: Array
-    is_filled: Array
-    verdict: Array
-    drift: Array
-    counts: Counts
+    rules: Rules
+    propose: Proposer
+    begin_one: Callable[[Array], Episode] | None = field(default=None)
 
-
-def scenes_of(episode: Episode) -> Scenes:
-    """The product of one finished episode."""
-    index = episode.object_index
-    is_placed = (jnp.arange(index.shape[0]) < episode.slot) & (index >= 0)
-    poses = jnp.where(
-        is_placed[:, None], episode.poses[jnp.maximum(index, 0)], jnp.eye(7, dtype=jnp.float32)[3]
-    )
-    return Scenes(
-        object_index=index,
-        is_placed=is_placed,
-        T_world_object=poses,
-        is_success=episode.is_success,
-        is_filled=episode.slot >= episode.num_slots,
-        verdict=episode.verdict,
-        drift=episode.drift,
-        counts=episode.counts,
-    )
-
-
-def make_block_sampler(
-    rules: Rules, propose: Proposer, begin: Callable[[Array], Episode] | None = None
-) -> Callable[[Array, Array], Scenes]:
-    """A function (key, indices i32[N]) -> Scenes with leading axis N, to be compiled by its caller.
-
-    All N episodes run side by side until the last one is over; those that are over cost nothing.
-
-    Args:
-      begin: makes a new episode from a key; `rules.begin` if None.
-    """
-    begin = rules.begin if begin is None else begin
-
-    def sample(key: Array, indices: Array) -> Scenes:
+    def begin(self, key: Array, indices: Array, is_wanted: Array) -> Episode:
+        """Episodes for scene indices i32[N]; those not wanted (bool[N]) are over before they start."""
         keys = jax.vmap(lambda index: jax.random.fold_in(key, index))(indices)
-        episodes = jax.vmap(begin)(keys)
+        episodes = jax.vmap(self.begin_one or self.rules.begin)(keys)
+        return episodes.replace(is_over=~is_wanted)
 
-        def step(episodes: Episode) -> Episode:
-            split = jax.vmap(jax.random.split)(episodes.key)
-            actions = jax.vmap(propose)(split[:, 0], episodes)
-            return jax.vmap(rules.attempt)(episodes.replace(key=split[:, 1]), actions)[0]
+    def step(self, episodes: Episode) -> Episode:
+        """One attempt in every episode that is not over."""
+        keys = jax.vmap(jax.random.split)(episodes.key)
+        actions = jax.vmap(self.propose)(keys[:, 0], episodes)
+        return jax.vmap(self.rules.attempt)(episodes.replace(key=keys[:, 1]), actions)[0]
 
-        episodes = jax.lax.while_loop(lambda e: ~jnp.all(e.is_over), step, episodes)
+    def finish(self, episodes: Episode) -> Scenes:
+        """The scenes of finished episodes."""
         return jax.vmap(scenes_of)(episodes)
 
-    return sample
+    def sample(self, key: Array, indices: Array, is_wanted: Array) -> Scenes:
+        """All three: Scenes with leading axis N."""
+        episodes = self.begin(key, indices, is_wanted)
+        episodes = jax.lax.while_loop(lambda e: ~jnp.all(e.is_over), self.step, episodes)
+        return self.finish(episodes)

@@ -1,0 +1,141 @@
+"""A finished scene as an MJCF file that stands by itself: meshes by relative path, poses twice.
+
+The poses stand in each body's pos and quat and in the keyframe `scene`, with the nine digits that a float32
+needs; time step, solver and contact parameters are written out, so any MuJoCo simulates what was verified.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.bank.part_files import part_name
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.world import unique_names
+
+_UNSEEN = {"contype": "0", "conaffinity": "0", "group": str(VISUAL_GROUP), "mass": "0"}
+
+
+def scene_xml(
+    objects: Sequence[ObjectAsset],
+    poses: np.ndarray,
+    support: SupportAsset,
+    stability: StabilityConfig,
+    contact: ContactConfig,
+    assets_path: str = "../assets",
+) -> bytes:
+    """MJCF text of a scene.
+
+    Args:
+      objects: N assets in the order of placement.
+      poses: f32[N, 7], world, metres, wxyz.
+      assets_path: the bank's `assets` folder, relative to where the text will be saved.
+    """
+    root = ET.Element("mujoco", model="cluttergen scene")
+    ET.SubElement(root, "compiler", angle="radian", meshdir=assets_path)
+    _add_options(root, stability, contact)
+    _add_visual(root)
+    assets, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
+    ET.SubElement(world, "light", pos="0.6 -0.8 3", dir="-0.2 0.3 -1", directional="true")
+    ET.SubElement(world, "geom", name="floor", type="plane", size="4 4 0.1", rgba="0.86 0.86 0.88 1")
+    _add_support(assets, world, support)
+    stored: set[str] = set()
+    for name, asset, pose in zip(unique_names([o.name for o in objects]), objects, poses, strict=True):
+        if asset.name not in stored:
+            stored.add(asset.name)
+            _add_meshes(assets, asset)
+        _add_body(world, name, asset, pose)
+    keyframe = ET.SubElement(root, "keyframe")
+    ET.SubElement(keyframe, "key", name="scene", qpos=_text(np.asarray(poses).ravel()))
+    ET.indent(root)
+    return ET.tostring(root, encoding="utf-8") + os.linesep.encode()
+
+
+def _text(values: Sequence[float] | np.ndarray) -> str:
+    return " ".join(f"{value:.9g}" for value in np.asarray(values, np.float64).ravel())
+
+
+def _add_options(root: ET.Element, stability: StabilityConfig, contact: ContactConfig) -> None:
+    ET.SubElement(
+        root,
+        "option",
+        timestep=repr(stability.timestep),
+        gravity=_text([0, 0, -contact.gravity]),
+        cone=contact.cone,
+        impratio=_text([contact.impratio]),
+        iterations=str(contact.iterations),
+        noslip_iterations=str(contact.noslip_iterations),
+    )
+    ET.SubElement(
+        ET.SubElement(root, "default"),
+        "geom",
+        friction=_text(contact.friction),
+        solref=_text(contact.solref),
+        solimp=_text(contact.solimp),
+        condim=str(contact.condim),
+    )
+
+
+def _add_visual(root: ET.Element) -> None:
+    visual = ET.SubElement(root, "visual")
+    ET.SubElement(
+        visual, "headlight", ambient="0.35 0.35 0.35", diffuse="0.4 0.4 0.4", specular="0.1 0.1 0.1"
+    )
+    ET.SubElement(visual, "global", offwidth="1280", offheight="960")
+
+
+def _add_support(assets: ET.Element, world: ET.Element, support: SupportAsset) -> None:
+    body = ET.SubElement(world, "body", name="support")
+    for index, box in enumerate(support.boxes):
+        ET.SubElement(
+            body,
+            "geom",
+            name=f"support/box-{index}",
+            type="box",
+            pos=_text(box.center),
+            quat=_text([math.cos(box.yaw / 2), 0, 0, math.sin(box.yaw / 2)]),
+            size=_text(box.half_extents),
+            rgba=_text(box.rgba),
+            group=str(COLLISION_GROUP if support.pieces else VISUAL_GROUP),
+        )
+    for index, piece in enumerate(support.pieces):
+        mesh = f"support/visual-{index}"
+        ET.SubElement(assets, "mesh", name=mesh, file=f"{mesh}.obj", inertia="shell")
+        ET.SubElement(body, "geom", type="mesh", mesh=mesh, rgba=_text(piece.rgba), **_UNSEEN)
+
+
+def _add_meshes(assets: ET.Element, asset: ObjectAsset) -> None:
+    for index in range(len(asset.parts)):
+        file = f"objects/{asset.name}/{part_name(index)}"
+        ET.SubElement(assets, "mesh", name=f"{asset.name}/part-{index}", file=file, inertia="convex")
+    for index in range(len(asset.pieces)):
+        file = f"objects/{asset.name}/visual-{index}.obj"
+        ET.SubElement(assets, "mesh", name=f"{asset.name}/visual-{index}", file=file, inertia="shell")
+
+
+def _add_body(world: ET.Element, name: str, asset: ObjectAsset, pose: np.ndarray) -> None:
+    body = ET.SubElement(world, "body", name=name, pos=_text(pose[:3]), quat=_text(pose[3:]))
+    ET.SubElement(body, "freejoint", name=name)
+    inertia = np.asarray(asset.inertia)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    ET.SubElement(
+        body,
+        "inertial",
+        pos=_text(asset.center_of_mass),
+        mass=_text([asset.mass]),
+        fullinertia=_text(inertia),
+    )
+    for index in range(len(asset.parts)):
+        ET.SubElement(
+            body, "geom", type="mesh", mesh=f"{asset.name}/part-{index}", group=str(COLLISION_GROUP)
+        )
+    for index, piece in enumerate(asset.pieces):
+        ET.SubElement(
+            body, "geom", type="mesh", mesh=f"{asset.name}/visual-{index}", rgba=_text(piece.rgba), **_UNSEEN
+        )

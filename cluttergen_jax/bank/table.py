@@ -1,0 +1,63 @@
+"""Scenes as rows of a table: one row per scene, failures included."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from cluttergen_jax.placement.scenes import Scenes
+from cluttergen_jax.types import Verdict
+
+COUNTED = tuple(Verdict(code) for code in range(int(Verdict.NON_FINITE) + 1))
+
+SCHEMA = pa.schema(
+    [
+        ("index", pa.int32()),
+        ("is_success", pa.bool_()),
+        ("is_filled", pa.bool_()),
+        ("verdict", pa.string()),
+        ("drift", pa.float32()),
+        ("num_placed", pa.int32()),
+        ("object_index", pa.list_(pa.int32())),
+        ("objects", pa.list_(pa.string())),
+        ("is_placed", pa.list_(pa.bool_())),
+        ("poses", pa.list_(pa.list_(pa.float32(), 7))),
+        ("attempts", pa.list_(pa.int32())),
+        ("steps", pa.list_(pa.int32())),
+        ("simulated_steps", pa.int32()),
+        *((f"num_{verdict.label.replace('-', '_')}", pa.int32()) for verdict in COUNTED),
+    ]
+)
+"""Slots are lists; `poses` are T_world_object, metres and wxyz; `drift` is in metres; `num_stable` and so on
+count the scene's attempts by verdict."""
+
+
+def table_of(indices: np.ndarray, scenes: Scenes, names: Sequence[str]) -> pa.Table:
+    """The rows of a block of scenes with one leading axis."""
+    rows = [_row(int(index), scenes, place, names) for place, index in enumerate(indices)]
+    return pa.Table.from_pylist(rows, schema=SCHEMA)
+
+
+def _row(index: int, scenes: Scenes, place: int, names: Sequence[str]) -> dict[str, Any]:
+    slots = np.flatnonzero(scenes.object_index[place] >= 0)
+    object_index = scenes.object_index[place][slots]
+    counts = scenes.counts.verdicts[place]
+    return {
+        "index": index,
+        "is_success": bool(scenes.is_success[place]),
+        "is_filled": bool(scenes.is_filled[place]),
+        "verdict": Verdict(int(scenes.verdict[place])).label,
+        "drift": float(scenes.drift[place]),
+        "num_placed": int(scenes.is_placed[place].sum()),
+        "object_index": object_index.tolist(),
+        "objects": [names[each] for each in object_index],
+        "is_placed": scenes.is_placed[place][slots].tolist(),
+        "poses": scenes.T_world_object[place][slots].tolist(),
+        "attempts": scenes.counts.attempts[place][slots].tolist(),
+        "steps": scenes.counts.steps[place][slots].tolist(),
+        "simulated_steps": int(scenes.counts.simulated_steps[place]),
+        **{f"num_{v.label.replace('-', '_')}": int(counts[v]) for v in COUNTED},
+    }

