@@ -171,8 +171,8 @@ def _begin(args: Generate, problem: Problem) -> Callable[[Array], Episode] | Non
             jnp.array([box.half_extents for box in boxes]),
             jnp.array([box.yaw for box in boxes]),
         )
-    index, poses = start_of(args.start, problem) if args.start else (None, None)
-    return lambda key: problem.rules.begin(key, keep_out=keep_out, start_index=index, start_poses=poses)
+    start = start_of(args.start, problem) if args.start else None
+    return lambda key: problem.rules.begin(key, keep_out=keep_out, start=start)
 
 
 def run_blocks(

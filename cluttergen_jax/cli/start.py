@@ -6,15 +6,13 @@ import jax.numpy as jnp
 
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.placement.rules import empty_start
+from cluttergen_jax.placement.types import Start
 from cluttergen_jax.problem import Problem
-from cluttergen_jax.types import Array
 
 
-def start_of(text: str, problem: Problem) -> tuple[Array, Array]:
-    """The objects and poses of scene BANK:INDEX, as object indices of the problem's world.
-
-    Returns:
-      i32[N] and f32[N, 7].
+def start_of(text: str, problem: Problem) -> Start:
+    """Scene BANK:INDEX as the start of episodes in the problem's world.
 
     Raises:
       ConfigError: the text is no BANK:INDEX, or an object of the scene is not in the world.
@@ -34,4 +32,6 @@ def start_of(text: str, problem: Problem) -> tuple[Array, Array]:
             ", ".join(names),
             "the pool that the scene was made of",
         )
-    return jnp.array([names.index(name) for name in scene.objects], jnp.int32), jnp.asarray(scene.poses)
+    index = jnp.array([names.index(name) for name in scene.objects], jnp.int32)
+    empty = empty_start(problem.world.num_objects)
+    return Start(empty.poses.at[index].set(scene.poses), empty.is_placed.at[index].set(True))

@@ -18,7 +18,7 @@ from cluttergen_jax.placement.region import (
     pose_of_action,
 )
 from cluttergen_jax.placement.reward import reward_of
-from cluttergen_jax.placement.types import Counts, Episode, Geometry, History
+from cluttergen_jax.placement.types import Counts, Episode, Geometry, History, Start
 from cluttergen_jax.types import Array, Settling, Verdict
 
 _NUM_COUNTED_VERDICTS = int(Verdict.NON_FINITE) + 1
@@ -33,20 +33,21 @@ class Rules:
       physics: the simulator behind the waist.
       geometry: the world's objects.
       region: the queried region of every episode that is not given another.
+      num_started: the most objects that may stand there already when an episode begins.
     """
 
     config: PlacementConfig
     physics: Physics
     geometry: Geometry
     region: Region
+    num_started: int = 0
 
     def begin(
         self,
         key: Array,
         region: Region | None = None,
         keep_out: KeepOut | None = None,
-        start_index: Array | None = None,
-        start_poses: Array | None = None,
+        start: Start | None = None,
     ) -> Episode:
         """A new episode on an empty support, or around objects that already stand there.
 
@@ -54,27 +55,21 @@ class Rules:
           key: consumed.
           region: where to place; the default region if None.
           keep_out: where not to place.
-          start_index: i32[N], objects of the world that already stand; they count as neighbours and are
-            not drawn again.
-          start_poses: f32[N, 7], their world poses.
+          start: objects that already stand; they count as neighbours and are not drawn again.
         """
         key_order, key_episode = jax.random.split(key)
-        num_objects, config = self.geometry.num_objects, self.config
-        poses = jnp.zeros((num_objects, 7), jnp.float32).at[:, 3].set(1.0)
-        is_placed = jnp.zeros(num_objects, bool)
-        if start_index is not None:
-            poses = poses.at[start_index].set(jnp.asarray(start_poses, jnp.float32))
-            is_placed = is_placed.at[start_index].set(True)
+        config = self.config
+        start = empty_start(self.geometry.num_objects) if start is None else start
         num_slots, max_attempts = config.num_objects, config.max_attempts
         return Episode(
             key=key_episode,
             region=self.region if region is None else region,
             keep_out=no_keep_out() if keep_out is None else keep_out,
-            object_index=self._draw_order(key_order, is_placed),
+            object_index=self._draw_order(key_order, start.is_placed),
             slot=jnp.int32(0),
             attempt=jnp.int32(0),
-            poses=poses,
-            is_placed=is_placed,
+            poses=start.poses,
+            is_placed=start.is_placed,
             history=empty_history(max_attempts * config.keeps_history, self.physics.config.max_steps),
             counts=Counts(
                 attempts=jnp.zeros(num_slots, jnp.int32),
@@ -205,6 +200,12 @@ class Rules:
             drift=jnp.max(standing.shift),
             counts=counts.replace(simulated_steps=counts.simulated_steps + standing.num_steps),
         )
+
+
+def empty_start(num_objects: int) -> Start:
+    """Nothing stands there."""
+    poses = jnp.zeros((num_objects, 7), jnp.float32).at[:, 3].set(1.0)
+    return Start(poses, jnp.zeros(num_objects, bool))
 
 
 def empty_history(max_attempts: int, max_steps: int) -> History:

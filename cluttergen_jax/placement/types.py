@@ -39,6 +39,19 @@ class Geometry:
 
 
 @struct.dataclass
+class Start:
+    """What stands on the support when an episode begins.
+
+    Attributes:
+      poses: f32[K, 7], world poses, metres, wxyz; identity where nothing stands.
+      is_placed: bool[K].
+    """
+
+    poses: Array
+    is_placed: Array
+
+
+@struct.dataclass
 class History:
     """The failed attempts of the object in hand, oldest first; A rows, T + 1 trajectory rows.
 
