@@ -7,6 +7,7 @@ import numpy as np
 from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made_by, shade, vary
 from cluttergen_jax.assets.modeller.parts import box_part, hull_part
 from cluttergen_jax.assets.modeller.solids import (
+    Rgb,
     box,
     ellipse,
     from_side,
@@ -41,92 +42,59 @@ def cereal_box(rng: Rng = None) -> Shape:
     )
 
 
-def _breakfast(
-    rng: Rng, width: float, height: float, face: float, accent: tuple[float, float, float]
-) -> list[Piece]:
+def _breakfast(rng: Rng, width: float, height: float, face: float, accent: Rgb) -> list[Piece]:
     """The print of a cereal box: a title panel, a bowl, milk and flakes."""
-    place = np.array([0.0, 0.34 * height])
-    title = rounded_rect(0.84 * width, 0.20 * height, 0.05 * height) + np.array([0.0, 0.82 * height])
+    place, high = np.array([0.0, 0.34 * height]), np.array([0.0, 0.82 * height])
+    title = rounded_rect(0.84 * width, 0.20 * height, 0.05 * height) + high
     letters = [
-        rounded_rect(0.075 * width, size * height, 0.01 * height) + np.array([x * width, 0.82 * height])
-        for x, size in zip(
-            (-0.30, -0.18, -0.06, 0.06, 0.18, 0.30), (0.11, 0.08, 0.08, 0.11, 0.08, 0.08), strict=True
-        )
+        rounded_rect(0.075 * width, size * height, 0.01 * height) + high + np.array([x * width, 0.0])
+        for x, size in zip(np.linspace(-0.30, 0.30, 6), (0.11, 0.08, 0.08, 0.11, 0.08, 0.08), strict=True)
     ]
     reach = 0.36 * width
     turns = np.linspace(np.pi, 2 * np.pi, 24)
     dish = np.stack([reach * np.cos(turns), 0.85 * reach * np.sin(turns)], -1) + place
-    draws = np.random.default_rng(7) if rng is None else rng
-    flakes = [
-        ellipse(0.055 * width, 0.038 * width, 12)
-        + place
-        + np.array([x * reach, 0.03 * height * draws.uniform(0.2, 1.8)])
-        for x in np.linspace(-0.75, 0.75, 7)
-    ]
+    lifts = (np.random.default_rng(7) if rng is None else rng).uniform(0.006, 0.054, 7)
+    spots = np.stack([np.linspace(-0.75, 0.75, 7) * reach, lifts * height], -1) + place
+    flake = ellipse(0.055 * width, 0.038 * width, 12)
     return [
         piece(on_front(title, face), accent),
         *(piece(on_front(letter, face, 0.0012), CREAM) for letter in letters),
         piece(on_front(ellipse(reach, 0.16 * reach, 32) + place, face, 0.0008), CREAM),
         piece(on_front(dish, face), hex_rgb("3d6fb5")),
-        *(piece(on_front(flake, face, 0.0012), hex_rgb("b5651d")) for flake in flakes),
+        *(piece(on_front(flake + spot, face, 0.0012), hex_rgb("b5651d")) for spot in spots),
     ]
 
 
 def milk_carton(rng: Rng = None) -> Shape:
-    """A gable-top carton; the ridge runs along x."""
+    """A gable-top carton with a screw cap; its ridge runs along x."""
     side, height = vary(rng, 0.070, 0.12), vary(rng, 0.205)
     eaves, fin = 0.76 * height, 0.075 * height
-    ridge, half = height - fin, side / 2
-    gable = [
-        (-half, 0.0),
-        (half, 0.0),
-        (half, eaves),
-        (0.0018, ridge),
-        (0.0018, height),
-        (-0.0018, height),
-        (-0.0018, ridge),
-        (-half, eaves),
-    ]
-    carton = from_side(gable, side).rotate((0, 0, 90))
+    ridge, half, thin = height - fin, side / 2, 0.0018
+    right = [(half, 0.0), (half, eaves), (thin, ridge)]
+    left = [(-y, z) for y, z in reversed(right)]
+    carton = from_side([*right, (thin, height), (-thin, height), *left], side).rotate((0, 0, 90))
     color = shade(rng, PRINTS[3:] + PRINTS[:3])
     stripe = box((side + 0.0006, side + 0.0006, 0.22 * height), z=0.06 * height)
-    drop = np.array(
-        [
-            (0.0, 0.28),
-            (0.07, 0.16),
-            (0.10, 0.07),
-            (0.07, -0.02),
-            (0.0, -0.05),
-            (-0.07, -0.02),
-            (-0.10, 0.07),
-            (-0.07, 0.16),
-        ]
-    )
-    cap = ellipse(0.16 * side, 0.16 * side, 24)
-    slope = np.degrees(np.arctan2(ridge - eaves, half - 0.0018))
-    screw = (
-        on_front(cap, 0.0, 0.012).rotate((slope - 90, 0, 0)).translate((0, -half / 2, (eaves + ridge) / 2))
-    )
-    corners = [
-        (x, y, z)
-        for x in (-half, half)
-        for y, z in ((-half, 0), (half, 0), (-half, eaves), (half, eaves), (-0.0018, ridge), (0.0018, ridge))
-    ]
+    slope = np.degrees(np.arctan2(ridge - eaves, half - thin))
+    screw = on_front(ellipse(0.16 * side, 0.16 * side, 24), 0.0, 0.012)
+    screw = screw.rotate((slope - 90, 0, 0)).translate((0, -half / 2, (eaves + ridge) / 2))
+    gable = [(x, y, z) for x in (-half, half) for y, z in (*right, *left)]
     return Shape(
         name="milk_carton",
         label="milk carton",
         pieces=(
             piece(carton, hex_rgb("f3f3ee")),
             piece(stripe - carton, color),
-            piece(
-                on_front(
-                    drop * np.array([side, 0.55 * height]) * 1.1 + np.array([0.0, 0.44 * height]), -half
-                ),
-                color,
-            ),
+            piece(on_front(_drop(0.15 * side) + np.array([0.0, 0.46 * height]), -half), color),
             piece(screw - carton, color),
         ),
         provenance=made_by("milk_carton"),
-        parts=(hull_part(corners), box_part((side, 0.0036, fin + 0.002), z=ridge - 0.002)),
+        parts=(hull_part(gable), box_part((side, 2 * thin, fin + 0.002), z=ridge - 0.002)),
         mass=vary(rng, 1.03, 0.05) * (side / 0.070) ** 2 * (height / 0.205),
     )
+
+
+def _drop(radius: float) -> np.ndarray:
+    """The outline of a falling drop, its round end around the origin, f64[25, 2]."""
+    turns = np.linspace(0.85 * np.pi, 2.15 * np.pi, 24)
+    return np.concatenate([radius * np.stack([np.cos(turns), np.sin(turns)], -1), [(0.0, 2.4 * radius)]])

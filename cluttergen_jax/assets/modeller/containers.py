@@ -94,15 +94,9 @@ def jar(rng: Rng = None) -> Shape:
         pieces=(
             piece(body, color := shade(rng, FILLINGS)),
             piece(difference(skin, body), hex_rgb("dfeaea"), 0.6),
-            piece(
-                difference(cap, body),
-                choose(rng, (hex_rgb("c9a13b"), hex_rgb("8e1f2b"), hex_rgb("3f6f4f"), STEEL)),
-            ),
+            piece(difference(cap, body), choose(rng, LIDS)),
             piece(_sleeve(radius, low, high), PAPER),
-            *(
-                piece(_sleeve(radius, z - 0.0012, z + 0.0012, 0.0008), color)
-                for z in (low + 0.005, high - 0.005)
-            ),
+            *(piece(_sleeve(radius, z, z + 0.0024, 0.0008), color) for z in (low + 0.004, high - 0.006)),
         ),
         provenance=made_by("jar"),
         parts=(

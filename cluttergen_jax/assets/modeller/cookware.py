@@ -70,17 +70,9 @@ def frying_pan(rng: Rng = None) -> Shape:
     """A low pan with a long handle at +x, balanced so that it stands on its base."""
     radius, height = vary(rng, 0.125, 0.12), vary(rng, 0.046, 0.15)
     base, wall = radius * vary(rng, 0.80, 0.05), 0.0040
-    outer = [
-        (base - 0.003, 0.0),
-        (base, 0.002),
-        (base + 0.45 * (radius - base), 0.30 * height),
-        (radius, height),
-    ]
-    inner = [
-        (base - 0.006, 0.006),
-        (base + 0.45 * (radius - base) - wall, 0.30 * height + 0.002),
-        (radius - wall, height),
-    ]
+    bend = (base + 0.45 * (radius - base), 0.30 * height)
+    outer = [(base - 0.003, 0.0), (base, 0.002), bend, (radius, height)]
+    inner = [(base - 0.006, 0.006), (bend[0] - wall, bend[1] + 0.002), (radius - wall, height)]
     body = Vessel(outer, inner)
     outside, lining = body.layers(0.0010)
     length, start = vary(rng, 0.175, 0.12), body.outer_radius(0.72 * height) - 0.002

@@ -35,7 +35,7 @@ def mug(rng: Rng = None) -> Shape:
         provenance=made_by("mug"),
         parts=(
             *body.parts(8),
-            *swept_parts(thinned(path, 3, 0.07), section[[1, 4, 6, 9, 11, 14, 16, 19]] * 1.04),
+            *swept_parts(thinned(path, 4, 0.04), section[[1, 4, 6, 9, 11, 14, 16, 19]] * 1.04),
         ),
         cavity=body.cavity(),
         mass=vary(rng, 0.33, 0.1),

@@ -17,7 +17,8 @@ from cluttergen_jax.assets.modeller.solids import Points2, ellipse, section_ring
 from cluttergen_jax.assets.object import MAX_PART_VERTICES
 from cluttergen_jax.errors import AssetError
 
-LIFT = 0.0004
+# More than what a body dropped from a few millimetres sinks in when it lands: then only the feet touch.
+LIFT = 0.0012
 
 
 def hull_part(points: Sequence[Sequence[float]] | np.ndarray) -> Mesh:

@@ -36,7 +36,8 @@ def to_mesh(solid: Manifold) -> Mesh:
             "profiles that do not cross themselves",
         )
     mesh = solid.to_mesh64()
-    return Mesh(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts))
+    # Copies, because the library's own arrays are read-only views.
+    return Mesh(np.array(mesh.vert_properties)[:, :3].copy(), np.array(mesh.tri_verts))
 
 
 def piece(solid: Manifold, color: Rgb, alpha: float = 1.0) -> Piece:

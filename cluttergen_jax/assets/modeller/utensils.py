@@ -7,7 +7,7 @@ from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller.draw import Rng, choose, hex_rgb, made_by, shade, vary
-from cluttergen_jax.assets.modeller.parts import hull_part, prism_part
+from cluttergen_jax.assets.modeller.parts import LIFT, box_part, hull_part, prism_part
 from cluttergen_jax.assets.modeller.solids import (
     Points2,
     above,
@@ -29,6 +29,9 @@ STEELS = tuple(hex_rgb(code) for code in ("c4c8cc", "b9bdb9", "d3b878", "8d9297"
 GRIPS = tuple(hex_rgb(code) for code in ("25282d", "6b3f23", "8e1f2b", "2f4f6f"))
 WOODS = tuple(hex_rgb(code) for code in ("c08a4f", "a56b35", "d8b27c", "7a4a26"))
 
+# By how much parts beside the ones that carry the body keep clear of the table.
+RAISE = 0.0004
+
 
 def fork(rng: Rng = None) -> Shape:
     """A table fork that lies on the end of its handle and on the root of its four tines."""
@@ -44,9 +47,11 @@ def fork(rng: Rng = None) -> Shape:
     places = (np.arange(4) - 1.5) * (prong + slot)
     gaps = [box((length, slot, 0.1), (1.30 * length, y), z=-0.01) for y in (places[:-1] + places[1:]) / 2]
     solid = difference(_ribbon(ends, halves, lifts, thick), *gaps)
-    legs = [_slab(ends[k : k + 2], halves[k : k + 2], lifts[k : k + 2], thick) for k in range(7)]
+    # Only the two flat legs, the handle's end and the head, reach down to the table.
+    raised = [RAISE * (k not in (0, 1, 6)) for k in range(7)]
+    legs = [_slab(ends[k : k + 2], halves[k : k + 2], lifts[k : k + 2] + raised[k], thick) for k in range(7)]
     end = hull_part(np.concatenate([legs[0].vertices, legs[1].vertices]))
-    tines = [_slab(ends[-2:], np.full(2, prong / 2), lifts[-2:], thick, y, 0.88 * y) for y in places]
+    tines = [_slab(ends[-2:], np.full(2, prong / 2), lifts[-2:] + RAISE, thick, y, 0.88 * y) for y in places]
     parts = [part.transformed(np.eye(3), (-length / 2, 0, 0)) for part in (end, *legs[2:], *tines)]
     return Shape(
         name="fork",
@@ -110,7 +115,6 @@ def knife(rng: Rng = None) -> Shape:
     rivets = union(*(cylinder(0.0036, height - 0.003, 0.0018, center=spot, segments=20) for spot in spots))
     steel = shade(rng, STEELS[:2], 0.03)
     top = height - 0.0016
-    waist = rounded_rect(grip, 0.026, 0.005, 1) + np.array([-grip / 2 - 0.004, 0.0])
     return Shape(
         name="knife",
         label="chef's knife",
@@ -123,7 +127,7 @@ def knife(rng: Rng = None) -> Shape:
         parts=(
             prism_part([(-0.004, spine), (0.70 * blade, spine), *belly[1:], (-0.004, -0.012)], 0.0024),
             prism_part([(0.70 * blade, spine), *belly[:2]], 0.0024),
-            prism_part(waist, top),
+            box_part((grip, 0.026, top), (-grip / 2 - 0.004, 0.0)),
         ),
         mass=vary(rng, 0.23, 0.15),
     )
@@ -139,8 +143,8 @@ def wooden_spoon(rng: Rng = None) -> Shape:
     scoop = Manifold.sphere(1.0, 40).scale((0.86 * reach, 0.84 * half, 0.0135)).translate((center, 0, 0.0188))
     ends = ((-length / 2, 1.15 * radius), (center - 0.5 * reach, radius))
     stick = Manifold.hull(union(*(_rod_end(x, size) for x, size in ends)))
-    rings = [(0.82, 0.0), (1.0, 0.009), (0.91, 0.016)]
-    corners = [np.column_stack([ellipse(s * reach, s * half, 10), np.full(10, z)]) for s, z in rings]
+    rings = [(0.82, 0.0, 4), (0.86, LIFT, 8), (1.0, 0.009, 8), (0.91, 0.016, 8)]
+    corners = [np.column_stack([ellipse(s * reach, s * half, n), np.full(n, z)]) for s, z, n in rings]
     grip = [(x, y, z) for x, size in ends for y, z in _rod_corners(size)]
     return Shape(
         name="wooden_spoon",
@@ -186,6 +190,6 @@ def cutting_board(rng: Rng = None) -> Shape:
         label="cutting board",
         pieces=(piece(difference(board, groove, hole, band), wood), piece(band, (dark[0], dark[1], dark[2]))),
         provenance=made_by("cutting_board"),
-        parts=(prism_part(rounded_rect(width, depth, 0.018, 1), thick), prism_part(tip, thick)),
+        parts=(box_part((width, depth, thick)), prism_part(tip, thick - RAISE, RAISE)),
         mass=thick * (width * depth + handle * span) * vary(rng, 650.0, 0.1),
     )

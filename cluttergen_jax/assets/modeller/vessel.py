@@ -71,21 +71,24 @@ class Vessel:
         """The radius of the inside at height z, at or above the floor."""
         return float(np.interp(z, [p[1] for p in self.inner], [p[0] for p in self.inner]))
 
-    def parts(self, num: int = 8, cuts: Sequence[float] = (), phase: float = 0.0) -> tuple[Mesh, ...]:
+    def parts(
+        self, num: int = 8, cuts: Sequence[float] = (), phase: float = 0.0, swell: float = 1.02
+    ) -> tuple[Mesh, ...]:
         """One floor disc and rows of `num` wall wedges, rows parted at the heights `cuts`.
 
-        Only the disc reaches the table, so that a body has one flat face to stand on.
+        Only the disc reaches the table, so that a body has one flat face to stand on. `swell` widens the
+        walls: a polygon inside a circle takes room from the cavity, one halfway outside takes less.
         """
         disc = [(self.outer_radius(z), z) for z in (self.outer[0][1], self.floor)]
         heights = [self.floor, *cuts, self.rim]
-        rows = [self._row(low, high) for low, high in itertools.pairwise(heights)]
+        rows = [self._row(low, high, swell) for low, high in itertools.pairwise(heights)]
         walls = [wedge for row in rows for wedge in ring_sectors(row, num, phase)]
         return (disc_part(disc, num if num >= 10 else 12, phase, is_standing=True), *walls)
 
-    def _row(self, low: float, high: float) -> list[tuple[float, float]]:
+    def _row(self, low: float, high: float, swell: float) -> list[tuple[float, float]]:
         """The section of the wall between two heights; its foot is sunk a little into what lies below."""
         sunk = low - min(0.5 * (self.floor - self.outer[0][1]), 0.002)
         heights = np.linspace(low, high, 4)
         outside = [(self.outer_radius(z), float(z)) for z in (sunk, *heights)]
         inside = [(self.inner_radius(z), float(z)) for z in (low, high)]
-        return [*outside, *inside]
+        return [(swell * radius, z) for radius, z in (*outside, *inside)]
