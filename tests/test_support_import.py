@@ -1,0 +1,141 @@
+"""A user's table becomes boxes: our own tables, seen as bare meshes, are the oracle."""
+
+import numpy as np
+import pytest
+import trimesh
+from shapely.geometry import Polygon
+from shapely.ops import unary_union
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
+from cluttergen_jax.assets.overhead import look_down
+from cluttergen_jax.assets.rectangles import cover, largest_rectangle
+from cluttergen_jax.assets.shape import Piece, Provenance, Shape
+from cluttergen_jax.assets.support_import import support_from_mesh
+from cluttergen_jax.errors import AssetError
+
+FURNITURE = [name for name in SUPPORTS if name != "table"]
+SOURCE = Provenance("test", "Apache-2.0")
+
+
+def turned(angle):
+    return np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+
+
+def shape_of(support, angle=0.0, shift=(0.0, 0.0, 0.0)):
+    pieces = [Piece(piece.mesh.transformed(turned(angle), shift), piece.rgba) for piece in support.pieces]
+    return Shape(support.name, support.label, tuple(pieces), SOURCE)
+
+
+def polygon(center, half, yaw):
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*half[:2], 0]
+    return Polygon((corners @ turned(yaw).T)[:, :2] + np.asarray(center[:2]))
+
+
+def top_outline(support):
+    tops = [b for b in support.boxes if abs(b.center[2] + b.half_extents[2] - support.top) < 1e-9]
+    return unary_union([polygon(b.center, b.half_extents, b.yaw) for b in tops]), tops
+
+
+def region_of(support):
+    return polygon(support.region.center, support.region.half_extents, support.region.yaw)
+
+
+@pytest.mark.parametrize("name", FURNITURE)
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+def test_our_tables_are_found_again(name, angle):
+    own = make_support(name)
+    found = support_from_mesh(shape_of(own, angle, (3.0, -2.0, 0.7)))
+    assert found.top == pytest.approx(own.top, abs=1e-6)
+    outline, tops = top_outline(found)
+    assert outline.area == pytest.approx(sum(4 * b.half_extents[0] * b.half_extents[1] for b in tops))
+    # Turned by 0.4 a round table has no sides to go by, so its region may be turned differently.
+    region, wanted = region_of(found), region_of(own)
+    assert region.area == pytest.approx(wanted.area, rel=0.05)
+    assert region.difference(outline.buffer(1e-6)).area < 1e-9
+    for box in found.boxes:
+        if box.center[2] > found.top:
+            assert polygon(box.center, box.half_extents, box.yaw).intersection(region).area < 1e-12
+    if angle == 0.0:
+        drawn = np.concatenate([piece.mesh.vertices for piece in found.pieces])
+        np.testing.assert_allclose(drawn.min(0)[:2] + drawn.max(0)[:2], 0, atol=1e-9)
+        assert drawn[:, 2].min() == pytest.approx(0, abs=1e-9)
+        over = [b for b in own.boxes if b.center[2] > own.top]
+        covered = unary_union([polygon(b.center, b.half_extents, b.yaw) for b in over])
+        own_outline = top_outline(own)[0].difference(covered)
+        shared = outline.intersection(own_outline).area
+        assert shared / outline.union(own_outline).area > 0.94
+
+
+def test_a_turned_desk_gets_a_turned_region():
+    found = support_from_mesh(shape_of(make_support("drawer_desk"), 0.4))
+    assert np.sin(2 * (found.region.yaw - 0.4)) == pytest.approx(0, abs=1e-6)
+    assert len(top_outline(found)[1]) == 1
+
+
+def test_rims_and_risers_become_obstacles():
+    for name in ("tray_table", "shelf_desk"):
+        own = make_support(name)
+        found = support_from_mesh(shape_of(own))
+        highest = max(box.center[2] + box.half_extents[2] for box in own.boxes)
+        assert max(b.center[2] + b.half_extents[2] for b in found.boxes) == pytest.approx(highest, abs=1e-6)
+
+
+def test_a_rim_of_bare_sheet_is_seen():
+    half = np.array([0.3037, 0.2171])
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+    vertices = np.concatenate([np.column_stack([corners, np.full(4, z)]) for z in (0.5, 0.54)])
+    walls = [[k, (k + 1) % 4, 4 + (k + 1) % 4] for k in range(4)] + [
+        [k, 4 + (k + 1) % 4, 4 + k] for k in range(4)
+    ]
+    mesh = Mesh(np.append(vertices, [[0, 0, 0]], 0), [[0, 1, 2], [0, 2, 3], *walls, [0, 1, 8]])
+    found = support_from_mesh(Shape("tin", "tin", (Piece(mesh),), SOURCE))
+    assert found.top == pytest.approx(0.5)
+    np.testing.assert_allclose(found.region.half_extents, half, atol=1e-9)
+    rims = [box for box in found.boxes if box.center[2] > 0.5]
+    assert {round(b.center[2] + b.half_extents[2], 6) for b in rims} == {0.54}
+    for side in (corners[1] + corners[2], corners[2] + corners[3]):
+        for sign in (-1, 1):
+            middle = Polygon(sign * side / 2 * 1.001 + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 1e-4)
+            assert any(polygon(b.center, b.half_extents, b.yaw).intersects(middle) for b in rims)
+
+
+def test_what_has_no_level_top_is_refused():
+    ball = trimesh.creation.icosphere(3, 0.3)
+    with pytest.raises(AssetError, match="level area"):
+        support_from_mesh(Shape("ball", "ball", (Piece(Mesh(ball.vertices, ball.faces)),), SOURCE))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_largest_rectangle_against_all_rectangles(seed):
+    rng = np.random.default_rng(seed)
+    mask = rng.random((rng.integers(1, 9), rng.integers(1, 9))) < rng.uniform(0.3, 1.0)
+    rows, columns = mask.shape
+    areas = [
+        (x1 - x0) * (y1 - y0)
+        for x0 in range(rows)
+        for x1 in range(x0 + 1, rows + 1)
+        for y0 in range(columns)
+        for y1 in range(y0 + 1, columns + 1)
+        if mask[x0:x1, y0:y1].all()
+    ]
+    x0, x1, y0, y1 = largest_rectangle(mask)
+    assert (x1 - x0) * (y1 - y0) == max(areas, default=0)
+    assert mask[x0:x1, y0:y1].all()
+    count = np.zeros(mask.shape, int)
+    for a0, a1, b0, b1 in cover(mask, missing=0.0, limit=1000):
+        count[a0:a1, b0:b1] += 1
+    np.testing.assert_array_equal(count, mask.astype(int))
+
+
+def test_looking_down_sees_the_height_of_a_slope_and_of_the_highest():
+    roof = trimesh.creation.box((2, 2, 1)).apply_translation((0, 0, -0.5))
+    slope = np.array([[-1, -1, 0.2], [1, -1, 0.4], [1, 1, 0.4], [-1, 1, 0.2]])
+    low = Mesh(roof.vertices, roof.faces)
+    faces = np.concatenate([low.faces, np.array([[0, 1, 2], [0, 2, 3]]) + len(low.vertices)])
+    both = Mesh(np.concatenate([low.vertices, slope]), faces)
+    view = look_down(both, np.array([-1.0, -1.0]), np.array([1.0, 1.0]), np.array([20, 20]))
+    x = view.origin[0] + (np.arange(view.height.shape[0]) + 0.5) * view.cell[0]
+    np.testing.assert_allclose(view.height, np.broadcast_to((0.3 + 0.1 * x)[:, None], view.height.shape))
+    assert not view.is_level.any()
+    assert look_down(low, np.array([-1.0, -1.0]), np.array([1.0, 1.0]), np.array([20, 20])).is_level.all()
