@@ -8,7 +8,10 @@ from collections.abc import Callable
 import numpy as np
 
 from cluttergen_jax.assets.modeller.dining import DINING
+from cluttergen_jax.assets.modeller.household import HOUSEHOLD
 from cluttergen_jax.assets.modeller.kitchen import KITCHEN
+from cluttergen_jax.assets.modeller.office import OFFICE
+from cluttergen_jax.assets.modeller.study import STUDY
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.errors import PoolError
 
@@ -18,6 +21,9 @@ Family = Callable[[np.random.Generator | None], Shape]
 _POOLS: dict[str, dict[str, Family]] = {
     "dining": DINING,
     "kitchen": KITCHEN,
+    "study": STUDY,
+    "office": OFFICE,
+    "household": HOUSEHOLD,
 }
 
 FAMILIES: dict[str, Family] = {name: family for pool in _POOLS.values() for name, family in pool.items()}

@@ -1,16 +1,18 @@
-"""The pool `study`: ten things from a study's desk."""
+"""The pool `study`: what stands about on a study's desk."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from cluttergen_jax.assets.modeller import computing, curios, gadgets, lamps, organizers, paper, stationery
 
-import numpy as np
-
-from cluttergen_jax.assets.modeller.lamps import desk_lamp
-from cluttergen_jax.assets.modeller.paper import hardback_book
-from cluttergen_jax.assets.shape import Shape
-
-STUDY: dict[str, Callable[[np.random.Generator | None], Shape]] = {
-    "hardback_book": hardback_book,
-    "desk_lamp": desk_lamp,
+STUDY = {
+    "hardback_book": paper.hardback_book,
+    "desk_lamp": lamps.desk_lamp,
+    "alarm_clock": gadgets.alarm_clock,
+    "camera": gadgets.camera,
+    "globe": curios.globe,
+    "laptop": computing.laptop,
+    "mouse": computing.mouse,
+    "stapler": stationery.stapler,
+    "eyeglasses": curios.eyeglasses,
+    "pencil_cup": organizers.pencil_cup,
 }

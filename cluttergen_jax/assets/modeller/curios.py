@@ -1,0 +1,275 @@
+"""Things that stand about: a globe, eyeglasses, a toy car, a photo frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from manifold3d import Manifold
+
+from cluttergen_jax.assets.modeller.draw import Rng, choose, made_by, shade, vary
+from cluttergen_jax.assets.modeller.palette import (
+    BLACK,
+    BLUE,
+    BRIGHT,
+    CHARCOAL,
+    CRIMSON,
+    DARK_WOOD,
+    GOLD,
+    GREEN,
+    NAVY,
+    RED,
+    SILVER,
+    SKY,
+    STEEL,
+    WHITE,
+    WOOD,
+    YELLOW,
+)
+from cluttergen_jax.assets.modeller.parts import (
+    ball_part,
+    box_part,
+    corners_of,
+    disc_part,
+    hull_part,
+    swept_parts,
+    turned,
+    upright_part,
+)
+from cluttergen_jax.assets.modeller.solids import (
+    above,
+    box,
+    cylinder,
+    hull,
+    piece,
+    revolve,
+    rounded_rect,
+    tube,
+    union,
+    upright,
+)
+from cluttergen_jax.assets.shape import Shape
+
+# Rough outlines of the continents, each a few convex patches of (longitude, latitude) in degrees.
+LAND = (
+    ((-165, 65), (-140, 70), (-95, 72), (-80, 62), (-58, 51), (-70, 42), (-125, 48), (-150, 60)),
+    ((-125, 48), (-70, 45), (-75, 36), (-82, 27), (-97, 24), (-110, 24), (-120, 34)),
+    ((-112, 28), (-97, 26), (-88, 17), (-78, 8), (-84, 10), (-104, 19)),
+    ((-55, 80), (-25, 82), (-22, 70), (-43, 60), (-53, 68)),
+    ((-80, 7), (-62, 11), (-50, 1), (-35, -7), (-40, -21), (-55, -33), (-71, -22), (-81, -5)),
+    ((-71, -20), (-52, -30), (-64, -42), (-68, -54), (-74, -50)),
+    ((-17, 15), (-16, 25), (-6, 35), (10, 37), (32, 31), (43, 12), (51, 11), (40, 2), (9, 3), (-9, 5)),
+    ((9, 4), (42, 2), (40, -15), (32, -28), (20, -35), (13, -18)),
+    ((-9, 37), (-9, 43), (2, 50), (10, 57), (30, 68), (40, 60), (40, 47), (28, 38)),
+    ((5, 59), (12, 56), (30, 62), (40, 67), (26, 71), (14, 66)),
+    ((36, 66), (75, 73), (105, 77), (140, 73), (178, 67), (160, 60), (135, 45), (60, 40), (40, 45)),
+    ((45, 42), (60, 26), (75, 22), (105, 20), (121, 30), (135, 46), (75, 55)),
+    ((66, 25), (88, 23), (80, 10), (76, 9)),
+    ((35, 31), (48, 31), (59, 22), (45, 12)),
+    ((95, 23), (109, 21), (107, 9), (101, 2)),
+    ((114, -22), (130, -12), (142, -11), (153, -27), (147, -38), (130, -32), (115, -34)),
+    ((96, 4), (118, 6), (117, -4), (105, -7)),
+)
+
+GROUND = (GREEN, (0.83, 0.72, 0.45), (0.62, 0.66, 0.33))
+
+
+def globe(rng: Rng = None) -> Shape:
+    """A terrestrial globe, its axis tilted in a half ring on a round foot."""
+    radius = vary(rng, 0.082, 0.15)
+    foot, middle = 0.86 * radius, 2.05 * radius
+    sea = shade(rng, (BLUE, NAVY, SKY))
+    spin = (0.0, 0.0, -65.0 if rng is None else float(rng.uniform(0, 360)))
+    tilt, at = (0.0, 23.4, 0.0), (0.0, 0.0, middle)
+    skin = Manifold.sphere(radius, 64) - Manifold.sphere(radius - 0.003, 48)
+    film = Manifold.sphere(radius + 0.0007, 96) - Manifold.sphere(radius - 0.0012, 48)
+    land = (union(*[_cone(patch, 3 * radius) for patch in LAND]) ^ film).rotate(spin)
+    ice = film ^ union(*[box((1, 1, 1), z=z) for z in (0.955 * radius, -1 - 0.93 * radius)])
+    reach, bar = radius + 0.008, 0.0045
+    turns = np.radians(np.linspace(-90, 90, 25))
+    arc = np.column_stack([reach * np.cos(turns), 0 * turns, reach * np.sin(turns)])
+    ring = tube(arc, bar)
+    pins = union(*[cylinder(0.003, 0.014, z=z, segments=16) for z in (radius - 0.002, -radius - 0.012)])
+    lowest = middle - reach
+    base = [(0.0, 0.0), (foot, 0.0), (foot, 0.008), (0.35 * foot, 0.020), (0.0, 0.020)]
+    neck = lowest - bar + 0.003
+    stem = [(0.0, 0.014), (0.020, 0.014), (0.009, 0.030), (0.007, neck), (0.0, neck)]
+    brass = shade(rng, (GOLD, SILVER, STEEL))
+    coarse = np.radians(np.linspace(-90, 90, 6))
+    bow = np.column_stack([1.03 * reach * np.cos(coarse), 0 * coarse, 1.03 * reach * np.sin(coarse)])
+    return Shape(
+        name="globe",
+        label="globe",
+        pieces=(
+            piece(skin.rotate(tilt).translate(at), sea),
+            piece(
+                (land - ice).rotate(tilt).translate(at),
+                shade(rng, GROUND),
+            ),
+            piece(ice.rotate(tilt).translate(at), WHITE),
+            piece(union(ring, pins).rotate(tilt).translate(at), brass),
+            piece(union(revolve(base), revolve(stem)), shade(rng, (DARK_WOOD, WOOD, CHARCOAL))),
+        ),
+        provenance=made_by("globe"),
+        parts=(
+            disc_part([(foot, 0.0), (0.62 * foot, 0.018)], 14, is_standing=True),
+            disc_part([(0.012, 0.010), (0.008, lowest)], 6),
+            ball_part(radius, at),
+            *[turned(cell, tilt, at) for cell in swept_parts(bow, bar)],
+        ),
+        mass=vary(rng, 0.65, 0.2),
+    )
+
+
+def _cone(patch: tuple[tuple[float, float], ...], reach: float) -> Manifold:
+    """All that lies behind a patch of the sphere, as seen from its centre."""
+    lon, lat = np.radians(np.array(patch, np.float64)).T
+    rays = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    return hull(np.concatenate([reach * rays, np.zeros((1, 3))]))
+
+
+def eyeglasses(rng: Rng = None) -> Shape:
+    """A pair of glasses with open temples, resting on rims and tips, lenses towards -y."""
+    lens = (vary(rng, 0.052, 0.08), vary(rng, 0.042, 0.12))
+    rim, deep, gap = 0.0045, 0.006, 0.0085
+    reach = vary(rng, 0.125, 0.06)
+    size = (lens[0] + 2 * rim, lens[1] + 2 * rim)
+    middle = (size[0] / 2 + gap, size[1] / 2)
+    corner = choose(rng, (0.014, 0.006, 0.019))
+    outline, coarse = rounded_rect(*size, corner + rim), rounded_rect(*size, corner + rim, 2)
+    pane = rounded_rect(*lens, corner)
+    rims, panes, parts = [], [], []
+    for side in (-1, 1):
+        shift = np.array([side * middle[0], middle[1]])
+        rims.append(upright(outline + shift, deep) - upright(pane + shift, 1.0))
+        panes.append(upright(pane + shift, 0.002))
+        parts.append(upright_part(coarse + shift, deep))
+        hinge = middle[0] + size[0] / 2 - 0.004
+        tall, top = 0.0045, 0.78 * size[1]
+        # Three stations of a temple: hinge, the bend behind the ear, the tip with its flat foot.
+        stations = [(hinge, -0.003, top), (hinge + 0.004, 0.72 * reach, top), (hinge + 0.002, reach, tall)]
+        corners = [(w, h) for w in (-0.0025, 0.0025) for h in (-tall, tall)]
+        sections = [[(side * (x + w), y, z + h) for w, h in corners] for x, y, z in stations]
+        foot = [(x, y + 0.008, z) for x, y, z in sections[2]]
+        cells = [sections[0] + sections[1], sections[1] + sections[2] + foot]
+        rims += [hull(cell) for cell in cells]
+        parts += [hull_part(cell) for cell in cells]
+    bridge = ((2 * gap + 0.006, deep - 0.001, 0.006), (0, 0), 0.62 * size[1])
+    frame = union(*rims, box(*bridge))
+    tint = shade(rng, (SKY, (0.25, 0.27, 0.30), (0.55, 0.40, 0.25)))
+    return Shape(
+        name="eyeglasses",
+        label="eyeglasses",
+        pieces=(
+            piece(frame, shade(rng, (BLACK, CRIMSON, DARK_WOOD, NAVY))),
+            piece(union(*panes) - frame, tint, 0.45),
+        ),
+        provenance=made_by("eyeglasses"),
+        parts=(*parts, box_part(*bridge)),
+        mass=vary(rng, 0.035, 0.2),
+    )
+
+
+def toy_car(rng: Rng = None) -> Shape:
+    """A wooden toy car on wheels with flat treads, its bonnet towards -x."""
+    length, width = vary(rng, 0.140, 0.12), vary(rng, 0.062, 0.1)
+    wheel, waist = vary(rng, 0.0195, 0.1), vary(rng, 0.046, 0.08)
+    nose, tail, low = -length / 2, length / 2, 0.012
+    body = [(nose + 0.004, low), (tail - 0.004, low), (tail, 0.7 * waist), (tail - 0.008, waist)]
+    body += [(nose + 0.012, 0.86 * waist), (nose, 0.6 * waist)]
+    roof = waist + vary(rng, 0.026, 0.15)
+    cabin = [(nose + 0.30 * length, waist - 0.004), (tail - 0.10 * length, waist - 0.002)]
+    cabin += [(tail - 0.20 * length, roof), (nose + 0.44 * length, roof)]
+    middle = np.mean(cabin, axis=0)
+    panes = middle + (np.array(cabin) - middle) * (0.74, 0.62)
+    post = box((0.006, 1, 1), (middle[0], 0))
+    glass = union(upright(panes, 0.86 * width + 0.0016) - upright(panes, 0.86 * width - 0.001) - post)
+    shield = [(0.55, 0.18), (0.55, 0.82)]
+    front, rear = ((np.array(cabin[a]), np.array(cabin[b])) for a, b in ((0, 3), (1, 2)))
+    for bottom, top in (front, rear):
+        across = np.array([bottom + (top - bottom) * share for _, share in shield])
+        outline = [(x + dx, z) for x, z in across for dx in (-0.0012, 0.0012)]
+        glass += hull(upright_part(outline, 0.66 * width).vertices)
+    # The wheels are cut flat at the table: a twelve-sided tread with one side down.
+    axle = wheel * np.cos(np.pi / 12)
+    hubs = [nose + 0.23 * length, tail - 0.23 * length]
+    places = [(x, s * (width / 2 - 0.002)) for x in hubs for s in (-1, 1)]
+    tread = 0.014
+    tyres = [above(_roller(wheel, tread).translate((x, y, axle))) for x, y in places]
+    caps = [_roller(0.5 * wheel, tread + 0.002).translate((x, y, axle)) for x, y in places]
+    lamp = _roller(0.0055, 0.003).rotate((0, 0, 90))
+    lamps = union(*[lamp.translate((nose + 0.0015, s * 0.3 * width, 0.62 * waist)) for s in (-1, 1)])
+    shell = union(upright(body, width), upright(cabin, 0.86 * width))
+    paint = shade(rng, (RED, *BRIGHT))
+    roller = turned(disc_part([(wheel, -tread / 2), (wheel, tread / 2)], 12, np.pi / 12), (90, 0, 0))
+    rollers = [turned(roller, (0, 0, 0), (x, y, axle)) for x, y in places]
+    return Shape(
+        name="toy_car",
+        label="toy car",
+        pieces=(
+            piece(shell, paint),
+            piece(glass, SKY),
+            piece(union(*tyres) - shell, BLACK),
+            piece(union(*caps) - union(*tyres) - shell, STEEL),
+            piece(lamps - shell, YELLOW),
+        ),
+        provenance=made_by("toy_car"),
+        parts=(
+            upright_part(body, width),
+            upright_part(cabin, 0.86 * width),
+            *rollers,
+        ),
+        mass=vary(rng, 0.20, 0.25),
+    )
+
+
+def photo_frame(rng: Rng = None) -> Shape:
+    """A picture frame leaning back on its strut, the picture towards -y."""
+    width, height = vary(rng, 0.150, 0.12), vary(rng, 0.195, 0.12)
+    lean, thick, border = vary(rng, 15.0, 0.2), 0.014, vary(rng, 0.016, 0.2)
+    turn = (-lean, 0.0, 0.0)
+    sink = -0.006
+
+    def leaning(solid: Manifold) -> Manifold:
+        return above(solid.rotate(turn).translate((0, 0, sink)))
+
+    rim = box((width, thick, height), (0, thick / 2))
+    inside = (width - 2 * border, height - 2 * border)
+    rim_open = rim - box((inside[0], 0.006, inside[1]), (0, 0.0), border)
+    mat = box((inside[0] - 0.0005, 0.0015, inside[1] - 0.0005), (0, 0.0026), border + 0.0002)
+    view = (inside[0] - 0.024, inside[1] - 0.030)
+    low, left = border + 0.015, -view[0] / 2
+    sky = upright([(left, low), (-left, low), (-left, low + view[1]), (left, low + view[1])], 0.001, 0.0014)
+    share = 0.30 if rng is None else float(rng.uniform(0.2, 0.45))
+    hills = []
+    for y, skyline in ((0.0010, (0.30, share + 0.28, 0.22)), (0.0006, (0.10, share, 0.24))):
+        peak = (0.2 if y > 0.0008 else -0.2) * view[0]
+        outline = [(left, 0), (-left, 0), *zip((-left, peak, left), view[1] * np.array(skyline), strict=True)]
+        hills.append(upright(np.add(outline, (0, low)), 0.001, y))
+    sun = cylinder(0.13 * view[0], 0.001).rotate((90, 0, 0))
+    sun = sun.translate((-0.24 * view[0], 0.0010, low + 0.76 * view[1]))
+    scene = ((sky, SKY), (hills[0], NAVY), (hills[1], GREEN), (sun, YELLOW))
+    slope = np.tan(np.radians(lean))
+    top = 0.66 * height
+    heel = top * slope + thick / np.cos(np.radians(lean))
+    far_foot = heel + vary(rng, 0.058, 0.15)
+    edge = ((heel - 0.004, top), (heel + 0.001, top - 0.002))
+    strut = [(s * 0.022, y, z) for s in (-1, 1) for y, z in edge]
+    strut += [(s * 0.030, y, 0.0) for s in (-1, 1) for y in (far_foot - 0.008, far_foot)]
+    back = leaning(rim)
+    return Shape(
+        name="photo_frame",
+        label="photo frame",
+        pieces=(
+            piece(leaning(rim_open), shade(rng, (DARK_WOOD, WOOD, GOLD, BLACK, WHITE, SILVER))),
+            piece(leaning(mat), WHITE),
+            *[piece(leaning(solid), color) for solid, color in scene],
+            piece(hull(strut) - back, BLACK),
+        ),
+        provenance=made_by("photo_frame"),
+        parts=(corners_of(back), hull_part(strut)),
+        mass=vary(rng, 0.35, 0.2),
+    )
+
+
+def _roller(radius: float, width: float) -> Manifold:
+    """A disc around the origin with its axis along y."""
+    return cylinder(radius, width, -width / 2).rotate((90, 0, 0))

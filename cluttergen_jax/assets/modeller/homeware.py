@@ -1,0 +1,208 @@
+"""About the house: a tissue box, a roll of tape, a flower pot, a basket."""
+
+from __future__ import annotations
+
+import numpy as np
+from manifold3d import Manifold
+
+from cluttergen_jax.assets.modeller.crate import Crate
+from cluttergen_jax.assets.modeller.draw import Rng, made_by, shade, vary
+from cluttergen_jax.assets.modeller.palette import (
+    BLACK,
+    BLUE,
+    BRIGHT,
+    CREAM,
+    GREEN,
+    GREY,
+    PINK,
+    RED,
+    SKY,
+    TEAL,
+    TERRACOTTA,
+    WHITE,
+    WOOD,
+)
+from cluttergen_jax.assets.modeller.parts import box_part, disc_part, hull_part, ring_sectors, swept_parts
+from cluttergen_jax.assets.modeller.solids import (
+    box,
+    cylinder,
+    ellipse,
+    extrude,
+    hull,
+    piece,
+    revolve,
+    sweep,
+    union,
+)
+from cluttergen_jax.assets.modeller.vessel import Vessel
+from cluttergen_jax.assets.shape import Shape
+
+KRAFT = (0.72, 0.55, 0.36)
+
+
+def tissue_box(rng: Rng = None) -> Shape:
+    """A box of paper tissues, one of them pulled half out."""
+    width, depth, height = vary(rng, 0.225, 0.1), vary(rng, 0.115, 0.1), vary(rng, 0.078, 0.2)
+    slot = extrude(ellipse(0.30 * width, 0.24 * depth), 0.0012, height - 0.0006)
+    ring = extrude(ellipse(0.33 * width, 0.29 * depth), 0.0010, height - 0.0006)
+    ring = ring - extrude(ellipse(0.30 * width, 0.24 * depth), 1.0)
+    wave = np.linspace(-0.5, 0.5, 25)
+    crest = height * (0.42 + 0.10 * np.cos(wave * 4 * np.pi))
+    skin = 0.0007
+    band = [(width * x, z) for x, z in zip(wave, crest, strict=True)]
+    band = [(-width, 0.0), (width, 0.0), (width, band[-1][1]), *band[::-1], (-width, band[0][1])]
+    shell = box((width + 2 * skin, depth + 2 * skin, height), z=0.0) - box(
+        (width - skin, depth - skin, 2.0), z=-0.5
+    )
+    lower = shell ^ extrude(band, 1.0, -0.5).rotate((90, 0, 0))
+    knots = _tuft(0.26 * width, height)
+    cells = []
+    for i, j in np.ndindex(knots.shape[0] - 1, knots.shape[1] - 1):
+        cell = knots[i : i + 2, j : j + 2].reshape(-1, 3)
+        cells.append(hull(np.concatenate([np.add(cell, (0, s * 0.0012, 0)) for s in (-1, 1)])))
+    coarse = knots[[0, 3, 6, 8, 11, 14]][:, [0, -1]].reshape(-1, 3)
+    return Shape(
+        name="tissue_box",
+        label="tissue box",
+        pieces=(
+            piece(box((width, depth, height)), shade(rng, (SKY, PINK, CREAM, *BRIGHT))),
+            piece(lower, shade(rng, (BLUE, TEAL, RED, GREEN))),
+            piece(ring, WHITE),
+            piece(slot - ring, GREY),
+            piece(union(*cells), WHITE),
+        ),
+        provenance=made_by("tissue_box"),
+        parts=(
+            box_part((width, depth, height)),
+            hull_part(np.concatenate([np.add(coarse, (0, s * 0.0012, 0)) for s in (-1, 1)])),
+        ),
+        mass=vary(rng, 0.22, 0.25),
+    )
+
+
+def _tuft(reach: float, base: float) -> np.ndarray:
+    """A grid of knots on a rippled sheet that widens upwards from height `base`: f64[15, 6, 3]."""
+    u, v = np.meshgrid(np.linspace(-1, 1, 15), np.linspace(0, 1, 6), indexing="ij")
+    x = reach * u * (0.35 + 0.55 * v**0.8)
+    y = (0.004 + 0.006 * v) * np.sin(6.5 * u + 0.8 * v)
+    z = base - 0.002 + 0.066 * v * (0.95 + 0.05 * np.cos(4.1 * u + 1.0))
+    return np.stack([x, y, z], -1)
+
+
+def tape_roll(rng: Rng = None) -> Shape:
+    """A roll of parcel tape lying flat, with its core and a loose end."""
+    outer, width = vary(rng, 0.054, 0.12), vary(rng, 0.048, 0.1)
+    inner = min(vary(rng, 0.038, 0.06), outer - 0.010)
+    tape = revolve([(inner + 0.002, 0.0), (outer, 0.0), (outer, width), (inner + 0.002, width)], 64)
+    core = revolve([(inner, 0.0), (inner + 0.0021, 0.0), (inner + 0.0021, width), (inner, width)], 64)
+    seam = cylinder(outer - 0.004, 0.0008, width - 0.0004) - cylinder(outer - 0.006, 1.0)
+    end = np.array([(outer - 0.0006, 0), (outer - 0.0002, 0.008), (outer - 0.0002, 0.014), (outer, 0.019)])
+    tab = [
+        hull([(x + t, y, z) for x, y in end[k : k + 2] for t in (-0.0006, 0.0006) for z in (0.0, width)])
+        for k in range(3)
+    ]
+    section = [(inner, 0.0), (1.03 * outer, 0.0), (1.03 * outer, width), (inner, width)]
+    return Shape(
+        name="tape_roll",
+        label="roll of tape",
+        pieces=(
+            piece(
+                tape + (union(*tab) - cylinder(outer - 0.0005, 1.0)),
+                shade(rng, (KRAFT, SKY, RED, GREEN, GREY)),
+            ),
+            piece(core, CREAM if rng is None else shade(rng, (CREAM, WHITE))),
+            piece(seam, BLACK),
+        ),
+        provenance=made_by("tape_roll"),
+        parts=ring_sectors(section, 8),
+        mass=vary(rng, 0.16, 0.25),
+    )
+
+
+def flower_pot(rng: Rng = None) -> Shape:
+    """An empty clay pot with a rolled rim, standing in its saucer."""
+    foot, height = vary(rng, 0.046, 0.1), vary(rng, 0.112, 0.12)
+    waist, floor = foot + vary(rng, 0.016, 0.2), 0.013
+    rim, band = waist + 0.006, height - 0.030
+    outer = [(foot, 0.003), (waist, band), (rim, band), (rim + 0.003, height)]
+    inner = [(foot - 0.005, floor), (waist - 0.006, band), (rim - 0.004, height)]
+    pot = Vessel(outer, inner)
+    dish = foot + 0.018
+    saucer = [(0.0, 0.0), (foot + 0.004, 0.0), (dish, 0.014), (dish - 0.003, 0.014)]
+    saucer += [(foot + 0.002, 0.004), (0.0, 0.004)]
+    clay = shade(rng, (TERRACOTTA, TERRACOTTA, (0.86, 0.82, 0.74), TEAL))
+    return Shape(
+        name="flower_pot",
+        label="flower pot",
+        pieces=(
+            piece(revolve(saucer) + pot.solid(), clay),
+            piece(_trim(pot, band, height), tuple(0.86 * c for c in clay)),
+        ),
+        provenance=made_by("flower_pot"),
+        parts=(
+            disc_part([(foot + 0.004, 0.0), (dish, floor)], 14, is_standing=True),
+            *pot.parts(8)[1:],
+        ),
+        cavity=pot.cavity(),
+        mass=vary(rng, 0.55, 0.2),
+    )
+
+
+def _trim(pot: Vessel, low: float, high: float) -> Manifold:
+    """Two painted rings around the rim."""
+    rings = []
+    for z in (low + 0.25 * (high - low), low + 0.75 * (high - low)):
+        radius = pot.outer_radius(z)
+        section = 0.001 * np.array([(-1.0, 0.0), (0.9, 0.0), (0.9, 3.0), (-1.0, 3.0)])
+        rings.append(revolve(np.add(section, (radius, z))))
+    return union(*rings)
+
+
+def basket(rng: Rng = None) -> Shape:
+    """A woven basket with an arched handle over its width."""
+    width, depth, height = vary(rng, 0.190, 0.1), vary(rng, 0.135, 0.1), vary(rng, 0.095, 0.15)
+    tub = Crate(width, depth, height, 0.005, 0.005, flare=vary(rng, 0.014, 0.3))
+    reach = tub.width / 2 + tub.flare - 0.003
+    rise = vary(rng, 0.105, 0.15)
+    flat = np.array([(-0.008, -0.0035), (0.008, -0.0035), (0.008, 0.0035), (-0.008, 0.0035)])
+
+    def bow(num: int, grow: float) -> np.ndarray:
+        turns = np.linspace(np.pi, 0.0, num)
+        arch = np.column_stack([reach * np.cos(turns), 0 * turns, rise * np.sin(turns)])
+        return np.add(grow * arch, (0, 0, tub.height - 0.010))
+
+    edge = tub.height - 0.010
+    rim = hull(np.concatenate([tub.outline(z, -0.003) for z in (edge, tub.height)]))
+    rim = rim - hull(np.concatenate([tub.outline(z, 0.003) for z in (edge - 0.001, tub.height + 0.001)]))
+    handle = sweep(bow(25, 1.0), flat) - hull(
+        np.concatenate([tub.outline(z, 0.001) for z in (0.0, tub.height)])
+    )
+    return Shape(
+        name="basket",
+        label="basket",
+        pieces=(
+            piece(tub.solid(), shade(rng, (KRAFT, (0.62, 0.44, 0.27), CREAM))),
+            piece(_weave(tub, edge), shade(rng, (CREAM, WOOD, TEAL, WHITE))),
+            piece(union(handle, rim), shade(rng, (WOOD, (0.50, 0.33, 0.20)))),
+        ),
+        provenance=made_by("basket"),
+        parts=(*tub.parts(), *swept_parts(bow(6, 1.03), flat)),
+        cavity=tub.cavity(),
+        mass=vary(rng, 0.40, 0.25),
+    )
+
+
+def _weave(tub: Crate, top: float, rows: int = 7) -> Manifold:
+    """Raised strands in a chequer around the four walls, up to height `top`."""
+    strands = []
+    levels = np.linspace(0.004, top - 0.001, rows + 1)
+    for j in range(rows):
+        low, high = levels[j] + 0.0008, levels[j + 1] - 0.0008
+        rings = [tub.outline(z, inset) for z in (low, high) for inset in (0.001, -0.0018)]
+        for wall in range(4):
+            columns = (12, 8)[wall % 2]
+            for i in range(j % 2, columns, 2):
+                shares = np.array([i, i + 1])[:, None] / columns
+                ends = [(1 - shares) * ring[wall] + shares * ring[(wall + 1) % 4] for ring in rings]
+                strands.append(hull(np.concatenate(ends)))
+    return union(*strands)
