@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Mapping
 
 import numpy as np
 
 from cluttergen_jax.assets.modeller.dining import DINING
+from cluttergen_jax.assets.modeller.draw import Family
 from cluttergen_jax.assets.modeller.household import HOUSEHOLD
 from cluttergen_jax.assets.modeller.kitchen import KITCHEN
 from cluttergen_jax.assets.modeller.office import OFFICE
@@ -15,10 +16,8 @@ from cluttergen_jax.assets.modeller.study import STUDY
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.errors import PoolError
 
-Family = Callable[[np.random.Generator | None], Shape]
-
 # Each pool's families are gathered in a dict of its own file; this one only joins them.
-_POOLS: dict[str, dict[str, Family]] = {
+_POOLS: Mapping[str, Mapping[str, Family]] = {
     "dining": DINING,
     "kitchen": KITCHEN,
     "study": STUDY,

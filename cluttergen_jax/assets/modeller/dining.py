@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from cluttergen_jax.assets.modeller import cartons, containers, crockery, drinkware, millwork, utensils
+from cluttergen_jax.assets.modeller.draw import Family
 
-DINING = {
+DINING: dict[str, Family] = {
     "mug": drinkware.mug,
     "bowl": crockery.bowl,
     "dinner_plate": crockery.dinner_plate,

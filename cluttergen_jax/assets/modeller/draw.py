@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 import numpy as np
 
 from cluttergen_jax.assets.modeller.solids import Rgb
-from cluttergen_jax.assets.shape import Provenance
+from cluttergen_jax.assets.shape import Provenance, Shape
 
 T = TypeVar("T")
 Rng = np.random.Generator | None
+Family = Callable[[Rng], Shape]
 
 
 def vary(rng: Rng, value: float, spread: float = 0.15) -> float:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from cluttergen_jax.assets.modeller import appliances, cartons, containers, cookware, teapot, utensils
+from cluttergen_jax.assets.modeller.draw import Family
 
-KITCHEN = {
+KITCHEN: dict[str, Family] = {
     "pot": cookware.pot,
     "frying_pan": cookware.frying_pan,
     "teapot": teapot.teapot,
