@@ -52,7 +52,8 @@ def fork(rng: Rng = None) -> Shape:
     legs = [_slab(ends[k : k + 2], halves[k : k + 2], lifts[k : k + 2] + raised[k], thick) for k in range(7)]
     end = hull_part(np.concatenate([legs[0].vertices, legs[1].vertices]))
     tines = [_slab(ends[-2:], np.full(2, prong / 2), lifts[-2:] + RAISE, thick, y, 0.88 * y) for y in places]
-    parts = [part.transformed(np.eye(3), (-length / 2, 0, 0)) for part in (end, *legs[2:], *tines)]
+    shift = np.array([-length / 2, 0.0, 0.0])
+    parts = [part.transformed(np.eye(3), shift) for part in (end, *legs[2:], *tines)]
     return Shape(
         name="fork",
         label="table fork",
