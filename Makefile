@@ -1,0 +1,65 @@
+# make demo   installs into .venv and runs the main job on the embedded pool
+# make test   installs into .venv and runs the quick tests
+# make help   lists the rest
+
+PYTHON ?= python3
+VENV ?= .venv
+OUT ?= out/demo
+RUN = $(VENV)/bin
+INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-all lint format scenes bench clean prerequisites
+
+help: ## this list
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
+
+prerequisites:
+	@command -v git >/dev/null || { echo "git is missing: install it (Debian, Ubuntu: apt install git)"; exit 1; }
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is missing: install Python 3.11 or newer"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "$(PYTHON) is $$($(PYTHON) --version): Python 3.11 or newer is needed; make PYTHON=python3.11 demo"; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
+	  { echo "$(PYTHON) has no venv: install it (Debian, Ubuntu: apt install python3-venv)"; exit 1; }
+
+$(VENV)/.core: pyproject.toml constraints.txt | prerequisites
+	$(PYTHON) -m venv $(VENV)
+	$(INSTALL) -e .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.core
+	$(INSTALL) -e '.[dev,ycb]'
+	@touch $@
+
+$(VENV)/.all: $(VENV)/.dev
+	$(INSTALL) -e '.[dev,ycb,peers]'
+	@touch $@
+
+demo: $(VENV)/.core ## generate, draw, save and verify 20 scenes of ten dining objects in out/demo
+	$(RUN)/cluttergen generate --pool dining --num-scenes 20 --out $(OUT)
+	$(RUN)/cluttergen verify $(OUT)
+
+test: $(VENV)/.dev ## lint, types and the quick tests
+	$(RUN)/ruff check .
+	$(RUN)/ruff format --check .
+	$(RUN)/mypy
+	$(RUN)/pytest -m "not slow"
+
+test-all: $(VENV)/.all ## every test, with the extras; writes tests/last_run.json
+	$(RUN)/pytest --record tests/last_run.json
+
+lint: $(VENV)/.dev ## ruff and mypy alone
+	$(RUN)/ruff check .
+	$(RUN)/ruff format --check .
+	$(RUN)/mypy
+
+format: $(VENV)/.dev ## let ruff mend what it can
+	$(RUN)/ruff check --fix .
+	$(RUN)/ruff format .
+
+scenes: $(VENV)/.dev ## build the embedded pools and supports again
+	$(RUN)/python scenes/build.py
+	$(RUN)/python scenes/build_supports.py
+
+clean: ## remove what these commands made
+	rm -rf $(VENV) out build dist .pytest_cache .ruff_cache .mypy_cache

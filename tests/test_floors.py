@@ -1,0 +1,72 @@
+"""The house's floors: a module imports only from floors below it, or from its own package."""
+
+import ast
+from pathlib import Path
+
+import cluttergen_jax
+
+ROOT = Path(cluttergen_jax.__file__).parent
+FLOORS = {
+    "errors": 0,
+    "types": 0,
+    "config": 0,
+    "assets": 1,
+    "physics": 1,
+    "world": 2,
+    "placement": 2,
+    "problem": 3,
+    "sampling": 3,
+    "baselines": 3,
+    "bank": 3,
+    "render": 3,
+    "importing": 3,
+    "cli": 4,
+    "__main__": 4,
+}
+
+
+def _module(path: Path) -> str:
+    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+
+
+def _imported(path: Path) -> set[str]:
+    """First names below `cluttergen_jax` that a file imports, wherever in the file."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            assert node.level == 0, f"{path}: relative import"
+        found |= {name.split(".")[1] for name in names if name.startswith("cluttergen_jax.")}
+    return found
+
+
+def _files() -> list[Path]:
+    return [path for path in sorted(ROOT.rglob("*.py")) if path != ROOT / "__init__.py"]
+
+
+def test_every_module_has_a_floor():
+    assert {_module(path) for path in _files()} == set(FLOORS)
+
+
+def test_imports_look_down():
+    wrong = [
+        f"{path.relative_to(ROOT)} imports {name}"
+        for path in _files()
+        for name in _imported(path) - {_module(path)}
+        if FLOORS.get(name, -1) >= FLOORS[_module(path)]
+        and not (FLOORS[_module(path)] == 0 and name == "errors")
+    ]
+    assert wrong == []
+
+
+def test_assets_import_no_jax():
+    for path in (ROOT / "assets").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not any(n.split(".")[0] in {"jax", "jaxlib", "flax", "jaxlie", "brax"} for n in names), (
+                path
+            )
