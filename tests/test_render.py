@@ -118,9 +118,9 @@ def test_fitted_eye_sees_all_points_and_stands_as_near_as_it_can(seed):
     seen = (points - fitted_eye(points, view, aspect)) @ axes(view.azimuth, view.elevation).T
     assert seen[:, 2].min() > 0
     tangent = np.tan(np.radians(view.field_of_view) / 2)
-    on_screen = np.abs(seen[:, :2] / seen[:, 2:]) / [tangent * aspect, tangent]
-    reach = on_screen.max(0)
-    assert reach.max() == pytest.approx(1 - 2 * margin, rel=1e-9)
+    on_screen = seen[:, :2] / seen[:, 2:] / [tangent * aspect, tangent]
+    assert np.abs(on_screen).max() == pytest.approx(1 - 2 * margin, rel=1e-9)
+    np.testing.assert_allclose(on_screen.max(0), -on_screen.min(0), rtol=1e-9)
 
 
 @needs_gl
@@ -219,3 +219,19 @@ def test_save_png_keeps_pixels_and_leaves_nothing_else(tmp_path):
     with pytest.raises(TypeError):
         save_png(np.zeros((4, 4, 3), np.complex64), tmp_path / "new" / "b.png")
     assert [p.name for p in path.parent.iterdir()] == ["a.png"]
+
+
+@needs_gl
+def test_close_view_shows_the_objects_larger_and_whole():
+    poses = np.array([[0, 0, 0.75, 1, 0, 0, 0]])
+    table = cuboid_table(0.3, 0.3, 0.7)
+    counts, is_whole = [], []
+    for close in (False, True):
+        image = render_scene([RED], poses, table, close=close, samples=2, width=320, height=240).astype(int)
+        is_red = (image[..., 0] > 2.5 * image[..., 1]) & (image[..., 0] > 60)
+        counts.append(is_red.sum())
+        is_whole.append(
+            not (is_red[0].any() or is_red[-1].any() or is_red[:, 0].any() or is_red[:, -1].any())
+        )
+    assert counts[1] > 1.5 * counts[0] > 0
+    assert all(is_whole)

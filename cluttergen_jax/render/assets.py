@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -52,7 +51,7 @@ def render_object(
     """uint8[height, width, 3]: the object's surfaces, and right of them its parts in distinct colours."""
     spec = _empty()
     half = asset.half_extents
-    view = View(azimuth=115.0, elevation=-24.0)
+    view = View(azimuth=115.0, elevation=-24.0, field_of_view=18.0)
     right = axes(view.azimuth, view.elevation)[0]
     # Half the object's width as it is seen, and a little room.
     shift = right * 1.12 * float(np.abs(right) @ half)
@@ -119,11 +118,15 @@ def render_scene(
       uint8[height, width, 3].
     """
     spec, qpos = scene_spec(assets, poses, support)
-    view = camera or View()
-    if close and view.bounds is None:
-        view = replace(view, bounds=close_bounds(assets, poses, support))
     return render_model(
-        spec.compile(), qpos, camera=view, width=width, height=height, hulls=hulls, samples=samples
+        spec.compile(),
+        qpos,
+        camera=camera or View(),
+        width=width,
+        height=height,
+        hulls=hulls,
+        focus=close_points(assets, poses, support) if close else None,
+        samples=samples,
     )
 
 
@@ -136,10 +139,14 @@ def _region_corners(support: SupportAsset) -> np.ndarray:
     return np.column_stack([plane, np.full(4, support.top)])
 
 
-def close_bounds(
+def close_points(
     assets: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None
-) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Lower and upper corner of the box around the objects' collision parts and the support's region."""
+) -> np.ndarray:
+    """f64[P, 3]: all corners of the objects' collision parts and of the support's region, world frame.
+
+    Raises:
+      ConfigError: there are neither objects nor a support.
+    """
     points = [] if support is None else [_region_corners(support)]
     for asset, pose in zip(assets, np.asarray(poses, np.float64), strict=True):
         matrix = np.zeros(9)
@@ -147,13 +154,7 @@ def close_bounds(
         points.extend(part.vertices @ matrix.reshape(3, 3).T + pose[:3] for part in asset.parts)
     if not points:
         raise ConfigError("a close view of neither objects nor a support")
-    everything = np.concatenate(points)
-    lower, upper = everything.min(0), everything.max(0)
-    return (float(lower[0]), float(lower[1]), float(lower[2])), (
-        float(upper[0]),
-        float(upper[1]),
-        float(upper[2]),
-    )
+    return np.concatenate(points)
 
 
 def render_support(

@@ -20,14 +20,12 @@ class View:
       elevation: degrees; -90 looks straight down.
       field_of_view: degrees, vertical; small ones flatten perspective.
       margin: share of the picture left free at each edge, in [0, 0.45].
-      bounds: lower and upper corner of what has to be seen, world frame, metres; None: all that is drawn.
     """
 
     azimuth: float = 125.0
     elevation: float = -28.0
     field_of_view: float = 30.0
     margin: float = 0.06
-    bounds: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.field_of_view <= 120.0:
@@ -86,8 +84,24 @@ def fitted_eye(points: np.ndarray, view: View, aspect: float) -> np.ndarray:
     low = np.max(-seen[:, :2] - tangents * seen[:, 2:], axis=0)
     high = np.max(seen[:, :2] - tangents * seen[:, 2:], axis=0)
     depth = np.min(-(low + high) / (2 * tangents))
-    # The side with room to spare is centred: its two slacks are made equal at that depth.
-    return np.array([*((high - low) / 2), depth]) @ turn
+    ahead = seen[:, 2] - depth
+    sides = [
+        _centred(seen[:, k], ahead, high[k] + t * depth, -low[k] - t * depth) for k, t in enumerate(tangents)
+    ]
+    return np.array([*sides, depth]) @ turn
+
+
+def _centred(side: np.ndarray, ahead: np.ndarray, least: float, most: float) -> float:
+    """Where between two bounds the eye sees points as far to one side as to the other, by bisection.
+
+    Args:
+      side, ahead: f64[P], the points across and along the line of sight.
+    """
+    for _ in range(50):
+        middle = (least + most) / 2
+        slopes = (side - middle) / ahead
+        least, most = (middle, most) if slopes.max() + slopes.min() > 0 else (least, middle)
+    return (least + most) / 2
 
 
 def placed_camera(points: np.ndarray, view: View, aspect: float) -> mujoco.MjvCamera:

@@ -12,7 +12,7 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.render.camera import View, corners, drawn_points, placed_camera
+from cluttergen_jax.render.camera import View, drawn_points, placed_camera
 from cluttergen_jax.render.gl import gl_context
 from cluttergen_jax.render.sampling import low_discrepancy, shift_lights, shift_pixel
 from cluttergen_jax.render.sheet import contact_sheet, save_png
@@ -139,6 +139,7 @@ def render_model(
     height: int = 480,
     hulls: bool = False,
     show: Sequence[str] | None = None,
+    focus: np.ndarray | None = None,
     samples: int = 32,
 ) -> np.ndarray:
     """Draws a model as it stands in `qpos`; the model is left as it was.
@@ -153,6 +154,7 @@ def render_model(
       width, height: pixels, each in [16, 8192].
       hulls: draw the collision geoms (group 3) instead, each in a colour of its own.
       show: names of the bodies to draw beside the world's own geoms; None draws all.
+      focus: f64[P, 3], points that have to be in the picture, world frame; None is all that is drawn.
       samples: pictures averaged, at least 1. Time is proportional to it.
 
     Returns:
@@ -174,8 +176,7 @@ def render_model(
         raise ConfigError("a model with nothing to draw", "geoms of group 2, or of group 3 with hulls=True")
     reach = _set_range(model, content, view, width, height)
     if isinstance(camera, View):
-        focus = content if view.bounds is None else corners(*map(np.array, view.bounds))
-        eye = placed_camera(focus, view, width / height)
+        eye = placed_camera(content if focus is None else focus, view, width / height)
     else:
         eye = _named_camera(model, camera)
     return _averaged(model, data, eye, width, height, samples, reach)
