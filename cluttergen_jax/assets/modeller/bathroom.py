@@ -61,15 +61,8 @@ def spray_bottle(rng: Rng = None) -> Shape:
     top = shoulder + 0.036
     body, body_part = flask(width, depth, 0.018, shoulder, top, 0.014)
     head_at = top + 0.018
-    head = [
-        (-0.046, 0.010),
-        (-0.046, 0.025),
-        (-0.012, 0.037),
-        (0.030, 0.034),
-        (0.038, 0.018),
-        (0.016, -0.001),
-    ]
-    head = [(x, head_at + z) for x, z in (*head, (-0.014, -0.001))]
+    shell = [(-46, 10), (-46, 25), (-12, 37), (30, 34), (38, 18), (16, -1), (-14, -1)]
+    head = [(0.001 * x, head_at + 0.001 * z) for x, z in shell]
     trigger = [
         (x, head_at + z) for x, z in ((-0.015, 0.006), (-0.030, 0.010), (-0.043, -0.030), (-0.037, -0.034))
     ]

@@ -81,8 +81,9 @@ def globe(rng: Rng = None) -> Shape:
     tilt, at = (0.0, 23.4, 0.0), (0.0, 0.0, middle)
     skin = Manifold.sphere(radius, 64) - Manifold.sphere(radius - 0.003, 48)
     film = Manifold.sphere(radius + 0.0007, 96) - Manifold.sphere(radius - 0.0012, 48)
-    land = (union(*[_cone(patch, 3 * radius) for patch in LAND]) ^ film).rotate(spin)
-    ice = film ^ union(*[box((1, 1, 1), z=z) for z in (0.955 * radius, -1 - 0.93 * radius)])
+    caps = union(*[box((1, 1, 1), z=z) for z in (0.955 * radius, -1 - 0.93 * radius)])
+    land = (union(*[_cone(patch, 3 * radius) for patch in LAND]) ^ film).rotate(spin) - caps
+    ice = (Manifold.sphere(radius + 0.0012, 96) - Manifold.sphere(radius - 0.0018, 48)) ^ caps
     reach, bar = radius + 0.008, 0.0045
     turns = np.radians(np.linspace(-90, 90, 25))
     arc = np.column_stack([reach * np.cos(turns), 0 * turns, reach * np.sin(turns)])

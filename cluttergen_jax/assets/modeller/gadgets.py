@@ -98,7 +98,7 @@ def alarm_clock(rng: Rng = None) -> Shape:
 def _bells(radius: float, middle: float, degrees: float) -> tuple[list[Manifold], list[Mesh]]:
     """Two bells on stalks, leaning out to either side of a round case, and their parts."""
     bell, away = 0.50 * radius, radius + 0.010
-    cap = above(Manifold.sphere(bell, 32)).scale((1, 1, 0.85)) + cylinder(0.003, 0.014, z=-0.013, segments=12)
+    cap = above(Manifold.sphere(bell, 48)).scale((1, 1, 0.85)) + cylinder(0.003, 0.014, z=-0.013, segments=12)
     dome = disc_part([(bell, 0), (0.72 * bell, 0.6 * bell), (0, 0.88 * bell)], 10)
     solids, parts = [], []
     for side in (-1, 1):

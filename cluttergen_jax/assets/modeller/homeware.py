@@ -84,7 +84,7 @@ def _tuft(reach: float, base: float) -> np.ndarray:
     """A grid of knots on a rippled sheet that widens upwards from height `base`: f64[15, 6, 3]."""
     u, v = np.meshgrid(np.linspace(-1, 1, 15), np.linspace(0, 1, 6), indexing="ij")
     x = reach * u * (0.35 + 0.55 * v**0.8)
-    y = (0.004 + 0.006 * v) * np.sin(6.5 * u + 0.8 * v)
+    y = (0.003 + 0.005 * v) * np.sin(6.5 * u + 0.8 * v)
     z = base - 0.002 + 0.066 * v * (0.95 + 0.05 * np.cos(4.1 * u + 1.0))
     return np.stack([x, y, z], -1)
 

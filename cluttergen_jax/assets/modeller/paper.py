@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
+from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller.draw import Rng, choose, made_by, shade, vary
 from cluttergen_jax.assets.modeller.lettering import lettering
 from cluttergen_jax.assets.modeller.palette import (
@@ -102,21 +103,29 @@ def sticky_notes(rng: Rng = None) -> Shape:
             piece(note.translate((0, 0.02 * side, height)), NAVY),
         ),
         provenance=made_by("sticky_notes"),
-        parts=(box_part((side, side, height)),),
+        parts=(box_part((side, side, height)), _curl_part(side, height)),
         mass=700.0 * side * side * height,
     )
 
 
+CURL = 0.052
+
+
 def _curled_sheet(side: float) -> Manifold:
     """The front edge of a sheet that bends up from z = 0, as wide as the block."""
-    reach = np.linspace(0.0, 0.24 * side, 7)
-    y = -0.26 * side - reach
-    z = 0.22 * reach**2 / (0.24 * side)
+    share = np.linspace(0.0, 1.0, 7)
+    y, z = -(0.26 + 0.24 * share) * side, CURL * share**2 * side
     strips = []
     for k in range(6):
         edges = [(y[k + j], z[k + j] + up) for j in (0, 1) for up in (-0.0002, 0.0010)]
         strips.append(hull([(x, *edge) for x in (-side / 2, side / 2) for edge in edges]))
     return union(*strips)
+
+
+def _curl_part(side: float, height: float) -> Mesh:
+    """A flat leaf along the curled edge, thick enough to be felt."""
+    ends = ((-0.30, 0.0, -0.001), (-0.30, 0.0, 0.001), (-0.5, CURL, -0.001), (-0.5, CURL, 0.001))
+    return hull_part([(s * side / 2, y * side, height + z * side + up) for s in (-1, 1) for y, z, up in ends])
 
 
 def ring_binder(rng: Rng = None) -> Shape:

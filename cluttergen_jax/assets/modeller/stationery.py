@@ -62,7 +62,7 @@ def stapler(rng: Rng = None) -> Shape:
     lid += [(nose + 0.035, low + 0.030), (nose + 0.010, low + 0.026), (nose, low + 0.018)]
     anvil = box((0.022, 0.6 * width, 0.002), (nose + 0.018, 0), 0.0092)
     top = upright(lid, width)
-    metal = union(upright(pivot, 0.42 * width) - top, anvil, upright(rail, 0.7 * width))
+    metal = union(upright(pivot, 0.36 * width) - top, anvil, upright(rail, 0.7 * width))
     return Shape(
         name="stapler",
         label="stapler",
@@ -74,7 +74,7 @@ def stapler(rng: Rng = None) -> Shape:
         provenance=made_by("stapler"),
         parts=(
             upright_part(base, width + 0.004),
-            upright_part(pivot, 0.42 * width),
+            upright_part(pivot, 0.36 * width),
             upright_part(rail, 0.7 * width),
             upright_part(lid, width),
         ),
