@@ -172,7 +172,8 @@ def eyeglasses(rng: Rng = None) -> Shape:
 def toy_car(rng: Rng = None) -> Shape:
     """A wooden toy car on wheels with flat treads, its bonnet towards -x."""
     length, width = vary(rng, 0.140, 0.12), vary(rng, 0.062, 0.1)
-    wheel, waist = vary(rng, 0.0195, 0.1), vary(rng, 0.046, 0.08)
+    waist = vary(rng, 0.046, 0.08)
+    wheel = min(vary(rng, 0.0195, 0.1), 0.43 * waist)
     nose, tail, low = -length / 2, length / 2, 0.012
     body = [(nose + 0.004, low), (tail - 0.004, low), (tail, 0.7 * waist), (tail - 0.008, waist)]
     body += [(nose + 0.012, 0.86 * waist), (nose, 0.6 * waist)]

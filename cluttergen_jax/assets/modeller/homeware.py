@@ -136,7 +136,7 @@ def flower_pot(rng: Rng = None) -> Shape:
         label="flower pot",
         pieces=(
             piece(revolve(saucer) + pot.solid(), clay),
-            piece(_trim(pot, band, height), tuple(0.86 * c for c in clay)),
+            piece(_trim(pot, band, height), (0.86 * clay[0], 0.86 * clay[1], 0.86 * clay[2])),
         ),
         provenance=made_by("flower_pot"),
         parts=(

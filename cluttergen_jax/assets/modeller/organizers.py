@@ -39,6 +39,9 @@ from cluttergen_jax.assets.shape import Cavity, Piece, Shape
 
 RAW_WOOD = (0.90, 0.76, 0.55)
 
+# A box's size, its centre in the plane and the height it stands on.
+Block = tuple[tuple[float, float, float], tuple[float, float], float]
+
 
 def pencil_cup(rng: Rng = None) -> Shape:
     """A round cup with two pencils that lean on its rim."""
@@ -133,8 +136,8 @@ def _pen(start: np.ndarray, end: np.ndarray, color: Rgb) -> tuple[list[Piece], M
     """A pen with its cap up, and its part."""
     neck = start + 0.62 * (end - start)
     outline = ellipse(0.0042, 0.0042, 12)
-    pieces = [piece(sweep([start, neck], outline * 0.9), WHITE), piece(sweep([neck, end], outline), color)]
-    return pieces, swept_parts([start, end], ellipse(0.0042, 0.0042, 6))[0]
+    barrel, cap = sweep(np.stack([start, neck]), 0.9 * outline), sweep(np.stack([neck, end]), outline)
+    return [piece(barrel, WHITE), piece(cap, color)], swept_parts(np.stack([start, end]), 0.0042)[0]
 
 
 def letter_tray(rng: Rng = None) -> Shape:
@@ -148,10 +151,10 @@ def letter_tray(rng: Rng = None) -> Shape:
         for x in (-(width - wall) / 2, (width - wall) / 2)
     ]
     inner = width - 2 * wall
-    back = ((inner, wall, height), (0, (depth - wall) / 2))
-    shelves = [((inner, depth - wall, wall), (0, -wall / 2), z) for z in (0.0, step)]
-    lips = [((inner, wall, 0.014), (0, (wall - depth) / 2), z + wall) for z in (0.0, step)]
-    papers = [
+    back: Block = ((inner, wall, height), (0, (depth - wall) / 2), 0.0)
+    shelves: list[Block] = [((inner, depth - wall, wall), (0, -wall / 2), z) for z in (0.0, step)]
+    lips: list[Block] = [((inner, wall, 0.014), (0, (wall - depth) / 2), z + wall) for z in (0.0, step)]
+    papers: list[Block] = [
         ((0.86 * inner, depth - 3.5 * wall, thick), (0.03 * inner, 0), z + wall)
         for z, thick in ((0.0, 1.6 * sheets), (step, sheets))
     ]
@@ -164,7 +167,7 @@ def letter_tray(rng: Rng = None) -> Shape:
         pieces=(
             piece(frame, shade(rng, (WOOD, *DARK, DARK_WOOD, TEAL))),
             piece(box(*papers[0]), WHITE),
-            piece(box(*papers[1]), shade(rng, (PAPER, WHITE))),
+            piece(box(*papers[1]), shade(rng, (PAPER, WHITE), 0.02)),
         ),
         provenance=made_by("letter_tray"),
         parts=(
