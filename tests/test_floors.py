@@ -21,7 +21,7 @@ FLOORS = {
     "render": 3,
     "importing": 3,
     "cli": 4,
-    "__main__": 4,
+    "__main__": 5,
 }
 
 

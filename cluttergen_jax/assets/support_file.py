@@ -17,11 +17,12 @@ import numpy as np
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import embedded_root
 from cluttergen_jax.assets.shape import Piece, Provenance
-from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
+from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
 from cluttergen_jax.errors import PoolError
 
 FORMAT = 1
 _RECORD = "support.json"
+_CUBOID = re.compile(r"table-(\d*\.?\d+(?:x\d*\.?\d+){1,2})")
 _NAME = re.compile(r"[a-z0-9_-]+")
 _REWRITE = "writing the support again"
 
@@ -82,11 +83,14 @@ def list_supports() -> dict[str, Path]:
 
 
 def find_support(name_or_path: str | Path) -> SupportAsset:
-    """The embedded support of that name, or the one in that folder.
+    """The embedded support of that name, or the one in that folder; `table-WxD[xH]` is a cuboid (metres).
 
     Raises:
       PoolError: nothing is called so (the message lists what exists), or its files are damaged.
+      ConfigError: a cuboid of absurd size.
     """
+    if cuboid := _CUBOID.fullmatch(str(name_or_path)):
+        return cuboid_table(*(float(side) for side in cuboid[1].split("x")))
     supports = list_supports()
     if str(name_or_path) in supports:
         return read_support(supports[str(name_or_path)])
@@ -95,7 +99,7 @@ def find_support(name_or_path: str | Path) -> SupportAsset:
     raise PoolError(
         f"no support is called {str(name_or_path)!r}, and there is none at that path",
         ", ".join(supports) or "none is installed",
-        f"a folder that holds {_RECORD}",
+        f"a folder that holds {_RECORD}, or a cuboid such as table-0.40x0.50",
     )
 
 

@@ -1,0 +1,102 @@
+"""The Brax environment: resets by itself, keeps figures, and everything stays in the region."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cluttergen_jax.baselines import make_proposer
+from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.observation import ObservationConfig, scene_cloud
+from cluttergen_jax.placement.region import from_pose
+from cluttergen_jax.types import Verdict
+from tests.problems import made_up_rules, trio_problem
+
+GOOD = jnp.array([0.9, 0.5, 0.5, 0.2])
+BAD = jnp.array([0.1, 0.5, 0.5, 0.2])
+
+
+def test_resets_itself_with_fresh_keys_and_keeps_figures():
+    env = PlacementEnv(made_up_rules(max_attempts=2))
+    state = jax.jit(env.reset)(jax.random.key(0))
+    step, orders = jax.jit(env.step), []
+    for _ in range(5):
+        orders.append(np.asarray(state.pipeline_state.episode.object_index))
+        for action in (GOOD, BAD):
+            state = step(state, action)
+            assert float(state.done) == 0
+        state = step(state, BAD)
+        assert float(state.done) == 1
+        assert int(state.metrics["num_placed"]) == 1
+        assert int(state.metrics["attempts"]) == 3
+        assert int(state.pipeline_state.episode.slot) == 0
+    assert int(state.metrics["num_finished"]) == 5
+    assert len({tuple(order) for order in orders}) > 1
+    assert float(state.info["truncation"]) == 0
+
+
+def test_success_is_kept_after_the_reset():
+    env = PlacementEnv(made_up_rules())
+    state = env.reset(jax.random.key(0))
+    for _ in range(4):
+        state = jax.jit(env.step)(state, GOOD)
+    assert float(state.done) == 1
+    assert float(state.metrics["success"]) == 1
+    assert not bool(state.pipeline_state.episode.is_placed.any())
+
+
+def test_observation_shapes_are_as_promised():
+    env = PlacementEnv(made_up_rules(), ObservationConfig(num_scene_points=64, num_object_points=8))
+    state = env.reset(jax.random.key(0))
+    shapes = jax.tree.map(lambda leaf: leaf.shape, state.obs)
+    assert shapes == env.observation_size
+    assert shapes["scene_cloud"] == (64, 3)
+    assert env.action_size == 4
+
+
+def test_history_is_seen_in_the_regions_frame():
+    env = PlacementEnv(made_up_rules())
+    state = jax.jit(env.step)(env.reset(jax.random.key(0)), BAD)
+    history = state.obs["history"]
+    np.testing.assert_allclose(history["trajectory"][0, 0, :2], [0.1 * 0.6 - 0.3, 0.0], atol=1e-6)
+    assert not np.any(np.asarray(history["trajectory"])[1:])
+    np.testing.assert_array_equal(history["is_tried"], [True, False, False, False, False])
+
+
+def test_scene_cloud_follows_the_poses():
+    problem = trio_problem()
+    geometry = problem.rules.geometry
+    geometry = geometry.replace(cloud=jax.random.normal(jax.random.key(1), geometry.cloud.shape) * 0.02)
+    pose = jnp.array([0.1, 0.05, 0.04, 0.6, 0.0, 0.0, 0.8])
+    poses = jnp.zeros((3, 7)).at[1].set(pose)
+    cloud, mask = scene_cloud(geometry, poses, jnp.arange(3) == 1, jnp.array([0.3, 0.35]), 400, 3)
+    points = jax.vmap(from_pose(pose).apply)(geometry.cloud[1, :100])
+    np.testing.assert_allclose(cloud[100:200], points, atol=1e-6)
+    np.testing.assert_array_equal(mask, np.arange(400) < 200)
+    assert bool(jnp.all(cloud[:100, 2] == 0))
+
+
+def test_invariants_on_the_real_physics():
+    problem = trio_problem()
+    rules, env = problem.rules, PlacementEnv(problem.rules)
+    propose = make_proposer("random", rules)
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 32))
+
+    def attempt(key, state):
+        action = propose(key, state.pipeline_state.episode)
+        return env.step(state, action)
+
+    step = jax.jit(jax.vmap(attempt))
+    stable = 0
+    for index in range(12):
+        before = state.pipeline_state.episode
+        state = step(jax.random.split(jax.random.key(index), 32), state)
+        after, done = state.pipeline_state.episode, np.asarray(state.done) > 0
+        kept = ~done & (np.asarray(after.slot) == np.asarray(before.slot))
+        np.testing.assert_array_equal(np.asarray(after.poses)[kept], np.asarray(before.poses)[kept])
+        moved_on = ~done & (np.asarray(after.slot) == np.asarray(before.slot) + 1)
+        assert (np.asarray(after.verdict)[moved_on] == Verdict.STABLE).all()
+        stable += moved_on.sum()
+        placed = np.asarray(after.poses)[np.asarray(after.is_placed)]
+        assert (np.abs(placed[:, :2]) <= [0.3 + 1e-4, 0.35 + 1e-4]).all()
+    assert stable > 50
+    assert float(state.metrics["num_finished"].min()) >= 1
