@@ -1,0 +1,215 @@
+"""From a shape to a sound body."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cluttergen_jax.assets.cloud import surface_cloud
+from cluttergen_jax.assets.decompose import DecompositionConfig, decompose
+from cluttergen_jax.assets.deviation import deviation
+from cluttergen_jax.assets.hollow import MAX_FILL, Hollow, find_hollow, holds_ball, known_hollow
+from cluttergen_jax.assets.inertia import MassProperties, mass_properties
+from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
+from cluttergen_jax.assets.parts import as_meshes, finished, hull_of
+from cluttergen_jax.assets.pieces import drawn
+from cluttergen_jax.assets.rest import resting_poses, settled_turn, tilt_of
+from cluttergen_jax.assets.shape import Piece, Provenance, Shape
+from cluttergen_jax.assets.solid import Solid, solid_of
+from cluttergen_jax.errors import AssetError, ConfigError
+
+MAX_DEVIATION = 0.05
+MAX_TILT = np.radians(15)
+_FLAT = np.radians(0.5)
+_NOWHERE = Provenance("draft", "none")
+
+
+@dataclass(frozen=True)
+class BodyConfig:
+    """How bodies are made.
+
+    Attributes:
+      tier: "standard", or "light": one hull of at most 32 vertices.
+      decomposition: CoACD's parameters.
+      seed: of samples, clouds and random releases.
+    """
+
+    tier: str = "standard"
+    decomposition: DecompositionConfig = field(default_factory=DecompositionConfig)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.tier not in ("standard", "light"):
+            raise ConfigError(f"tier {self.tier!r}", "standard or light")
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """One set of parts for a shape, in its resting orientation, and how good it is."""
+
+    parts: list[np.ndarray]
+    rotation: np.ndarray
+    hollow: Hollow | None
+    deviation: float
+    fill: float | None
+    holds: bool | None
+
+    @property
+    def is_open(self) -> bool:
+        return self.fill is None or (self.fill <= MAX_FILL and bool(self.holds))
+
+    @property
+    def is_sound(self) -> bool:
+        return self.is_open and self.deviation <= MAX_DEVIATION and tilt_of(self.rotation) <= MAX_TILT
+
+    @property
+    def rank(self) -> tuple[bool, bool, bool, float]:
+        """Greater is better."""
+        return (
+            tilt_of(self.rotation) <= MAX_TILT,
+            self.is_open,
+            self.deviation <= MAX_DEVIATION,
+            -self.deviation,
+        )
+
+
+def make_object(shape: Shape, config: BodyConfig | None = None) -> ObjectAsset:
+    """The body of a shape: parts, mass, resting frame, cloud and what was measured about them.
+
+    The author's own parts are taken if they are sound: nowhere farther than 5 % of the diagonal from the
+    mesh, any cavity open, and upright by themselves. Else CoACD's, and if those are not, a finer
+    decomposition; the best of them is kept and its faults are flagged.
+
+    Raises:
+      AssetError: nothing with a volume can be made of the surfaces.
+    """
+    config = config or BodyConfig()
+    solid = solid_of([piece.mesh for piece in shape.pieces])
+    mass = mass_properties(solid.mesh, shape.density, shape.mass)
+    best: _Candidate | None = None
+    for raw in _proposals(shape, solid, config):
+        candidate = _candidate(raw, shape, solid, mass, config)
+        if best is None or candidate.rank > best.rank:
+            best = candidate
+        if best.is_sound:
+            break
+    if best is None:
+        raise AssetError(f"{shape.label!r} has no convex part")
+    return _asset(shape, solid, mass, best, config)
+
+
+def _proposals(shape: Shape, solid: Solid, config: BodyConfig) -> Iterator[list[np.ndarray]]:
+    """Sets of raw parts in the authored frame, the cheapest first."""
+    if config.tier == "light":
+        yield decompose(solid, replace(config.decomposition, max_parts=1))
+        return
+    own = [part.vertices for part in shape.parts or () if hull_of(part.vertices) is not None]
+    if own:
+        yield own
+    yield decompose(solid, config.decomposition)
+    yield decompose(solid, config.decomposition.finer)
+
+
+def _candidate(
+    raw: list[np.ndarray], shape: Shape, solid: Solid, mass: MassProperties, config: BodyConfig
+) -> _Candidate:
+    parts, rotation = _at_rest(raw, mass)
+    turned = _turned(solid, rotation)
+    if shape.cavity is not None:
+        hollow: Hollow | None = known_hollow(shape.cavity).moved(rotation, np.zeros(3))
+    else:
+        hollow = find_hollow(turned)
+    is_judged = hollow is not None and config.tier == "standard"
+    return _Candidate(
+        parts=parts,
+        rotation=rotation,
+        hollow=hollow,
+        deviation=deviation(parts, turned, config.seed),
+        fill=hollow.fill(parts) if hollow is not None else None,
+        holds=holds_ball(parts, hollow) if hollow is not None and is_judged else None,
+    )
+
+
+def _at_rest(raw: list[np.ndarray], mass: MassProperties) -> tuple[list[np.ndarray], np.ndarray]:
+    """Finished parts in the orientation in which they come to rest, and the turn from the authored one.
+
+    The bottom is made flat in the pose found without flattening, so that a leaning object is not cut
+    to its lean; only if it topples is the bottom of the authored pose tried.
+    """
+    rotation = settled_turn(_draft(finished(raw, flatten=False), mass))
+    if tilt_of(rotation) > MAX_TILT:
+        kept = settled_turn(_draft(finished(raw, flatten=True), mass))
+        rotation = kept if tilt_of(kept) < tilt_of(rotation) else rotation
+    for _ in range(4):
+        parts = finished([points @ rotation.T for points in raw], flatten=True)
+        more = settled_turn(_draft(parts, mass.moved(rotation, np.zeros(3))))
+        if tilt_of(more) < _FLAT:
+            return parts, rotation
+        rotation = more @ rotation
+    return finished([points @ rotation.T for points in raw], flatten=True), rotation
+
+
+def _draft(parts: list[np.ndarray], mass: MassProperties) -> ObjectAsset:
+    """Just enough of an asset to be simulated."""
+    return ObjectAsset(
+        name="draft",
+        label="",
+        pieces=(),
+        parts=as_meshes(parts),
+        mass=mass.mass,
+        center_of_mass=mass.center,
+        inertia=mass.inertia,
+        cloud=np.zeros((CLOUD_SIZE, 3), np.float32),
+        resting=(RestingPose((1.0, 0.0, 0.0, 0.0), 0.0, 1.0),),
+        provenance=_NOWHERE,
+    )
+
+
+def _turned(solid: Solid, rotation: np.ndarray) -> Solid:
+    still = np.zeros(3)
+    return Solid(
+        solid.mesh.transformed(rotation, still), solid.is_exact, solid.surface.transformed(rotation, still)
+    )
+
+
+def _asset(
+    shape: Shape, solid: Solid, mass: MassProperties, best: _Candidate, config: BodyConfig
+) -> ObjectAsset:
+    vertices = np.concatenate(best.parts)
+    shift = -(vertices.min(0) + vertices.max(0)) / 2
+    rotation = best.rotation
+    moved = mass.moved(rotation, shift)
+    pieces = (Piece(p.mesh.transformed(rotation, shift), p.rgba) for p in drawn(shape.pieces))
+    cloud = surface_cloud(solid, config.seed) @ rotation.T + shift
+    asset = replace(
+        _draft([points + shift for points in best.parts], moved),
+        name=shape.name,
+        label=shape.label,
+        pieces=tuple(pieces),
+        cloud=cloud.astype(np.float32),
+        provenance=shape.provenance,
+        tier=config.tier,
+        quality=Quality(
+            deviation=round(best.deviation, 5),
+            cavity_fill=None if best.fill is None else round(best.fill, 4),
+            holds_ball=best.holds,
+        ),
+        flags=tuple(shape.notes) + tuple(_faults(best, config)),
+    )
+    return replace(asset, resting=resting_poses(asset, config.seed))
+
+
+def _faults(best: _Candidate, config: BodyConfig) -> Iterator[str]:
+    tilt = np.degrees(tilt_of(best.rotation))
+    if tilt > np.degrees(MAX_TILT):
+        yield f"does not stand as authored: it came to rest turned by {tilt:.0f} degrees"
+    if config.tier == "light":
+        return
+    if best.deviation > MAX_DEVIATION:
+        yield f"its parts are up to {100 * best.deviation:.1f} % of its size away from its surface"
+    if best.fill is not None and best.fill > MAX_FILL:
+        yield f"its parts cover {100 * best.fill:.0f} % of its cavity"
+    if best.holds is False:
+        yield "a 10 mm ball dropped at its mouth does not come to rest inside"
