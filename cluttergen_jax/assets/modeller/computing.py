@@ -243,9 +243,8 @@ def desk_phone(rng: Rng = None) -> Shape:
     glass = box((0.38 * width, 0.17 * depth, 0.001), (0.22 * width, 0.24 * depth), 0.0046)
     time = lettering("12:45", 0.07 * depth).translate((0.22 * width, 0.24 * depth, 0.0056))
     left, reach = -0.26 * width, 0.42 * depth
-    # The handset hangs a little above the body, on a cradle under its grip.
-    ends = [((0.050, 0.050, 0.030), (left, s * reach), 0.0015) for s in (-1, 1)]
-    grip = ((0.036, 2 * reach, 0.017), (left, 0), 0.0225)
+    ends = [((0.050, 0.050, 0.030), (left, s * reach), -0.001) for s in (-1, 1)]
+    grip = ((0.036, 2 * reach, 0.017), (left, 0), 0.020)
     cradle = box((0.024, 0.020, 0.027), (left, 0), -0.001)
     handset = union(*[rounded_box(size, 0.008, at, z) for size, at, z in (*ends, grip)])
     turn, lift = (slope, 0, 0), (0, 0, (front + back) / 2)

@@ -178,14 +178,15 @@ def toy_car(rng: Rng = None) -> Shape:
     body = [(nose + 0.004, low), (tail - 0.004, low), (tail, 0.7 * waist), (tail - 0.008, waist)]
     body += [(nose + 0.012, 0.86 * waist), (nose, 0.6 * waist)]
     roof = waist + vary(rng, 0.026, 0.15)
-    cabin = [(nose + 0.30 * length, waist - 0.004), (tail - 0.10 * length, waist - 0.002)]
+    cabin = [(nose + 0.30 * length, 0.78 * waist), (tail - 0.10 * length, 0.78 * waist)]
     cabin += [(tail - 0.20 * length, roof), (nose + 0.44 * length, roof)]
-    middle = np.mean(cabin, axis=0)
-    panes = middle + (np.array(cabin) - middle) * (0.74, 0.62)
+    glazed = np.maximum(cabin, (-1.0, waist - 0.004))
+    middle = np.mean(glazed, axis=0)
+    panes = middle + (glazed - middle) * (0.74, 0.62)
     post = box((0.006, 1, 1), (middle[0], 0))
     glass = union(upright(panes, 0.86 * width + 0.0016) - upright(panes, 0.86 * width - 0.001) - post)
     shield = [(0.55, 0.18), (0.55, 0.82)]
-    front, rear = ((np.array(cabin[a]), np.array(cabin[b])) for a, b in ((0, 3), (1, 2)))
+    front, rear = ((_along(cabin[a], cabin[b], waist), np.array(cabin[b])) for a, b in ((0, 3), (1, 2)))
     for bottom, top in (front, rear):
         across = np.array([bottom + (top - bottom) * share for _, share in shield])
         outline = [(x + dx, z) for x, z in across for dx in (-0.0012, 0.0012)]
@@ -270,6 +271,12 @@ def photo_frame(rng: Rng = None) -> Shape:
         parts=(corners_of(back), hull_part(strut)),
         mass=vary(rng, 0.35, 0.2),
     )
+
+
+def _along(low: tuple[float, float], high: tuple[float, float], z: float) -> np.ndarray:
+    """The point (x, z) at a height on the line between two points."""
+    share = (z - low[1]) / (high[1] - low[1])
+    return (1 - share) * np.array(low) + share * np.array(high)
 
 
 def _roller(radius: float, width: float) -> Manifold:

@@ -51,8 +51,12 @@ def stapler(rng: Rng = None) -> Shape:
     tail, nose, heel = length / 2, -length / 2, length / 2 - 0.034
     base = [(nose, 0), (tail, 0), (tail, 0.006), (tail - 0.006, 0.010), (nose + 0.010, 0.010), (nose, 0.006)]
     pivot = [(heel, 0.009), (tail - 0.006, 0.009), (tail - 0.008, 0.027), (heel, 0.0275)]
-    # A slit parts the rail from the lid: faces that touch would be sampled as if they were seen.
-    rail = [(nose + 0.004, low), (heel, high), (heel, high + 0.009), (nose + 0.004, low + 0.008)]
+    rail = [
+        (nose + 0.004, low),
+        (heel + 0.002, high),
+        (heel + 0.002, high + 0.012),
+        (nose + 0.004, low + 0.012),
+    ]
     lid = [
         (nose, low + 0.010),
         (tail - 0.004, high + 0.0105),
@@ -61,15 +65,14 @@ def stapler(rng: Rng = None) -> Shape:
     ]
     lid += [(nose + 0.035, low + 0.030), (nose + 0.010, low + 0.026), (nose, low + 0.018)]
     anvil = box((0.022, 0.6 * width, 0.002), (nose + 0.018, 0), 0.0092)
-    top = upright(lid, width)
-    metal = union(upright(pivot, 0.36 * width) - top, anvil, upright(rail, 0.7 * width))
+    metal = union(upright(pivot, 0.36 * width), anvil, upright(rail, 0.7 * width))
     return Shape(
         name="stapler",
         label="stapler",
         pieces=(
             piece(upright(base, width + 0.004), shade(rng, (CHARCOAL, BLACK, GREY))),
             piece(metal, STEEL),
-            piece(top, shade(rng, (RED, TEAL, *BRIGHT, CHARCOAL))),
+            piece(upright(lid, width), shade(rng, (RED, TEAL, *BRIGHT, CHARCOAL))),
         ),
         provenance=made_by("stapler"),
         parts=(
@@ -89,21 +92,19 @@ def tape_dispenser(rng: Rng = None) -> Shape:
     base = [(nose + 0.004, 0), (tail, 0), (tail, 0.012), (tail - 0.006, 0.018), (nose + 0.012, 0.018)]
     base.append((nose, 0.010))
     post = [(nose, 0.010), (nose + 0.036, 0.012), (nose + 0.024, 0.046), (nose + 0.006, 0.050)]
-    hub = (tail - roll - 0.016, roll + 0.0185)
+    hub = (tail - roll - 0.016, roll + 0.010)
     turns = np.linspace(0, np.pi, 7)
     cheek = [(hub[0] - 0.040, 0.012), (hub[0] + 0.038, 0.012)]
     cheek += list(zip(hub[0] + 0.022 * np.cos(turns), hub[1] + 0.016 * np.sin(turns), strict=True))
     side = width / 2 - 0.005
-    slot = 2 * (side - 0.006)
-    # The roll is solid but for a recess on either side, where its core and the axle show.
-    recesses = [_wheel(roll - 0.010, 0.004, hub).translate((0, s * slot / 2, 0)) for s in (-1, 1)]
-    core = _wheel(roll - 0.0095, slot - 0.002, hub) - _wheel(roll - 0.014, 1.0, hub)
-    core = core - _wheel(1.0, slot - 0.0045, hub)
+    slot = 2 * (side - 0.0048)
+    # The roll is solid but for a recess on either side, where its core shows above the cheeks.
+    cover = upright(cheek, 1.0)
+    recesses = [_wheel(roll - 0.010, 0.004, hub).translate((0, s * slot / 2, 0)) - cover for s in (-1, 1)]
+    core = _wheel(roll - 0.0095, slot - 0.002, hub) - _wheel(roll - 0.014, 1.0, hub) - cover
     spool = difference(_wheel(roll, slot, hub), *recesses)
-    room = _wheel(roll + 0.001, slot, hub)
-    axle = _wheel(0.008, 2 * side, hub) - _wheel(1.0, slot - 0.004, hub)
-    frame = union(upright(base, width), upright(post, slot + 0.006)) - room
-    frame = union(frame, *[upright(cheek, 0.010, s * side) for s in (-1, 1)], axle)
+    cheeks = [upright(cheek, 0.010, s * side) for s in (-1, 1)]
+    frame = union(upright(base, width), upright(post, slot + 0.006), *cheeks)
     # The tape's free end runs from the roll to the teeth; its part is thicker, below.
     ends = ((nose + 0.015, 0.0495), (hub[0] - 0.2 * roll, hub[1] + 0.97 * roll))
     strip, tongue = ([(x, z + t) for x, z in ends for t in (below, 0.0003)] for below in (-0.0003, -0.0025))
