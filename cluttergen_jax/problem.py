@@ -59,7 +59,7 @@ class Problem:
     region: Rectangle
 
 
-def make_problem(config: ProblemConfig) -> Problem:
+def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) -> Problem:
     """Finds the assets, compiles the world and wires it to an engine.
 
     Raises:
@@ -68,11 +68,20 @@ def make_problem(config: ProblemConfig) -> Problem:
     """
     pool = find_pool(config.pool)
     chosen = [pool[name] for name in config.objects] if config.objects else list(pool.objects)
-    return compose(chosen, find_support(config.support), config)
+    return compose(chosen, find_support(config.support), config, standing)
 
 
-def compose(objects: Sequence[ObjectAsset], support: SupportAsset, config: ProblemConfig) -> Problem:
-    """`make_problem` for assets that are at hand already."""
+def compose(
+    objects: Sequence[ObjectAsset],
+    support: SupportAsset,
+    config: ProblemConfig,
+    standing: Sequence[ObjectAsset] = (),
+) -> Problem:
+    """`make_problem` for assets that are at hand already.
+
+    Args:
+      standing: objects that stand there when an episode begins; they are the last ones of the world.
+    """
     wanted = config.placement.num_objects
     if wanted > len(objects):
         if not config.repeat:
@@ -84,9 +93,11 @@ def compose(objects: Sequence[ObjectAsset], support: SupportAsset, config: Probl
         objects = repeated(objects, wanted)
     region = config.region or support.region
     _check_region(region, support)
-    world = make_world(objects, support, config.stability, config.contact)
+    world = make_world([*objects, *standing], support, config.stability, config.contact)
     physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
-    rules = Rules(config.placement, physics, geometry_of(world), region_of(region, support))
+    rules = Rules(
+        config.placement, physics, geometry_of(world), region_of(region, support), len(standing)
+    )
     return Problem(config, world, rules, region)
 
 

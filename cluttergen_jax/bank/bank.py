@@ -157,7 +157,8 @@ class BankWriter:
         recipe = json.loads(json.dumps(recipe))
         if overwrite and (self.path / _INDEX).exists():
             _remove_bank(self.path)
-        self._check_place(recipe)
+        else:
+            self._check_place(recipe)
         self.path.mkdir(parents=True, exist_ok=True)
         for name, asset in objects.items():
             folder = self.path / "assets" / "objects" / name

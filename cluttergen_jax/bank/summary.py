@@ -21,14 +21,18 @@ def summary_of(table: pa.Table, num_scenes: int, num_new: int = 0, seconds: floa
     attempts = np.concatenate([np.array(each) for each in rows["attempts"].to_pylist()])
     steps = np.concatenate([np.array(each) for each in rows["steps"].to_pylist()])
     placed = np.concatenate([np.array(each, bool) for each in rows["is_placed"].to_pylist()])
+    # Objects that stood there at the beginning took no attempt.
+    placed &= attempts > 0
+    mean_attempts = attempts[placed].mean() if placed.any() else 0.0
+    mean_steps = steps[placed].mean() if placed.any() else 0.0
     counts = {v: int(np.sum(rows[f"num_{v.label.replace('-', '_')}"])) for v in COUNTED}
     total = max(sum(counts.values()), 1)
     lines = [
         f"scenes     {len(success)}, of which {success.sum()} succeed ({success.mean():.1%}): "
         "every object placed, and all stand together in the last check",
         f"filled     {filled.sum()} ({filled.mean():.1%}) before the last check",
-        f"attempts   {attempts.sum()}, {attempts[placed].mean() if placed.any() else 0:.2f} per placed object",
-        f"stable     {steps[placed].mean() if placed.any() else 0:.0f} steps per placed object, all attempts",
+        f"attempts   {attempts.sum()}, {mean_attempts:.2f} per placed object",
+        f"stable     {mean_steps:.0f} steps per placed object, all attempts",
     ]
     rejected = [f"{v.label} {n} ({n / total:.1%})" for v, n in counts.items() if n and v != Verdict.STABLE]
     lines.append(f"rejected   {', '.join(rejected) or 'nothing'}")

@@ -108,6 +108,6 @@ def scene_files(path: str | Path) -> list[Path]:
         raise BankError(
             f"{path} holds no scene files",
             "a bank with files, or one MJCF file",
-            "cluttergen generate --out DIR (files are written for up to 1,000 scenes unless --no-files)",
+            "cluttergen generate --out DIR (it writes files for the first --max-files scenes)",
         )
     return files

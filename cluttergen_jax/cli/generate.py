@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from typing import Annotated, Any
 
@@ -15,6 +15,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
+from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.bank.bank import BankWriter, names_of, read_bank
@@ -23,18 +24,15 @@ from cluttergen_jax.bank.table import table_of
 from cluttergen_jax.baselines import make_proposer
 from cluttergen_jax.cli.files import write_files
 from cluttergen_jax.cli.parse import parse_keep_out, parse_region
-from cluttergen_jax.cli.start import start_of
+from cluttergen_jax.cli.start import read_start, start_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.region import KeepOut
+from cluttergen_jax.placement.region import KeepOut, no_keep_out
 from cluttergen_jax.placement.scenes import Scenes
-from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.problem import Problem, ProblemConfig, make_problem
 from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler
-from cluttergen_jax.types import Array
 
 MAX_SCENES = 10_000_000
-MAX_FILES = 1000
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ class Generate:
       engine: auto, native, warp or jax.
       threads: simulation threads; 0 takes every core.
       render: draw a picture of each scene that gets a file (--no-render to skip).
-      files: write an MJCF file for each success, by default up to 1,000 scenes.
+      max_files: the first so many scenes get an MJCF file each (and a picture) if they succeed.
       overwrite: begin anew if the folder holds another bank.
     """
 
@@ -82,7 +80,7 @@ class Generate:
     engine: str = "auto"
     threads: int = 0
     render: bool = True
-    files: bool | None = None
+    max_files: int = 1000
     overwrite: bool = False
 
     def run(self) -> int:
@@ -96,9 +94,12 @@ def _generate(args: Generate) -> int:
     if not 0 <= args.seed < 2**32:
         raise ConfigError(f"--seed {args.seed}", "0 to 4294967295")
     config = problem_config(args)
-    problem = make_problem(config)
+    standing, poses = read_start(args.start)
+    problem = make_problem(config, standing)
+    start = start_of(problem.world, standing, poses)
+    begin = partial(problem.rules.begin, keep_out=_keep_out(args), start=start)
+    sampler = BlockSampler(problem.rules, make_proposer(args.method, problem.rules), begin)
     _warn_of_flags(problem)
-    sampler = BlockSampler(problem.rules, make_proposer(args.method, problem.rules), _begin(args, problem))
     writer = BankWriter(
         args.out,
         recipe_of(args, problem),
@@ -110,15 +111,14 @@ def _generate(args: Generate) -> int:
     started = time.perf_counter()
     num_new = run_blocks(sampler, problem, writer, args.num_scenes, args.seed)
     print(summary_of(read_bank(args.out).table, args.num_scenes, num_new, time.perf_counter() - started))
-    if args.files or (args.files is None and args.num_scenes <= MAX_FILES):
-        write_files(read_bank(args.out), args.num_scenes, problem.config, args.render)
+    num_files = min(args.num_scenes, args.max_files)
+    if num_files > 0:
+        write_files(read_bank(args.out), num_files, problem.config, args.render)
     return 0
 
 
 def problem_config(args: Generate) -> ProblemConfig:
     """The problem that the command line asks for."""
-    from cluttergen_jax.assets.pool import find_pool
-
     available = len(args.objects) or len(find_pool(args.pool))
     num_objects = args.num_objects if args.num_objects is not None else min(available, 40)
     region: Rectangle | None = None
@@ -159,20 +159,15 @@ def recipe_of(args: Generate, problem: Problem) -> dict[str, Any]:
     }
 
 
-def _begin(args: Generate, problem: Problem) -> Callable[[Array], Episode] | None:
-    """How episodes begin if something stands there already or some ground is taken."""
-    if args.start is None and not args.keep_out:
-        return None
-    keep_out = None
-    if args.keep_out:
-        boxes = [parse_keep_out(text) for text in args.keep_out]
-        keep_out = KeepOut(
-            jnp.array([box.center for box in boxes]),
-            jnp.array([box.half_extents for box in boxes]),
-            jnp.array([box.yaw for box in boxes]),
-        )
-    start = start_of(args.start, problem) if args.start else None
-    return lambda key: problem.rules.begin(key, keep_out=keep_out, start=start)
+def _keep_out(args: Generate) -> KeepOut:
+    boxes = [parse_keep_out(text) for text in args.keep_out]
+    if not boxes:
+        return no_keep_out()
+    return KeepOut(
+        jnp.array([box.center for box in boxes]),
+        jnp.array([box.half_extents for box in boxes]),
+        jnp.array([box.yaw for box in boxes]),
+    )
 
 
 def run_blocks(

@@ -2,36 +2,41 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
+from collections.abc import Sequence
 
+import jax.numpy as jnp
+import numpy as np
+
+from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.placement.types import Start
-from cluttergen_jax.problem import Problem
+from cluttergen_jax.world import World, base_name
 
 
-def start_of(text: str, problem: Problem) -> Start:
-    """Scene BANK:INDEX as the start of episodes in the problem's world.
+def read_start(text: str | None) -> tuple[list[ObjectAsset], np.ndarray]:
+    """The objects of scene BANK:INDEX, from the bank's own copies, and their poses f32[N, 7].
 
     Raises:
-      ConfigError: the text is no BANK:INDEX, or an object of the scene is not in the world.
-      BankError: there is no such bank or scene.
+      ConfigError: the text is no BANK:INDEX.
+      BankError: there is no such bank or scene, or the scene failed.
     """
+    if text is None:
+        return [], np.zeros((0, 7), np.float32)
     path, _, number = text.rpartition(":")
     if not path or not number.isdigit():
         raise ConfigError(f"--start {text!r}", "BANK:INDEX, such as out:3")
-    scene = next((each for each in read_bank(path).scenes() if each.index == int(number)), None)
-    if scene is None:
-        raise BankError(f"{path} has no scene {number}")
-    names = problem.world.names
-    missing = sorted(set(scene.objects) - set(names))
-    if missing:
-        raise ConfigError(
-            f"scene {text} holds {', '.join(missing)}, which this world lacks",
-            ", ".join(names),
-            "the pool that the scene was made of",
-        )
-    index = jnp.array([names.index(name) for name in scene.objects], jnp.int32)
-    empty = empty_start(problem.world.num_objects)
-    return Start(empty.poses.at[index].set(scene.poses), empty.is_placed.at[index].set(True))
+    bank = read_bank(path)
+    scene = next((each for each in bank.scenes() if each.index == int(number)), None)
+    if scene is None or not scene.is_success:
+        state = "no such scene" if scene is None else f"a scene that failed: {scene.verdict}"
+        raise BankError(f"--start {text}: {state}", "a scene that stands")
+    return [bank.object(base_name(name)) for name in scene.objects], scene.poses
+
+
+def start_of(world: World, standing: Sequence[ObjectAsset], poses: np.ndarray) -> Start:
+    """The start of episodes in a world whose last objects are the standing ones, at `poses` f32[N, 7]."""
+    index = world.num_objects - len(standing) + jnp.arange(len(standing))
+    empty = empty_start(world.num_objects)
+    return Start(empty.poses.at[index].set(poses), empty.is_placed.at[index].set(True))

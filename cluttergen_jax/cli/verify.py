@@ -61,7 +61,8 @@ def report_of(results: list[Verification], config: VerifyConfig) -> str:
         f"{stands.sum()} of {len(stands)} scenes stand for {config.seconds:g} s "
         f"(no object moved more than {config.max_shift * 1000:g} mm or {config.max_turn_deg:g} deg)",
         f"movement of {len(shift)} objects: median {np.median(shift):.3f} mm, "
-        f"99th percentile {np.percentile(shift, 99):.3f} mm, most {shift.max():.3f} mm and {turn.max():.2f} deg",
+        f"99th percentile {np.percentile(shift, 99):.3f} mm, "
+        f"most {shift.max():.3f} mm and {turn.max():.2f} deg",
     ]
     for each in results:
         if not each.stands:

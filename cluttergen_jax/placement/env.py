@@ -40,9 +40,9 @@ class Ongoing:
 class PlacementEnv(Env):
     """`brax.envs.Env`: place objects one after another, an attempt a step.
 
-    `step` on a finished episode's last attempt returns its reward with done = 1 and the first observation of
-    a new episode, drawn with a key carried in the state; `info["truncation"]` is always 0. `pipeline_state` is
-    an `Ongoing`; metrics are those of the latest attempt and the latest finished episode.
+    `step` on a finished episode's last attempt returns its reward with done = 1 and the first observation
+    of a new episode, drawn with a key carried in the state; `info["truncation"]` is always 0.
+    `pipeline_state` is an `Ongoing`; metrics are of the latest attempt and the latest finished episode.
     """
 
     def __init__(self, rules: Rules, observation: ObservationConfig | None = None) -> None:

@@ -61,7 +61,7 @@ def observe(rules: Rules, episode: Episode, config: ObservationConfig) -> dict[s
         "history": _local_history(episode.history, region),
     }
     if config.num_scene_points:
-        most = min(rules.geometry.num_objects, rules.config.num_objects + rules.num_started)
+        most = min(rules.geometry.num_objects, rules.num_slots)
         cloud, mask = scene_cloud(
             rules.geometry, local, episode.is_placed, region.half_extents, config.num_scene_points, most
         )

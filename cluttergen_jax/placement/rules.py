@@ -60,20 +60,21 @@ class Rules:
         key_order, key_episode = jax.random.split(key)
         config = self.config
         start = empty_start(self.geometry.num_objects) if start is None else start
-        num_slots, max_attempts = config.num_objects, config.max_attempts
+        first_slot = start.is_placed.sum().astype(jnp.int32)
         return Episode(
             key=key_episode,
             region=self.region if region is None else region,
             keep_out=no_keep_out() if keep_out is None else keep_out,
-            object_index=self._draw_order(key_order, start.is_placed),
-            slot=jnp.int32(0),
+            object_index=self._draw_slots(key_order, start.is_placed),
+            first_slot=first_slot,
+            slot=first_slot,
             attempt=jnp.int32(0),
             poses=start.poses,
             is_placed=start.is_placed,
-            history=empty_history(max_attempts * config.keeps_history, self.physics.config.max_steps),
+            history=empty_history(config.max_attempts * config.keeps_history, self.physics.config.max_steps),
             counts=Counts(
-                attempts=jnp.zeros(num_slots, jnp.int32),
-                steps=jnp.zeros(num_slots, jnp.int32),
+                attempts=jnp.zeros(self.num_slots, jnp.int32),
+                steps=jnp.zeros(self.num_slots, jnp.int32),
                 verdicts=jnp.zeros(_NUM_COUNTED_VERDICTS, jnp.int32),
                 simulated_steps=jnp.int32(0),
                 reward=jnp.float32(0),
@@ -84,20 +85,30 @@ class Rules:
             drift=jnp.float32(0),
         )
 
-    def _draw_order(self, key: Array, is_taken: Array) -> Array:
-        """i32[S]: the objects to place, a uniform permutation of a uniform subset of those not taken."""
+    @property
+    def num_slots(self) -> int:
+        """S: slots of those that stand there already, then of those to be placed."""
+        return self.num_started + self.config.num_objects
+
+    def _draw_slots(self, key: Array, is_taken: Array) -> Array:
+        """i32[S]: the objects that stand, then those to place, then -1 for slots without an object.
+
+        Those to place are a uniform permutation of a uniform subset of the objects not taken.
+        """
         ranks = jnp.arange(self.geometry.num_objects, dtype=jnp.float32)
         if self.config.order == "random":
             ranks = jax.random.uniform(key, ranks.shape)
         ranks = jnp.where(is_taken, jnp.inf, ranks)
         chosen = jnp.argsort(ranks)[: self.config.num_objects].astype(jnp.int32)
         chosen = jnp.where(jnp.isfinite(ranks[chosen]), chosen, -1)
-        padding = self.config.num_objects - chosen.shape[0]
-        return jnp.pad(chosen, (0, padding), constant_values=-1)
+        standing = jnp.nonzero(is_taken, size=self.num_started, fill_value=-1)[0].astype(jnp.int32)
+        slots = jnp.concatenate([standing, chosen])
+        slots = jnp.pad(slots, (0, self.num_slots - slots.shape[0]), constant_values=-1)
+        return slots[jnp.argsort(slots < 0, stable=True)]
 
     def focus(self, episode: Episode) -> Array:
         """i32: the object in hand (of a finished episode: some object)."""
-        slot = jnp.minimum(episode.slot, self.config.num_objects - 1)
+        slot = jnp.minimum(episode.slot, self.num_slots - 1)
         return jnp.maximum(episode.object_index[slot], 0)
 
     def height_range(self, episode: Episode) -> Array:
@@ -123,7 +134,8 @@ class Rules:
         verdict = self._judge_place(episode, focus, settling)
         is_stable = verdict == Verdict.STABLE
         is_last = episode.slot + 1 >= episode.num_slots
-        reward = reward_of(settling, is_stable, episode.slot + 1, is_last, self.config)
+        ordinal = episode.slot - episode.first_slot + 1
+        reward = reward_of(settling, is_stable, ordinal, is_last, self.config)
         after = self._push(episode, action, height_range, settling)
         after = self._commit(after, focus, settling, is_stable)
         after = self._count(after, episode.slot, settling, verdict, reward)

@@ -98,6 +98,7 @@ class Episode:
       region: where objects are to go.
       keep_out: where they must not.
       object_index: i32[S], the object of each slot, padded with -1.
+      first_slot: i32, slots that were filled when the episode began.
       slot: i32, the slot in hand; S or the first padded one when all are filled.
       attempt: i32, attempts of this slot that failed so far.
       poses: f32[K, 7], world poses of the placed objects, zero elsewhere.
@@ -114,6 +115,7 @@ class Episode:
     region: Region
     keep_out: KeepOut
     object_index: Array
+    first_slot: Array
     slot: Array
     attempt: Array
     poses: Array
@@ -127,5 +129,5 @@ class Episode:
 
     @property
     def num_slots(self) -> Array:
-        """i32: how many slots are to be filled."""
+        """i32: slots that have an object, those that stood there at the beginning included."""
         return (self.object_index >= 0).sum(-1)
