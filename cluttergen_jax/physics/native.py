@@ -1,16 +1,15 @@
 """The native engine: MuJoCo's C simulator, a batch of scenes on a thread pool, behind a JAX callback.
 
-Placed neighbours may fall asleep during an attempt (they wake when touched), the focus object never does, and
-the last check keeps everything awake. Objects that are not placed sleep where they are parked: asleep they are
-weightless. Every call resets the simulations it uses, so that no sleeping state leaks from one to the next.
+Placed neighbours may fall asleep during an attempt (they wake when touched), the focus object never does,
+and the last check keeps everything awake. Objects that are not placed sleep where they are parked: asleep
+they are weightless. Every call resets the simulations it uses, so that no sleeping state leaks from one to
+the next.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +17,11 @@ import numpy as np
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.physics import stability
+from cluttergen_jax.physics.host import host_function
 from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.overlap import OverlapProbe
-from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing
+from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept
 from cluttergen_jax.physics.simulations import Simulations, sleeping_model
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
@@ -46,29 +47,27 @@ class NativePhysics:
         self._cache: OrderedDict[int, Simulations] = OrderedDict()
         self._probe = OverlapProbe(layout)
         self._lock = threading.Lock()
+        num_objects = layout.num_objects
+        self._settle_one = host_function(
+            self.settle_batch, jax.eval_shape(lambda: empty_settling(jnp, (), num_objects, config))
+        )
+        self._stand_one = host_function(
+            self.stand_batch, jax.eval_shape(lambda: empty_standing(jnp, (), num_objects))
+        )
 
     def settle(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
         """See `protocol.Physics.settle`."""
-        shapes = jax.eval_shape(lambda: empty_settling(jnp, (), self.layout.num_objects, self.config))
-        poses, is_placed = jnp.asarray(poses, jnp.float32), jnp.asarray(is_placed, bool)
-        focus, is_active = jnp.asarray(focus, jnp.int32), jnp.asarray(is_active, bool)
-        return jax.pure_callback(
-            _flattened(self.settle_batch),
-            shapes,
-            poses,
-            is_placed,
-            focus,
-            is_active,
-            vmap_method="broadcast_all",
+        return self._settle_one(
+            jnp.asarray(poses, jnp.float32),
+            jnp.asarray(is_placed, bool),
+            jnp.asarray(focus, jnp.int32),
+            jnp.asarray(is_active, bool),
         )
 
     def stand(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
         """See `protocol.Physics.stand`."""
-        shapes = jax.eval_shape(lambda: empty_standing(jnp, (), self.layout.num_objects))
-        poses, is_placed = jnp.asarray(poses, jnp.float32), jnp.asarray(is_placed, bool)
-        is_active = jnp.asarray(is_active, bool)
-        return jax.pure_callback(
-            _flattened(self.stand_batch), shapes, poses, is_placed, is_active, vmap_method="broadcast_all"
+        return self._stand_one(
+            jnp.asarray(poses, jnp.float32), jnp.asarray(is_placed, bool), jnp.asarray(is_active, bool)
         )
 
     def settle_batch(
@@ -79,7 +78,7 @@ class NativePhysics:
         result.poses[:] = poses
         is_sound = _is_sound(poses, is_placed)
         result.verdict[is_active & ~is_sound] = Verdict.NON_FINITE
-        with self._lock:
+        with self._lock, silent_log():
             for block in self._blocks(is_active & is_sound):
                 attempt = _Attempt(self, poses[block], is_placed[block], focus[block])
                 attempt.run()
@@ -91,7 +90,7 @@ class NativePhysics:
         result = empty_standing(np, (len(poses),), self.layout.num_objects)
         is_sound = _is_sound(poses, is_placed)
         result.verdict[is_active & ~is_sound] = Verdict.NON_FINITE
-        with self._lock:
+        with self._lock, silent_log():
             for block in self._blocks(is_active & is_sound):
                 self._stand_block(poses[block], is_placed[block], result, block)
         return result
@@ -110,48 +109,47 @@ class NativePhysics:
         self._cache.move_to_end(size)
         return self._cache[size]
 
-    def overlaps_too_much(
+    def overlap(
         self, before: np.ndarray, after: np.ndarray, is_placed: np.ndarray, focus: int
-    ) -> tuple[bool, float]:
-        """Whether a scene at rest has a pair that overlaps too much, and the deepest overlap in metres."""
+    ) -> tuple[bool, float] | None:
+        """Whether a pair of a scene at rest overlaps too much, and the deepest overlap in metres.
+
+        None if there was no room for the scene's contacts.
+        """
         depths = self._probe.depths(after, is_placed)
+        if depths is None:
+            return None
         deepest = float(depths.max())
         if deepest <= self.config.max_added_penetration:
             return False, deepest
-        was_placed = is_placed & (np.arange(len(is_placed)) != focus)
-        depths_before = self._probe.depths(before, was_placed)
+        depths_before = self._probe.depths(before, is_placed & (np.arange(len(is_placed)) != focus))
+        if depths_before is None:
+            return None
         too_much = stability.penetrates(np, depths.ravel(), depths_before.ravel(), self.config)
         return bool(too_much), deepest
 
     def _stand_block(
         self, poses: np.ndarray, is_placed: np.ndarray, result: Standing, block: np.ndarray
     ) -> None:
-        config = self.config
         sims = self.simulations(len(block))
         start = sims.release(poses, is_placed, never_sleeps=is_placed)
         running = np.arange(len(block))
-        for last_step, passes in (
-            (config.stand_steps, stability.stands_early),
-            (config.stand_full_steps, stability.stands_fully),
-        ):
-            first_step = int(result.num_steps[block[running]].max(initial=0))
-            for _ in range(first_step, last_step):
-                if not running.size:
-                    return
-                sims.step(running)
-                overflowed, is_finite = sims.failures(running)
-                shift, turn = stability.moved(np, sims.poses(running), start[running])
-                at = block[running]
-                result.num_steps[at] += 1
-                result.shift[at] = np.maximum(result.shift[at], shift * is_placed[running])
-                result.turn[at] = np.maximum(result.turn[at], turn * is_placed[running])
-                result.verdict[at[overflowed]] = Verdict.OVERFLOW
-                result.verdict[at[~is_finite]] = Verdict.NON_FINITE
-                running = running[~overflowed & is_finite]
+        while running.size:
+            sims.step(running)
+            overflowed, is_finite = sims.failures(running)
+            shift, turn = stability.moved(np, sims.poses(running), start[running])
+            counts = is_placed[running] & is_finite[:, None]
             at = block[running]
-            stood = passes(np, result.shift[at], result.turn[at], is_placed[running], config)
-            result.verdict[at] = np.where(stood, Verdict.STABLE, Verdict.CREPT)
-            running = running[~stood]
+            result.num_steps[at] += 1
+            result.shift[at] = np.maximum(result.shift[at], np.where(counts, shift, 0.0))
+            result.turn[at] = np.maximum(result.turn[at], np.where(counts, turn, 0.0))
+            verdict = stability.verdict_of_scene(
+                np, result.num_steps[at], result.shift[at], result.turn[at], is_placed[running], self.config
+            )
+            verdict[overflowed] = Verdict.OVERFLOW
+            verdict[~is_finite] = Verdict.NON_FINITE
+            result.verdict[at] = verdict
+            running = running[verdict == Verdict.NONE]
 
 
 class _Attempt:
@@ -199,49 +197,46 @@ class _Attempt:
     def report(self, result: Settling, block: np.ndarray) -> None:
         """Writes the block's verdicts and motions into `result`."""
         engine, track = self.engine, self.track
-        final = self.sims.poses(self.rows)
-        final = np.where(self.is_placed[..., None], final, self.poses).astype(np.float32)
+        final = np.where(self.is_placed[..., None], self.sims.poses(self.rows), self.poses).astype(np.float32)
         final[~self.is_finite] = self.poses[~self.is_finite]
-        overlap = [(False, 0.0)] * len(block)
-        for row in np.flatnonzero(track.is_quiet & self.is_finite):
-            overlap[row] = engine.overlaps_too_much(
-                self.poses[row], final[row], self.is_placed[row], int(self.focus[row])
-            )
-        fell = (below_top(np, final, engine.layout.center_of_mass, engine.layout.top) & self.is_placed).any(1)
-        result.verdict[block] = stability.verdict_of_attempt(
+        penetrates = self._overlap(final, result.penetration, block)
+        result.verdict[block], result.is_quiet[block] = stability.verdict_of_attempt(
             np,
             track,
-            self.is_neighbour,
-            fell,
-            np.array([too_much for too_much, _ in overlap], bool),
-            self.overflowed,
-            self.is_finite,
-            engine.config,
+            is_focus=self.is_placed & ~self.is_neighbour,
+            is_neighbour=self.is_neighbour,
+            is_below=below_top(np, final, engine.layout.center_of_mass, engine.layout.top),
+            penetrates=penetrates,
+            overflowed=self.overflowed,
+            is_finite=self.is_finite,
+            config=engine.config,
         )
         result.num_steps[block] = track.step
         result.poses[block] = final
-        result.trajectory[block] = self.trajectory
-        result.motion_sum[block] = track.motion_sum
-        result.speed_sum[block] = track.speed_sum
-        result.shift[block] = track.shift
-        result.turn[block] = track.turn
-        result.penetration[block] = [deepest for _, deepest in overlap]
-        result.is_quiet[block] = track.is_quiet & ~fell & ~self.overflowed & self.is_finite
+        for field, values in (
+            (result.trajectory, self.trajectory),
+            (result.motion_sum, track.motion_sum),
+            (result.speed_sum, track.speed_sum),
+            (result.shift, track.shift),
+            (result.turn, track.turn),
+        ):
+            field[block] = kept(np, values, self.is_finite)
+
+    def _overlap(self, final: np.ndarray, penetration: np.ndarray, block: np.ndarray) -> np.ndarray:
+        """Which scenes overlap too much, bool[n]; the deepest overlaps are written into `penetration`."""
+        penetrates = np.zeros(len(block), bool)
+        for row in np.flatnonzero(self.track.is_quiet & self.is_finite & ~self.overflowed):
+            overlap = self.engine.overlap(
+                self.poses[row], final[row], self.is_placed[row], int(self.focus[row])
+            )
+            if overlap is None:
+                self.overflowed[row] = True
+            else:
+                penetrates[row], penetration[block[row]] = overlap
+        return penetrates
 
 
 def _is_sound(poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:
     """Whether every placed pose is finite and has a direction, bool[N]."""
     finite = np.isfinite(poses).all(-1) & (np.linalg.norm(poses[..., 3:], axis=-1) > 1e-3)
     return (finite | ~is_placed).all(-1)
-
-
-def _flattened(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`function`, which wants one leading axis, for callbacks with any number; is_active comes last."""
-
-    def call(*args: Array) -> Any:
-        arrays = [np.asarray(array) for array in args]
-        batch = arrays[-1].shape
-        result = function(*(array.reshape(-1, *array.shape[len(batch) :]) for array in arrays))
-        return jax.tree.map(lambda array: array.reshape(*batch, *array.shape[1:]), result)
-
-    return call

@@ -16,20 +16,27 @@ class OverlapProbe:
         self._data = mujoco.MjData(layout.model)
         self._parked = layout.parked
 
-    def depths(self, poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:
+    def depths(self, poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray | None:
         """Overlap of every pair of bodies.
 
         Args:
           poses: f[K, 7]; is_placed: bool[K].
 
         Returns:
-          f64[K + 1, K + 1], metres, symmetric, index K for the support, zero where apart.
+          f64[K + 1, K + 1], metres, symmetric, index K for the support, zero where apart; None if there was
+          no room for all contacts.
         """
         model, data, num_objects = self._layout.model, self._data, self._layout.num_objects
+        mujoco.mj_resetData(model, data)
         data.qpos[:] = np.where(is_placed[:, None], poses, self._parked).ravel()
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_collision(model, data)
+        try:
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_collision(model, data)
+        except mujoco.FatalError:
+            return None
+        if data.warning[mujoco.mjtWarning.mjWARN_CONTACTFULL].number:
+            return None
         depths = np.zeros((num_objects + 1, num_objects + 1))
         pair = self._layout.geom_object[data.contact.geom]
         depth = np.maximum(-data.contact.dist, 0.0)

@@ -1,4 +1,4 @@
-"""What engines report before anything has happened, and the one height that both ask for."""
+"""What engines report before anything has happened, and the small sums that both need for a report."""
 
 from __future__ import annotations
 
@@ -46,3 +46,8 @@ def below_top(xp: Any, poses: Array, center_of_mass: Array, top: float) -> Array
     """
     center = rotate(xp, poses[..., 3:], xp.broadcast_to(center_of_mass, (*poses.shape[:-1], 3)))
     return poses[..., 2] + center[..., 2] < top
+
+
+def kept(xp: Any, array: Array, is_kept: Array) -> Array:
+    """`array`, f[N, ...], with zeros for scenes that are not kept: a diverged scene reports no motion."""
+    return xp.where(is_kept.reshape(is_kept.shape + (1,) * (array.ndim - 1)), array, xp.zeros_like(array))

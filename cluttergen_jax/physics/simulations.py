@@ -38,7 +38,7 @@ class Simulations:
         self._policy = self._batch.expand("tree_sleep_policy")
         self._num_objects = layout.num_objects
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
-        self._threads_error = np.zeros(size, bool)
+        self._raised = np.zeros(size, bool)
 
     def release(self, poses: np.ndarray, is_placed: np.ndarray, never_sleeps: np.ndarray) -> np.ndarray:
         """Puts the first n simulations at rest: placed objects at `poses`, the others parked.
@@ -55,7 +55,7 @@ class Simulations:
             never_sleeps, int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER), int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)
         )
         self._batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        self._threads_error[:num] = False
+        self._raised[:num] = False
         start = self.poses(ids)
         start[is_placed] = poses[is_placed]
         start[..., 3:] /= np.linalg.norm(start[..., 3:], axis=-1, keepdims=True)
@@ -67,12 +67,12 @@ class Simulations:
         try:
             self._batch.step(ids)
         except SimulationError as error:
-            self._threads_error[error.ids] = True
+            self._raised[error.ids] = True
 
     def failures(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of the simulations `ids`: which ran out of room, and which are still finite; bool[n] each."""
         warning = self._batch.warning[ids, :, 1]
-        overflowed = warning[:, _FULL].any(1) | self._threads_error[ids]
+        overflowed = warning[:, _FULL].any(1) | self._raised[ids]
         finite = np.isfinite(self._qpos[ids]).all(1) & np.isfinite(self._qvel[ids]).all(1)
         return overflowed, finite & ~warning[:, _BAD].any(1)
 

@@ -113,29 +113,37 @@ def advance(
 def verdict_of_attempt(
     xp: Any,
     track: Track,
+    is_focus: Array,
     is_neighbour: Array,
-    fell: Array,
+    is_below: Array,
     penetrates: Array,
     overflowed: Array,
     is_finite: Array,
     config: StabilityConfig,
-) -> Array:
-    """The attempt's verdict, i32[...]: the gravest of all that went wrong.
+) -> tuple[Array, Array]:
+    """The attempt's verdict, the gravest of all that went wrong, and whether the focus object alone passed.
 
     Args:
-      is_neighbour: bool[..., K], placed objects other than the focus.
-      fell, penetrates, overflowed, is_finite: bool[...].
+      is_focus, is_neighbour: bool[..., K], the object in hand, and the placed objects other than it.
+      is_below: bool[..., K], whose centre of mass ended below the support's top.
+      penetrates, overflowed, is_finite: bool[...].
+
+    Returns:
+      i32[...], a `Verdict`, and bool[...], `Settling.is_quiet`.
     """
-    displaced = xp.any(
-        is_neighbour & ((track.shift > config.max_shift) | (track.turn > config.max_turn)), axis=-1
-    )
+    focus_fell = xp.any(is_focus & is_below, axis=-1)
     verdict = xp.where(track.is_quiet, int(Verdict.STABLE), int(Verdict.UNSETTLED))
+    fell = focus_fell
     if config.judge_neighbours:
+        went_far = (track.shift > config.max_shift) | (track.turn > config.max_turn)
         verdict = xp.where(track.is_quiet & penetrates, int(Verdict.PENETRATING), verdict)
-        verdict = xp.where(displaced, int(Verdict.DISPLACED), verdict)
+        verdict = xp.where(xp.any(is_neighbour & went_far, axis=-1), int(Verdict.DISPLACED), verdict)
+        fell = fell | xp.any(is_neighbour & is_below, axis=-1)
     verdict = xp.where(fell, int(Verdict.FELL), verdict)
     verdict = xp.where(overflowed, int(Verdict.OVERFLOW), verdict)
-    return xp.astype(xp.where(is_finite, verdict, int(Verdict.NON_FINITE)), xp.int32)
+    verdict = xp.where(is_finite, verdict, int(Verdict.NON_FINITE))
+    is_quiet = track.is_quiet & ~focus_fell & ~overflowed & is_finite
+    return xp.asarray(verdict, dtype=xp.int32), is_quiet
 
 
 def penetrates(xp: Any, depth: Array, depth_before: Array, config: StabilityConfig) -> Array:
@@ -153,13 +161,23 @@ def penetrates(xp: Any, depth: Array, depth_before: Array, config: StabilityConf
     return xp.any(depth > allowed, axis=-1)
 
 
-def stands_early(xp: Any, shift: Array, turn: Array, is_placed: Array, config: StabilityConfig) -> Array:
-    """Whether a scene passed the first stage of the last check, bool[...]."""
-    moved_too_far = (shift > config.stand_shift) | (turn > config.stand_turn)
-    return ~xp.any(is_placed & moved_too_far, axis=-1)
+def verdict_of_scene(
+    xp: Any, step: Array, shift: Array, turn: Array, is_placed: Array, config: StabilityConfig
+) -> Array:
+    """The last check's verdict after `step` steps, i32[...]: NONE while it is not over.
 
+    Staged: a scene that hardly moved by the end of the first stage stands, others run to the end of the
+    second.
 
-def stands_fully(xp: Any, shift: Array, turn: Array, is_placed: Array, config: StabilityConfig) -> Array:
-    """Whether a scene is still within the limits of the second stage, bool[...]."""
-    moved_too_far = (shift > config.stand_full_shift) | (turn > config.stand_full_turn)
-    return ~xp.any(is_placed & moved_too_far, axis=-1)
+    Args:
+      step: i32[...]; shift, turn: f[..., K], the farthest so far; is_placed: bool[..., K].
+    """
+
+    def is_within(max_shift: float, max_turn: float) -> Array:
+        return ~xp.any(is_placed & ((shift > max_shift) | (turn > max_turn)), axis=-1)
+
+    stands_early = (step == config.stand_steps) & is_within(config.stand_shift, config.stand_turn)
+    stands_fully = is_within(config.stand_full_shift, config.stand_full_turn)
+    at_end = xp.where(stands_fully, int(Verdict.STABLE), int(Verdict.CREPT))
+    verdict = xp.where(step >= config.stand_full_steps, at_end, int(Verdict.NONE))
+    return xp.asarray(xp.where(stands_early, int(Verdict.STABLE), verdict), dtype=xp.int32)
