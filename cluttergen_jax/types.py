@@ -50,8 +50,7 @@ _SENTENCES = {
 }
 
 
-@struct.dataclass
-class Settling:
+class Settling(struct.PyTreeNode):
     """One attempt, as the simulator saw it. K objects in the compiled world, T + 1 trajectory rows.
 
     Attributes:
@@ -80,8 +79,7 @@ class Settling:
     is_quiet: Array
 
 
-@struct.dataclass
-class Standing:
+class Standing(struct.PyTreeNode):
     """The last check of a finished scene, everything awake, from rest.
 
     Attributes:

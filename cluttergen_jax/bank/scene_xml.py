@@ -20,7 +20,7 @@ from cluttergen_jax.bank.part_files import part_name
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.world import unique_names
 
-_UNSEEN = {"contype": "0", "conaffinity": "0", "group": str(VISUAL_GROUP), "mass": "0"}
+_UNSEEN: dict[str, str] = {"contype": "0", "conaffinity": "0", "group": str(VISUAL_GROUP), "mass": "0"}
 
 
 def scene_xml(
@@ -108,7 +108,7 @@ def _add_support(assets: ET.Element, world: ET.Element, support: SupportAsset) -
     for index, piece in enumerate(support.pieces):
         mesh = f"support/visual-{index}"
         ET.SubElement(assets, "mesh", name=mesh, file=f"{mesh}.obj", inertia="shell")
-        ET.SubElement(body, "geom", type="mesh", mesh=mesh, rgba=_text(piece.rgba), **_UNSEEN)
+        ET.SubElement(body, "geom", _UNSEEN, type="mesh", mesh=mesh, rgba=_text(piece.rgba))
 
 
 def _add_meshes(assets: ET.Element, asset: ObjectAsset) -> None:
@@ -137,5 +137,5 @@ def _add_body(world: ET.Element, name: str, asset: ObjectAsset, pose: np.ndarray
         )
     for index, piece in enumerate(asset.pieces):
         ET.SubElement(
-            body, "geom", type="mesh", mesh=f"{asset.name}/visual-{index}", rgba=_text(piece.rgba), **_UNSEEN
+            body, "geom", _UNSEEN, type="mesh", mesh=f"{asset.name}/visual-{index}", rgba=_text(piece.rgba)
         )

@@ -17,8 +17,7 @@ from cluttergen_jax.placement.types import Episode, Start
 from cluttergen_jax.types import Array
 
 
-@struct.dataclass
-class Ongoing:
+class Ongoing(struct.PyTreeNode):
     """What the environment carries beside the observation.
 
     Attributes:

@@ -10,8 +10,7 @@ from flax import struct
 from cluttergen_jax.types import Array
 
 
-@struct.dataclass
-class Region:
+class Region(struct.PyTreeNode):
     """A rectangle on the support's top in which objects are to be placed.
 
     Attributes:
@@ -23,8 +22,7 @@ class Region:
     half_extents: Array
 
 
-@struct.dataclass
-class KeepOut:
+class KeepOut(struct.PyTreeNode):
     """Upright boxes that settled objects must stay out of, seen from above.
 
     Attributes:

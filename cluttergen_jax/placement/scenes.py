@@ -9,8 +9,7 @@ from cluttergen_jax.placement.types import Counts, Episode
 from cluttergen_jax.types import Array
 
 
-@struct.dataclass
-class Scenes:
+class Scenes(struct.PyTreeNode):
     """Finished episodes, failures included. S slots, any leading axes.
 
     Attributes:

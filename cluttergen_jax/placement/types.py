@@ -8,8 +8,7 @@ from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.types import Array
 
 
-@struct.dataclass
-class Geometry:
+class Geometry(struct.PyTreeNode):
     """What the decision process knows of the compiled world's K objects; constants under `jit`.
 
     Attributes:
@@ -38,8 +37,7 @@ class Geometry:
         return self.half_extents.shape[0]
 
 
-@struct.dataclass
-class Start:
+class Start(struct.PyTreeNode):
     """What stands on the support when an episode begins.
 
     Attributes:
@@ -51,8 +49,7 @@ class Start:
     is_placed: Array
 
 
-@struct.dataclass
-class History:
+class History(struct.PyTreeNode):
     """The failed attempts of the object in hand, oldest first; A rows, T + 1 trajectory rows.
 
     Attributes:
@@ -70,8 +67,7 @@ class History:
     is_tried: Array
 
 
-@struct.dataclass
-class Counts:
+class Counts(struct.PyTreeNode):
     """Figures of one episode so far. S slots.
 
     Attributes:
@@ -89,8 +85,7 @@ class Counts:
     reward: Array
 
 
-@struct.dataclass
-class Episode:
+class Episode(struct.PyTreeNode):
     """Filling one support. K objects in the world, S slots.
 
     Attributes:
