@@ -137,7 +137,7 @@ def problem_config(args: Generate) -> ProblemConfig:
             max_attempts=args.attempts,
             containment=args.containment,
             order=args.order,
-            keeps_history=False,
+            history_stride=0,
         ),
     )
 

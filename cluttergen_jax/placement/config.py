@@ -25,7 +25,8 @@ class PlacementConfig:
       order: "random" draws a fresh uniform permutation of a uniform subset each episode; "fixed" takes the
         world's objects in their order.
       reward: "paper" (its equation 1), "code" (what its published code pays) or "compressed".
-      keeps_history: remember failed attempts; methods that never look back run faster without.
+      history_stride: keep every so many rows of a failed attempt's trajectory, release first; 0 remembers no
+        attempt at all, which is faster for methods that never look back.
       motion_cost: c of the paper's equation 1.
       success_reward: R0 of the paper's equation 1.
     """
@@ -35,7 +36,7 @@ class PlacementConfig:
     containment: str = "center"
     order: str = "random"
     reward: str = "paper"
-    keeps_history: bool = True
+    history_stride: int = 1
     motion_cost: float = 0.005
     success_reward: float = 100.0
 
@@ -44,6 +45,8 @@ class PlacementConfig:
             raise ConfigError(f"num_objects = {self.num_objects}", f"1 to {MAX_SLOTS}", "fewer objects")
         if not 1 <= self.max_attempts <= MAX_ATTEMPTS:
             raise ConfigError(f"max_attempts = {self.max_attempts}", f"1 to {MAX_ATTEMPTS}", "5")
+        if not 0 <= self.history_stride <= 240:
+            raise ConfigError(f"history_stride = {self.history_stride}", "0 to 240", "1, or 12 on a CPU")
         for name, value, allowed in (
             ("containment", self.containment, CONTAINMENTS),
             ("order", self.order, ORDERS),

@@ -46,7 +46,7 @@ def observe(rules: Rules, episode: Episode, config: ObservationConfig) -> dict[s
       focus: i32, the object in hand; is_placed: bool[K].
       T_region_object: f32[K, 7], poses of the placed objects, zero elsewhere.
       history: the failed attempts of the object in hand: action f32[A, 4], region f32[A, 3],
-        trajectory f32[A, T + 1, 13] (position, wxyz, linear and angular velocity), num_steps i32[A],
+        trajectory f32[A, H, 13] (position, wxyz, linear and angular velocity), num_steps i32[A],
         is_tried bool[A]; rows not tried are zero.
       scene_cloud: f32[N, 3], scene_mask: bool[N], object_cloud: f32[M, 3] (object frame), where asked for.
     """
@@ -58,7 +58,7 @@ def observe(rules: Rules, episode: Episode, config: ObservationConfig) -> dict[s
         "focus": focus,
         "is_placed": episode.is_placed,
         "T_region_object": local,
-        "history": _local_history(episode.history, region),
+        "history": _local_history(episode.history, region, rules.config.history_stride),
     }
     if config.num_scene_points:
         most = min(rules.geometry.num_objects, rules.num_slots)
@@ -70,7 +70,7 @@ def observe(rules: Rules, episode: Episode, config: ObservationConfig) -> dict[s
     return observation
 
 
-def _local_history(history: History, region: Region) -> dict[str, Array]:
+def _local_history(history: History, region: Region, stride: int) -> dict[str, Array]:
     """The history as the policy reads it: trajectories turned into the region's frame."""
     T_region_world = region.T_world_region.inverse()
 
@@ -79,7 +79,7 @@ def _local_history(history: History, region: Region) -> dict[str, Array]:
         turn = T_region_world.rotation()
         return jnp.concatenate([pose, turn.apply(row[7:10]), turn.apply(row[10:])])
 
-    steps = jnp.arange(history.trajectory.shape[1])
+    steps = jnp.arange(history.trajectory.shape[1]) * stride
     is_used = history.is_tried[:, None] & (steps <= history.num_steps[:, None])
     trajectory = jax.vmap(jax.vmap(local))(history.trajectory)
     return {

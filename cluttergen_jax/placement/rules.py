@@ -71,7 +71,7 @@ class Rules:
             attempt=jnp.int32(0),
             poses=start.poses,
             is_placed=start.is_placed,
-            history=empty_history(config.max_attempts * config.keeps_history, self.physics.config.max_steps),
+            history=empty_history(config.max_attempts if self.history_rows else 0, self.history_rows),
             counts=Counts(
                 attempts=jnp.zeros(self.num_slots, jnp.int32),
                 steps=jnp.zeros(self.num_slots, jnp.int32),
@@ -84,6 +84,12 @@ class Rules:
             verdict=jnp.int32(Verdict.NONE),
             drift=jnp.float32(0),
         )
+
+    @property
+    def history_rows(self) -> int:
+        """H: rows kept of each failed attempt's trajectory."""
+        stride = self.config.history_stride
+        return self.physics.config.last_step // stride + 1 if stride else 0
 
     @property
     def num_slots(self) -> int:
@@ -153,15 +159,16 @@ class Rules:
 
     def _push(self, episode: Episode, action: Array, height_range: Array, settling: Settling) -> Episode:
         """The episode with the attempt at the end of the object's history."""
-        if not self.config.keeps_history:
+        if not self.history_rows:
             return episode
+        rows = settling.trajectory[:: self.config.history_stride][: self.history_rows]
         row, history = episode.attempt, episode.history
         region = jnp.append(episode.region.half_extents, height_range)
         return episode.replace(
             history=History(
                 action=history.action.at[row].set(action),
                 region=history.region.at[row].set(region),
-                trajectory=history.trajectory.at[row].set(settling.trajectory),
+                trajectory=history.trajectory.at[row].set(rows),
                 num_steps=history.num_steps.at[row].set(settling.num_steps),
                 is_tried=history.is_tried.at[row].set(True),
             )
@@ -220,12 +227,12 @@ def empty_start(num_objects: int) -> Start:
     return Start(poses, jnp.zeros(num_objects, bool))
 
 
-def empty_history(max_attempts: int, max_steps: int) -> History:
+def empty_history(max_attempts: int, num_rows: int) -> History:
     """No attempt yet: all rows zero."""
     return History(
         action=jnp.zeros((max_attempts, 4), jnp.float32),
         region=jnp.zeros((max_attempts, 3), jnp.float32),
-        trajectory=jnp.zeros((max_attempts, max_steps + 1, 13), jnp.float32),
+        trajectory=jnp.zeros((max_attempts, num_rows, 13), jnp.float32),
         num_steps=jnp.zeros(max_attempts, jnp.int32),
         is_tried=jnp.zeros(max_attempts, bool),
     )

@@ -50,14 +50,14 @@ class Start(struct.PyTreeNode):
 
 
 class History(struct.PyTreeNode):
-    """The failed attempts of the object in hand, oldest first; A rows, T + 1 trajectory rows.
+    """The failed attempts of the object in hand, oldest first: A attempts, H kept trajectory rows.
 
     Attributes:
       action: f32[A, 4].
       region: f32[A, 3], the region's half extents and the height range, metres.
-      trajectory: f32[A, T + 1, 13], world frame (`types.Settling`).
+      trajectory: f32[A, H, 13], world frame (`types.Settling`), every `history_stride`-th row from release.
       num_steps: i32[A].
-      is_tried: bool[A], the rows that count; all others are zero.
+      is_tried: bool[A], the attempts that count; all others are zero.
     """
 
     action: Array
