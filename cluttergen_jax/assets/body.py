@@ -196,7 +196,7 @@ def _asset(
             cavity_fill=None if best.fill is None else round(best.fill, 4),
             holds_ball=best.holds,
         ),
-        flags=tuple(shape.notes) + tuple(_faults(best, config)),
+        flags=tuple(_faults(best, config)),
     )
     return replace(asset, resting=resting_poses(asset, config.seed))
 

@@ -4,6 +4,7 @@
     visual-N.obj   one coloured piece, vertices and triangles only
     cloud.npy      f32[1024, 3]
     object.xml     the object alone as MJCF, which opens in plain MuJoCo; written for others, never read
+    ATTRIBUTION.txt  where the object's licence asks for one
 
 `object.json` holds the digest of each surface and cloud file and of itself, so damage is noticed and named.
 """
@@ -46,6 +47,8 @@ def object_files(asset: ObjectAsset) -> dict[str, bytes]:
     record = _record(asset, {name: _digest(data) for name, data in files.items()})
     record["hash"] = _digest(_canonical(record))
     files[_RECORD] = (json.dumps(record, separators=(",", ":")) + "\n").encode()
+    if asset.provenance.attribution:
+        files["ATTRIBUTION.txt"] = (asset.provenance.attribution + "\n").encode()
     files["object.xml"] = object_xml(asset, tuple(f"visual-{i}.obj" for i in range(len(asset.pieces))), files)
     return files
 

@@ -47,7 +47,6 @@ def read_shape(source: Source, options: ReadOptions | None = None) -> Shape:
         parts=None if parts is None else tuple(part.transformed(turn, np.zeros(3)) for part in parts),
         mass=mass,
         density=options.density,
-        notes=source.notes,
     )
     check_shape(shape, source.path)
     return shape

@@ -74,7 +74,7 @@ def find_sources(path: str | Path) -> list[Source]:
     found = list(_walk(path) if path.is_dir() else _from_file(path))
     if not found:
         raise AssetError(f"{path} holds no object", ", ".join([*MESH_SUFFIXES, ".urdf", ".xml (MJCF)"]))
-    return _named_apart(found)
+    return named_apart(found)
 
 
 def _walk(folder: Path) -> Iterator[Source]:
@@ -152,7 +152,7 @@ def plain_name(text: str) -> str:
     return re.sub(r"[^a-z0-9_-]+", "_", text.lower()).strip("_") or "object"
 
 
-def _named_apart(sources: list[Source]) -> list[Source]:
+def named_apart(sources: list[Source]) -> list[Source]:
     """Distinct names: where several objects share one, all but the first get the next free number."""
     taken: set[str] = set()
     out = []

@@ -1,0 +1,41 @@
+"""`cluttergen inspect`: a pool's table, and a picture of every mesh beside its parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.cli.pool_table import pool_table
+
+
+@dataclass(frozen=True)
+class Inspect:
+    """Show what was measured about a pool's objects; draw each mesh beside its collision parts.
+
+    Attributes:
+      pool: a pool's name or folder.
+      out: write a contact sheet to this PNG file.
+      objects: only these.
+      columns: objects in a row of the sheet.
+    """
+
+    pool: tyro.conf.Positional[str]
+    out: Path | None = None
+    objects: tuple[str, ...] = ()
+    columns: int = 4
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        pool = find_pool(self.pool)
+        objects = tuple(pool[name] for name in self.objects) or pool.objects
+        print(f"pool {pool.name}, licence: {pool.licence or 'not stated'}, content {pool.hash[:12]}")
+        print(pool_table(objects))
+        if self.out is not None:
+            from cluttergen_jax.render.assets import object_sheet
+            from cluttergen_jax.render.sheet import save_png
+
+            print(save_png(object_sheet(objects, self.columns), self.out))
+        return 0

@@ -1,0 +1,60 @@
+"""The table of a pool: what was measured about each object, and its flags."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cluttergen_jax.assets.object import ObjectAsset
+
+_HEADER = ("object", "parts", "vertices", "mass kg", "deviation", "cavity", "ball", "solo", "steps", "poses")
+
+
+def pool_table(objects: Sequence[ObjectAsset]) -> str:
+    """One line per object, then the flags in words, then the counts that the project's bars are about."""
+    rows = [_HEADER, *(_row(asset) for asset in objects)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADER))]
+    lines = ["  ".join(_aligned(row, widths)).rstrip() for row in rows]
+    lines += [f"  ! {asset.name}: {flag}" for asset in objects for flag in asset.flags]
+    return "\n".join([*lines, _summary(objects)])
+
+
+def _row(asset: ObjectAsset) -> tuple[str, ...]:
+    quality = asset.quality
+    ball = {None: "-", True: "held", False: "lost"}[quality.holds_ball]
+    return (
+        asset.name,
+        str(len(asset.parts)),
+        str(sum(len(part.vertices) for part in asset.parts)),
+        f"{asset.mass:.3f}",
+        _percent(quality.deviation),
+        _percent(quality.cavity_fill),
+        ball,
+        _percent(quality.solo_rate),
+        "-" if quality.solo_steps is None else f"{quality.solo_steps:.1f}",
+        str(len(asset.resting)),
+    )
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f} %"
+
+
+def _aligned(row: tuple[str, ...], widths: list[int]) -> list[str]:
+    first, *others = (
+        cell.ljust(width) if column == 0 else cell.rjust(width)
+        for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+    )
+    return [first, *others]
+
+
+def _summary(objects: Sequence[ObjectAsset]) -> str:
+    qualities = [asset.quality for asset in objects]
+    hollow = [quality for quality in qualities if quality.cavity_fill is not None]
+    is_open = [quality.cavity_fill <= 0.2 and bool(quality.holds_ball) for quality in hollow]  # type: ignore[operator]
+    solo = sum(quality.solo_rate is not None and quality.solo_rate >= 0.99 for quality in qualities)
+    near = sum(quality.deviation is not None and quality.deviation <= 0.05 for quality in qualities)
+    return (
+        f"{len(objects)} objects, tier {objects[0].tier}: {solo} stand alone in 99 % of trials or more, "
+        f"{near} deviate by 5 % or less, {sum(is_open)} of {len(hollow)} hollow ones are open, "
+        f"{sum(bool(asset.flags) for asset in objects)} flagged"
+    )

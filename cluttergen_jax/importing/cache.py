@@ -1,0 +1,116 @@
+"""What was made before: bodies on disk, found by a digest of everything that they depend on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from dataclasses import asdict, replace
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import cluttergen_jax
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.object_files import read_object, write_object
+from cluttergen_jax.assets.readers import Source
+from cluttergen_jax.errors import PoolError
+
+# Code that decides what a body is; a change in any of it makes every cached body stale.
+_CODE = ("assets", "importing", "physics", "config.py", "types.py")
+_LIBRARIES = ("mujoco", "coacd", "manifold3d", "trimesh", "numpy", "scipy", "fast-simplification")
+# Beside a mesh file, what may give it its colours.
+_COMPANIONS = (".mtl", ".png", ".jpg", ".jpeg", ".bin")
+
+
+def cache_root() -> Path:
+    """The cache's folder: `$CLUTTERGEN_HOME/cache`, else the XDG cache home's."""
+    if home := os.environ.get("CLUTTERGEN_HOME"):
+        return Path(home) / "cache"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cluttergen_jax" / "objects"
+
+
+@cache
+def code_digest() -> str:
+    """Hex digest of the code (but for the modeller) and the library versions that bodies depend on."""
+    digest = hashlib.sha256()
+    root = Path(cluttergen_jax.__file__).parent
+    for part in _CODE:
+        files = [root / part] if part.endswith(".py") else sorted((root / part).rglob("*.py"))
+        for file in files:
+            if "modeller" not in file.parts:
+                digest.update(file.read_bytes())
+    for library in _LIBRARIES:
+        digest.update(f"{library} {version(library)}\n".encode())
+    return digest.hexdigest()
+
+
+def source_digest(source: Source) -> str:
+    """Hex digest of every byte that reading the source may touch.
+
+    Of a URDF or MJCF file that is all of its folder; of a mesh file, also materials and textures beside it.
+    """
+    folder = source.path.parent
+    if source.kind == "mesh":
+        beside = [each for each in folder.iterdir() if each.suffix.lower() in _COMPANIONS]
+        files = [source.path, *sorted(beside)]
+    else:
+        files = sorted(each for each in folder.rglob("*") if each.is_file())
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(f"{file.relative_to(folder)}\n".encode())
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def cache_key(source: Source, config: Any) -> str:
+    """Hex digest that names the body of a source under a config (a dataclass)."""
+    provenance = None if source.provenance is None else asdict(source.provenance)
+    parts = [
+        code_digest(),
+        source_digest(source),
+        source.path.name,
+        source.kind,
+        source.body,
+        source.label,
+        list(source.notes),
+        provenance,
+        asdict(config),
+    ]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def load(key: str, name: str) -> ObjectAsset | None:
+    """The cached body, called `name`; None if there is none or it is damaged."""
+    folder = cache_root() / key
+    if not folder.is_dir():
+        return None
+    try:
+        return replace(read_object(folder), name=name)
+    except PoolError:
+        shutil.rmtree(folder, ignore_errors=True)
+        return None
+
+
+def store(key: str, asset: ObjectAsset) -> None:
+    """Puts a body into the cache: whole or not at all, whoever else is writing the same."""
+    root = cache_root()
+    root.mkdir(parents=True, exist_ok=True)
+    fresh = Path(tempfile.mkdtemp(prefix=".", dir=root))
+    try:
+        write_object(fresh, asset)
+        os.rename(fresh, root / key)
+    except OSError:
+        # Another run was first with the same body.
+        if not (root / key).is_dir():
+            raise
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+
+
+def drop(key: str) -> None:
+    """Forgets a body."""
+    shutil.rmtree(cache_root() / key, ignore_errors=True)

@@ -1,0 +1,48 @@
+"""One object, from source to cache. Runs in a worker process."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from cluttergen_jax.assets.body import BodyConfig, make_object
+from cluttergen_jax.assets.readers import ReadOptions, Source, read_shape
+from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.importing import cache
+from cluttergen_jax.importing.solo import NUM_TRIALS, with_solo
+
+
+@dataclass(frozen=True)
+class ObjectConfig:
+    """All that decides what an imported body is.
+
+    Attributes:
+      read: unit, axis, density and mass.
+      body: tier and decomposition.
+      trials: placements by which solo stability is measured.
+    """
+
+    read: ReadOptions = field(default_factory=ReadOptions)
+    body: BodyConfig = field(default_factory=BodyConfig)
+    trials: int = NUM_TRIALS
+
+
+@dataclass(frozen=True)
+class Job:
+    """One object to be made and stored in the cache under `key`."""
+
+    source: Source
+    key: str
+    config: ObjectConfig
+
+
+def run_job(job: Job) -> str:
+    """Makes the object and caches it. The empty string, or why it could not be made."""
+    try:
+        asset = make_object(read_shape(job.source, job.config.read), job.config.body)
+        asset = replace(asset, flags=(*job.source.notes, *asset.flags))
+        cache.store(job.key, with_solo(asset, job.config.trials, job.config.body.seed))
+    except ClutterGenError as error:
+        return str(error)
+    except Exception as error:  # One object that nobody foresaw must not end a run of hundreds.
+        return f"{job.source.path}: {type(error).__name__}: {error}"
+    return ""
