@@ -1,0 +1,1 @@
+"""PPO for any environment with Brax's protocol."""

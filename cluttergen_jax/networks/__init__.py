@@ -1,0 +1,1 @@
+"""Networks: action distributions, point-cloud and history encoders, actor and critic."""

@@ -1,0 +1,67 @@
+"""Beta and truncated normal against scipy, and safe at the edges."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+
+from cluttergen_jax.networks.distributions import EDGE, HEADS, Beta, TruncatedNormal
+
+RAW = jax.random.normal(jax.random.key(0), (40, 4, 2)) * 2.5
+
+
+def reference(dist):
+    if isinstance(dist, Beta):
+        return scipy.stats.beta(np.float64(dist.alpha), np.float64(dist.beta))
+    loc, scale = np.float64(dist.loc), np.float64(dist.scale)
+    return scipy.stats.truncnorm(-loc / scale, (1 - loc) / scale, loc, scale)
+
+
+@pytest.mark.parametrize("head", HEADS.values(), ids=HEADS)
+def test_matches_scipy(head):
+    dist = head.from_raw(RAW)
+    oracle = reference(dist)
+    action = jax.random.uniform(jax.random.key(1), (40, 4), minval=0.02, maxval=0.98)
+    np.testing.assert_allclose(
+        dist.log_prob(action), oracle.logpdf(np.float64(action)).sum(-1), atol=5e-4, rtol=1e-4
+    )
+    np.testing.assert_allclose(dist.entropy(), oracle.entropy().sum(-1), atol=5e-4, rtol=1e-4)
+    np.testing.assert_allclose(dist.mean(), oracle.mean(), atol=1e-4)
+
+
+@pytest.mark.parametrize("head", HEADS.values(), ids=HEADS)
+def test_samples_follow_the_distribution(head):
+    dist = head.from_raw(RAW[0])
+    draws = np.asarray(jax.vmap(dist.sample)(jax.random.split(jax.random.key(2), 5000)))
+    for axis in range(4):
+        one = jax.tree.map(lambda leaf, axis=axis: leaf[axis], dist)
+        assert scipy.stats.kstest(draws[:, axis], reference(one).cdf).pvalue > 1e-4
+
+
+@pytest.mark.parametrize("head", HEADS.values(), ids=HEADS)
+def test_edges_and_extreme_outputs_stay_finite(head):
+    for raw in (jnp.full((4, 2), 30.0), jnp.full((4, 2), -30.0), jnp.tile(jnp.array([30.0, -30.0]), (4, 1))):
+        dist = head.from_raw(raw)
+        for action in (jnp.zeros(4), jnp.ones(4), jnp.full(4, 0.5)):
+            value, slope = jax.value_and_grad(lambda r, a=action: head.from_raw(r).log_prob(a))(raw)
+            assert np.isfinite(value)
+            assert np.isfinite(slope).all()
+        assert np.isfinite(dist.entropy())
+        sample = dist.sample(jax.random.key(0))
+        assert float(sample.min()) >= EDGE
+        assert float(sample.max()) <= 1 - EDGE
+
+
+def test_fresh_network_is_nearly_uniform():
+    for head in HEADS.values():
+        dist = head.from_raw(jnp.zeros((4, 2)))
+        np.testing.assert_allclose(dist.mean(), 0.5, atol=1e-6)
+        # The uniform distribution has entropy 0; these are the largest that each head starts from.
+        assert -0.7 < float(dist.entropy()) <= 0
+
+
+def test_beta_has_its_mode_inside():
+    dist = Beta.from_raw(RAW)
+    assert float(jnp.minimum(dist.alpha, dist.beta).min()) > 1
+    assert isinstance(HEADS["normal"].from_raw(RAW), TruncatedNormal)

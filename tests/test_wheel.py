@@ -1,0 +1,35 @@
+"""The wheel stands alone: built, installed in a fresh environment outside the checkout, and put to work."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+MOST_MEGABYTES = 40
+
+
+def run(*command, cwd) -> str:
+    done = subprocess.run(list(map(str, command)), cwd=cwd, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_wheel_generates_outside_the_checkout(tmp_path):
+    run(sys.executable, "-m", "build", "--wheel", "--outdir", tmp_path, ROOT, cwd=tmp_path)
+    (wheel,) = tmp_path.glob("*.whl")
+    assert wheel.stat().st_size < MOST_MEGABYTES * 1e6
+    run(sys.executable, "-m", "venv", "fresh", cwd=tmp_path)
+    python = tmp_path / "fresh" / "bin" / "python"
+    constraints = ROOT / "constraints.txt"
+    run(python, "-m", "pip", "install", "-q", "-c", constraints, wheel, cwd=tmp_path)
+    where = run(python, "-c", "import cluttergen_jax; print(cluttergen_jax.__file__)", cwd=tmp_path)
+    assert str(ROOT) not in where
+    cluttergen = tmp_path / "fresh" / "bin" / "cluttergen"
+    listed = run(cluttergen, "list", cwd=tmp_path)
+    assert all(name in listed for name in ("dining", "study", "office", "kitchen", "household", "round_table"))
+    run(cluttergen, "generate", "-n", "1", "--out", "bank", "--no-render", cwd=tmp_path)
+    assert "1 of 1 scenes stand" in run(cluttergen, "verify", "bank", cwd=tmp_path)
