@@ -87,7 +87,7 @@ def test_files_hold_the_poses_twice_and_stand(bank):
 
 
 def test_verify_command_counts_and_exits(bank, capsys):
-    assert main(["verify", str(bank), "--check.seconds", "1"]) == 0
+    assert main(["verify", str(bank), "--seconds", "1"]) == 0
     num_files = len(list((bank / "scenes").glob("*.xml")))
     assert f"{num_files} of {num_files} scenes stand" in capsys.readouterr().out
     record = json.loads((bank / "verification.json").read_text())

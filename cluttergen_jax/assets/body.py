@@ -119,6 +119,9 @@ def _candidate(
     turned = _turned(solid, rotation)
     if shape.cavity is not None:
         hollow: Hollow | None = known_hollow(shape.cavity).moved(rotation, np.zeros(3))
+    elif shape.parts is not None:
+        # Whoever brings the parts knows the object, and says nothing of a hollow.
+        hollow = None
     else:
         hollow = find_hollow(turned)
     is_judged = hollow is not None and config.tier == "standard"

@@ -1,24 +1,33 @@
-"""The console script `cluttergen`."""
+"""Cluttered, physically stable, diverse tabletop scenes."""
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Annotated, Any
 
 import tyro
 
-from cluttergen_jax.cli.doctor import Doctor
-from cluttergen_jax.cli.generate import Generate
-from cluttergen_jax.cli.list_ import List
-from cluttergen_jax.cli.verify import Verify
 from cluttergen_jax.errors import ClutterGenError
 
-Command = (
-    Annotated[Generate, tyro.conf.subcommand("generate")]
-    | Annotated[Verify, tyro.conf.subcommand("verify")]
-    | Annotated[List, tyro.conf.subcommand("list")]
-    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
-)
+
+def commands() -> Any:
+    """The union of all commands. They are imported here so that an import that fails can be explained."""
+    from cluttergen_jax.cli.doctor import Doctor
+    from cluttergen_jax.cli.generate import Generate
+    from cluttergen_jax.cli.import_ import Import
+    from cluttergen_jax.cli.inspect_ import Inspect
+    from cluttergen_jax.cli.list_ import List
+    from cluttergen_jax.cli.verify import Verify
+
+    return (
+        Annotated[Generate, tyro.conf.subcommand("generate")]
+        | Annotated[Verify, tyro.conf.subcommand("verify")]
+        | Annotated[Import, tyro.conf.subcommand("import")]
+        | Annotated[Inspect, tyro.conf.subcommand("inspect")]
+        | Annotated[List, tyro.conf.subcommand("list")]
+        | Annotated[Doctor, tyro.conf.subcommand("doctor")]
+    )
 
 
 def run(command: Any) -> int:
@@ -35,5 +44,20 @@ def run(command: Any) -> int:
 
 def main(args: list[str] | None = None) -> int:
     """Parses the command line and runs it."""
-    config = (tyro.conf.FlagConversionOff, tyro.conf.OmitSubcommandPrefixes)
-    return run(tyro.cli(Command, prog="cluttergen", description=__doc__, args=args, config=config[1:]))
+    try:
+        command = commands()
+    except (RuntimeError, ImportError, AttributeError) as error:
+        if os.environ.get("MUJOCO_GL"):
+            # MuJoCo itself refuses to be imported when MUJOCO_GL names a backend that it cannot load.
+            print(f"error: MUJOCO_GL={os.environ['MUJOCO_GL']}: {error} Try: unset MUJOCO_GL.", file=sys.stderr)
+            return 2
+        raise
+    return run(
+        tyro.cli(
+            command,
+            prog="cluttergen",
+            description=__doc__,
+            args=args,
+            config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
+        )
+    )
