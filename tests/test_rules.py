@@ -81,6 +81,7 @@ def test_counts_add_up():
     counts = episodes[-1].counts
     np.testing.assert_array_equal(counts.attempts, [1, 2, 3, 1])
     np.testing.assert_array_equal(counts.steps, [23, 60 + 23, 60 * 2 + 23, 23])
+    np.testing.assert_array_equal(counts.rest_steps, 23)
     assert int(counts.verdicts.sum()) == len(actions)
     assert int(counts.verdicts[Verdict.STABLE]) == 4
     assert int(counts.simulated_steps) == int(counts.steps.sum()) + 60

@@ -10,7 +10,7 @@ from cluttergen_jax.types import Verdict
 
 
 def summary_of(table: pa.Table, num_scenes: int, num_new: int = 0, seconds: float = 0.0) -> str:
-    """Success, attempts, stable steps and rejections by verdict of the first `num_scenes` rows.
+    """Success, attempts, steps to rest and rejections by verdict of the first `num_scenes` rows.
 
     Args:
       num_new, seconds: scenes made just now and how long that took, for the rate; 0 leaves it out.
@@ -19,7 +19,7 @@ def summary_of(table: pa.Table, num_scenes: int, num_new: int = 0, seconds: floa
     success = np.array(rows["is_success"])
     filled = np.array(rows["is_filled"])
     attempts = np.concatenate([np.array(each) for each in rows["attempts"].to_pylist()])
-    steps = np.concatenate([np.array(each) for each in rows["steps"].to_pylist()])
+    steps = np.concatenate([np.array(each) for each in rows["rest_steps"].to_pylist()])
     placed = np.concatenate([np.array(each, bool) for each in rows["is_placed"].to_pylist()])
     # Objects that stood there at the beginning took no attempt.
     placed &= attempts > 0
@@ -32,7 +32,7 @@ def summary_of(table: pa.Table, num_scenes: int, num_new: int = 0, seconds: floa
         "every object placed, and all stand together in the last check",
         f"filled     {filled.sum()} ({filled.mean():.1%}) before the last check",
         f"attempts   {attempts.sum()}, {mean_attempts:.2f} per placed object",
-        f"stable     {mean_steps:.0f} steps per placed object, all attempts",
+        f"rest       after {mean_steps:.0f} steps of 1/240 s in the mean",
     ]
     rejected = [f"{v.label} {n} ({n / total:.1%})" for v, n in counts.items() if n and v != Verdict.STABLE]
     lines.append(f"rejected   {', '.join(rejected) or 'nothing'}")

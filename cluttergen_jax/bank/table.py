@@ -27,6 +27,7 @@ SCHEMA = pa.schema(
         ("poses", pa.list_(pa.list_(pa.float32(), 7))),
         ("attempts", pa.list_(pa.int32())),
         ("steps", pa.list_(pa.int32())),
+        ("rest_steps", pa.list_(pa.int32())),
         ("simulated_steps", pa.int32()),
         *((f"num_{verdict.label.replace('-', '_')}", pa.int32()) for verdict in COUNTED),
     ]
@@ -58,6 +59,7 @@ def _row(index: int, scenes: Scenes, place: int, names: Sequence[str]) -> dict[s
         "poses": scenes.T_world_object[place][slots].tolist(),
         "attempts": scenes.counts.attempts[place][slots].tolist(),
         "steps": scenes.counts.steps[place][slots].tolist(),
+        "rest_steps": scenes.counts.rest_steps[place][slots].tolist(),
         "simulated_steps": int(scenes.counts.simulated_steps[place]),
         **{f"num_{v.label.replace('-', '_')}": int(counts[v]) for v in COUNTED},
     }

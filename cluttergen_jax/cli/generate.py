@@ -9,11 +9,8 @@ from functools import partial
 from importlib.metadata import version
 from typing import Annotated, Any
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 import tyro
-from tqdm import tqdm
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle
@@ -28,9 +25,8 @@ from cluttergen_jax.cli.start import read_start, start_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.region import KeepOut, no_keep_out
-from cluttergen_jax.placement.scenes import Scenes
 from cluttergen_jax.problem import Problem, ProblemConfig, make_problem
-from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler
+from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
 
 MAX_SCENES = 10_000_000
 
@@ -174,32 +170,10 @@ def run_blocks(
     sampler: BlockSampler, problem: Problem, writer: BankWriter, num_scenes: int, seed: int
 ) -> int:
     """Makes every block that the bank lacks; returns the number of new scenes."""
-    blocks = [
-        (block, min(BLOCK_SIZE, num_scenes - block * BLOCK_SIZE))
-        for block in range(-(-num_scenes // BLOCK_SIZE))
-    ]
-    missing = [(block, rows) for block, rows in blocks if not writer.has_block(block, rows)]
-    num_new = sum(rows for _, rows in missing)
-    if not missing:
-        return 0
-    begin, step = jax.jit(sampler.begin), jax.jit(sampler.step, donate_argnums=0)
-    finish = jax.jit(sampler.finish)
-    with tqdm(total=num_new, unit="scene", desc="compiling", disable=None) as bar:
-        for block, rows in missing:
-            place = np.arange(BLOCK_SIZE)
-            indices = block * BLOCK_SIZE + place
-            episodes = begin(jax.random.key(seed), indices, place < rows)
-            done = 0
-            while done < rows:
-                episodes = step(episodes)
-                bar.set_description("placing", refresh=False)
-                now_done = int(episodes.is_over[:rows].sum())
-                bar.update(now_done - done)
-                done = now_done
-            scenes: Scenes = jax.device_get(finish(episodes))
-            scenes = jax.tree.map(lambda array, rows=rows: array[:rows], scenes)
-            writer.write_block(block, table_of(indices[:rows], scenes, problem.world.names))
-    return num_new
+    missing = [(block, rows) for block, rows in blocks_of(num_scenes) if not writer.has_block(block, rows)]
+    for block, indices, scenes in sample_blocks(sampler, missing, seed) if missing else ():
+        writer.write_block(block, table_of(indices, scenes, problem.world.names))
+    return sum(rows for _, rows in missing)
 
 
 def _warn_of_flags(problem: Problem) -> None:

@@ -14,6 +14,7 @@ from cluttergen_jax.errors import ClutterGenError
 def commands() -> Any:
     """The union of all commands. They are imported here so that an import that fails can be explained."""
     from cluttergen_jax.cli.doctor import Doctor
+    from cluttergen_jax.cli.evaluate import Evaluate
     from cluttergen_jax.cli.generate import Generate
     from cluttergen_jax.cli.import_ import Import
     from cluttergen_jax.cli.inspect_ import Inspect
@@ -23,6 +24,7 @@ def commands() -> Any:
     return (
         Annotated[Generate, tyro.conf.subcommand("generate")]
         | Annotated[Verify, tyro.conf.subcommand("verify")]
+        | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
         | Annotated[Import, tyro.conf.subcommand("import")]
         | Annotated[Inspect, tyro.conf.subcommand("inspect")]
         | Annotated[List, tyro.conf.subcommand("list")]
@@ -49,7 +51,9 @@ def main(args: list[str] | None = None) -> int:
     except (RuntimeError, ImportError, AttributeError) as error:
         if os.environ.get("MUJOCO_GL"):
             # MuJoCo itself refuses to be imported when MUJOCO_GL names a backend that it cannot load.
-            print(f"error: MUJOCO_GL={os.environ['MUJOCO_GL']}: {error} Try: unset MUJOCO_GL.", file=sys.stderr)
+            print(
+                f"error: MUJOCO_GL={os.environ['MUJOCO_GL']}: {error} Try: unset MUJOCO_GL.", file=sys.stderr
+            )
             return 2
         raise
     return run(

@@ -75,6 +75,7 @@ class Rules:
             counts=Counts(
                 attempts=jnp.zeros(self.num_slots, jnp.int32),
                 steps=jnp.zeros(self.num_slots, jnp.int32),
+                rest_steps=jnp.zeros(self.num_slots, jnp.int32),
                 verdicts=jnp.zeros(_NUM_COUNTED_VERDICTS, jnp.int32),
                 simulated_steps=jnp.int32(0),
                 reward=jnp.float32(0),
@@ -202,6 +203,9 @@ class Rules:
             counts=Counts(
                 attempts=counts.attempts.at[slot].add(1),
                 steps=counts.steps.at[slot].add(settling.num_steps),
+                rest_steps=counts.rest_steps.at[slot].set(
+                    jnp.where(verdict == Verdict.STABLE, settling.num_steps, 0)
+                ),
                 verdicts=counts.verdicts.at[verdict].add(1),
                 simulated_steps=counts.simulated_steps + settling.num_steps,
                 reward=counts.reward + reward,

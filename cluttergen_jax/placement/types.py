@@ -72,7 +72,9 @@ class Counts(struct.PyTreeNode):
 
     Attributes:
       attempts: i32[S], attempts used by each slot.
-      steps: i32[S], steps of all attempts of each slot added up (the paper's stable steps).
+      steps: i32[S], steps of all attempts of each slot added up. The paper's stable steps, if attempts run
+        to their end (`StabilityConfig.stop_when_decided` off).
+      rest_steps: i32[S], steps of the attempt that succeeded.
       verdicts: i32[8], attempts by `Verdict` code, STABLE to NON_FINITE.
       simulated_steps: i32, steps simulated, the last check included.
       reward: f32, sum of rewards.
@@ -80,6 +82,7 @@ class Counts(struct.PyTreeNode):
 
     attempts: Array
     steps: Array
+    rest_steps: Array
     verdicts: Array
     simulated_steps: Array
     reward: Array
