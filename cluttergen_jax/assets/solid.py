@@ -12,6 +12,7 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.readers.mesh_file import cleaned
 from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.errors import AssetError
@@ -54,6 +55,10 @@ def solid_of(meshes: Sequence[Mesh]) -> Solid:
       AssetError: nothing with a volume can be made of them.
     """
     surface = cleaned(joined(list(meshes)))
+    if hull_of(surface.vertices) is None:
+        raise AssetError(
+            "a surface that lies in a plane or on a line", "a mesh of an object with some thickness"
+        )
     united = _united(meshes) if len(meshes) <= _MAX_PIECES else None
     is_exact = united is not None
     mesh = united if united is not None else _rebuilt(surface)

@@ -9,6 +9,7 @@ from cluttergen_jax.assets.readers import ReadOptions, Source, read_shape
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.solo import NUM_TRIALS, with_solo
+from cluttergen_jax.physics.log import silent_log
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,11 @@ class Job:
 def run_job(job: Job) -> str:
     """Makes the object and caches it. The empty string, or why it could not be made."""
     try:
-        asset = make_object(read_shape(job.source, job.config.read), job.config.body)
-        asset = replace(asset, flags=(*job.source.notes, *asset.flags))
-        cache.store(job.key, with_solo(asset, job.config.trials, job.config.body.seed))
+        # Rest and ball test look at the poses themselves, so MuJoCo's own log has nothing to add.
+        with silent_log():
+            asset = make_object(read_shape(job.source, job.config.read), job.config.body)
+            asset = replace(asset, flags=(*job.source.notes, *asset.flags))
+            cache.store(job.key, with_solo(asset, job.config.trials, job.config.body.seed))
     except ClutterGenError as error:
         return str(error)
     except Exception as error:  # One object that nobody foresaw must not end a run of hundreds.

@@ -1,0 +1,143 @@
+"""Imports: pools from trees of files, failures named, nothing made twice, nothing half-written."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import trimesh
+
+from cluttergen_jax.assets.body import BodyConfig
+from cluttergen_jax.assets.decompose import DecompositionConfig
+from cluttergen_jax.assets.pool import find_pool, user_root
+from cluttergen_jax.assets.readers import ReadOptions, find_sources
+from cluttergen_jax.cli.import_ import Import
+from cluttergen_jax.cli.inspect_ import Inspect
+from cluttergen_jax.errors import PoolError
+from cluttergen_jax.importing import cache, run
+from cluttergen_jax.importing.run import ImportConfig, import_sources
+from cluttergen_jax.importing.worker import ObjectConfig
+
+QUICK = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path, monkeypatch):
+    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
+    return tmp_path / "home"
+
+
+@pytest.fixture
+def tree(tmp_path):
+    """Two boxes, and a URDF that names a mesh which is not there."""
+    folder = tmp_path / "tree"
+    (folder / "lamp").mkdir(parents=True)
+    trimesh.creation.box((0.08, 0.06, 0.04)).export(folder / "crate.obj")
+    trimesh.creation.box((0.05, 0.05, 0.05)).export(folder / "cube.stl")
+    (folder / "lamp" / "lamp.urdf").write_text(
+        '<robot name="r"><link name="a"><visual><geometry><mesh filename="shade.obj"/></geometry></visual>'
+        "</link></robot>"
+    )
+    return folder
+
+
+def test_a_tree_becomes_a_pool_and_the_failure_is_named(tree, capsys):
+    status = Import((str(tree),), "mine", trials=8, jobs=1, progress=False).run()
+    assert status == 1
+    out, err = capsys.readouterr()
+    assert "shade.obj" in err
+    pool = find_pool("mine")
+    assert pool.names == ("crate", "cube")
+    assert all(asset.quality.solo_rate == 1.0 for asset in pool.objects)
+    assert "2 stand alone in 99 % of trials or more" in out
+    assert Inspect("mine").run() == 0
+    assert "crate" in capsys.readouterr().out
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Jobs run in this process: spawning has its own tests, and costs seconds."""
+    monkeypatch.setattr(run, "run_all", lambda do, jobs, _: ((i, do(job)) for i, job in enumerate(jobs)))
+
+
+def test_an_unchanged_pool_is_read_not_made(tree, here):
+    first = import_sources([tree / "crate.obj"], "mine", QUICK)
+    start = time.perf_counter()
+    second = import_sources([tree / "crate.obj"], "mine", QUICK)
+    assert time.perf_counter() - start < 1.0
+    assert (first.num_cached, second.num_cached) == (0, 1)
+    assert second.status == 0
+
+
+def test_changed_content_needs_force(tree, here):
+    import_sources([tree / "crate.obj"], "mine", QUICK)
+    with pytest.raises(PoolError, match="--force"):
+        import_sources([tree / "cube.stl"], "mine", QUICK)
+    assert find_pool("mine").names == ("crate",)
+    forced = ImportConfig(QUICK.object, 1, force=True, progress=False)
+    import_sources([tree / "cube.stl"], "mine", forced)
+    assert find_pool("mine").names == ("cube",)
+
+
+def test_embedded_names_are_taken(tree):
+    for name in ("dining", "all", "../x", ""):
+        with pytest.raises(PoolError):
+            import_sources([tree], name, QUICK)
+
+
+def test_nothing_to_import_fails_without_a_pool(tmp_path):
+    report = import_sources([tmp_path / "nowhere"], "mine", QUICK)
+    assert report.status == 1
+    assert report.path is None
+    assert not (user_root() / "mine").exists()
+
+
+def test_keys_see_bytes_settings_and_companions(tree):
+    (source,) = find_sources(tree / "crate.obj")
+    keys = {
+        cache.cache_key(source, config)
+        for config in (
+            ObjectConfig(),
+            ObjectConfig(trials=8),
+            ObjectConfig(read=ReadOptions(mass=0.1)),
+            ObjectConfig(body=BodyConfig("light")),
+            ObjectConfig(body=BodyConfig(decomposition=DecompositionConfig(threshold=0.1))),
+        )
+    }
+    assert len(keys) == 5
+    before = cache.cache_key(source, ObjectConfig())
+    (tree / "crate.mtl").write_text("newmtl red\nKd 1 0 0\n")
+    assert cache.cache_key(source, ObjectConfig()) != before
+
+
+def test_a_damaged_entry_is_made_again(tree, here):
+    import_sources([tree / "crate.obj"], "mine", QUICK)
+    (entry,) = cache.cache_root().iterdir()
+    (entry / "cloud.npy").write_bytes(b"")
+    assert import_sources([tree / "crate.obj"], "mine", QUICK).num_cached == 0
+
+
+def test_an_interrupted_import_leaves_nothing_half_written(tree, home):
+    rng = np.random.default_rng(0)
+    for index in range(6):
+        trimesh.creation.box(rng.uniform(0.03, 0.1, 3)).export(tree / f"more-{index}.stl")
+    code = "from cluttergen_jax.cli.main import main; raise SystemExit(main())"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, "import", str(tree), "--pool", "mine", "--jobs", "1", "--trials", "8"],
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+    )
+    deadline = time.time() + 120
+    while time.time() < deadline and not list((home / "cache").glob("[0-9a-f]*")):
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert not (home / "pools" / "mine").exists()
+    report = import_sources([tree], "mine", QUICK)
+    assert 1 <= report.num_cached <= 8
+    assert len(report.objects) == 8
+    assert not list((home / "cache").glob(".*"))
