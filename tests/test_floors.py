@@ -18,6 +18,7 @@ FLOORS = {
     "agent": 2,
     "problem": 3,
     "sampling": 3,
+    "training": 3,
     "baselines": 3,
     "bank": 3,
     "render": 3,

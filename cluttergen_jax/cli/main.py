@@ -19,11 +19,13 @@ def commands() -> Any:
     from cluttergen_jax.cli.import_ import Import
     from cluttergen_jax.cli.inspect_ import Inspect
     from cluttergen_jax.cli.list_ import List
+    from cluttergen_jax.cli.train import Train
     from cluttergen_jax.cli.verify import Verify
 
     return (
         Annotated[Generate, tyro.conf.subcommand("generate")]
         | Annotated[Verify, tyro.conf.subcommand("verify")]
+        | Annotated[Train, tyro.conf.subcommand("train")]
         | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
         | Annotated[Import, tyro.conf.subcommand("import")]
         | Annotated[Inspect, tyro.conf.subcommand("inspect")]

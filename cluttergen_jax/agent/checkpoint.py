@@ -1,0 +1,111 @@
+"""Checkpoints: a run's whole state (Orbax), and a policy's weights alone (NumPy, no pickle)."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import flax.traverse_util
+import jax
+import jax.numpy as jnp
+import numpy as np
+import orbax.checkpoint as ocp
+
+from cluttergen_jax.errors import PoolError
+
+FORMAT = 1
+
+
+def _without_keys(tree: Any) -> Any:
+    """PRNG keys as plain arrays, which is what can be stored."""
+    return jax.tree.map(
+        lambda x: jax.random.key_data(x) if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x, tree
+    )
+
+
+def _with_keys(stored: Any, like: Any) -> Any:
+    """The inverse of `_without_keys`, guided by a tree that has the keys."""
+    return jax.tree.map(
+        lambda x, y: jax.random.wrap_key_data(x) if jnp.issubdtype(y.dtype, jax.dtypes.prng_key) else x,
+        stored,
+        like,
+    )
+
+
+def save_state(path: Path, state: Any, record: dict[str, Any]) -> None:
+    """Stores a pytree of arrays and a JSON record as one folder, whole or not at all."""
+    fresh = path.with_name(f".{path.name}.partial").absolute()
+    shutil.rmtree(fresh, ignore_errors=True)
+    with ocp.StandardCheckpointer() as checkpointer:
+        checkpointer.save(fresh / "state", _without_keys(state))
+    (fresh / "record.json").write_text(json.dumps({"format": FORMAT, **record}, indent=1) + "\n")
+    aside = path.with_name(f".{path.name}.old")
+    shutil.rmtree(aside, ignore_errors=True)
+    if path.exists():
+        os.rename(path, aside)
+    os.rename(fresh, path)
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """The record stored beside a state or a policy.
+
+    Raises:
+      PoolError: there is no checkpoint, or it is damaged or of another format.
+    """
+    try:
+        record = json.loads((path / "record.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise PoolError(f"{path} is not a checkpoint ({error})", hint="python train.py makes one") from error
+    if record.get("format") != FORMAT:
+        raise PoolError(f"{path} is not a checkpoint of format {FORMAT}")
+    return record
+
+
+def read_state(path: Path, like: Any) -> Any:
+    """The pytree that `save_state` stored; `like` has its structure, shapes and types."""
+    target = _without_keys(like)
+    with ocp.StandardCheckpointer() as checkpointer:
+        try:
+            stored = checkpointer.restore((path / "state").absolute(), target)
+        except (ValueError, OSError, KeyError) as error:
+            raise PoolError(f"{path} does not hold what this run needs ({error})") from error
+    return _with_keys(stored, like)
+
+
+def save_policy(path: Path, params: Any, record: dict[str, Any]) -> None:
+    """Stores the weights that acting needs, at half precision, and a JSON record."""
+    path.mkdir(parents=True, exist_ok=True)
+    flat = flax.traverse_util.flatten_dict(params, sep="/")
+    weights = {
+        name: np.asarray(value, np.float16)
+        for name, value in flat.items()
+        if "/critic/" not in name and "/value/" not in name
+    }
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **weights)  # type: ignore[arg-type]
+    (path / "weights.npz").write_bytes(buffer.getvalue())
+    (path / "record.json").write_text(json.dumps({"format": FORMAT, **record}, indent=1) + "\n")
+
+
+def read_policy(path: Path, like: Any) -> Any:
+    """Parameters of the form of `like`, the actor's from a stored policy, the critic's left as they are.
+
+    Raises:
+      PoolError: the file is missing or damaged, or its weights are of other shapes.
+    """
+    try:
+        with np.load(path / "weights.npz", allow_pickle=False) as stored:
+            weights = {name: stored[name] for name in stored.files}
+    except (OSError, ValueError, KeyError) as error:
+        raise PoolError(f"{path / 'weights.npz'} cannot be read ({error})") from error
+    flat = flax.traverse_util.flatten_dict(like, sep="/")
+    wrong = [name for name, value in weights.items() if name not in flat or flat[name].shape != value.shape]
+    if wrong:
+        raise PoolError(f"{path}: weights of another network ({', '.join(wrong[:3])})")
+    merged = {name: jnp.asarray(weights.get(name, value), jnp.float32) for name, value in flat.items()}
+    return flax.traverse_util.unflatten_dict(merged, sep="/")

@@ -1,0 +1,1 @@
+"""Runs of the learner: progress, records, checkpoints, and taking them up again."""
