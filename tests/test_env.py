@@ -27,7 +27,7 @@ def test_resets_itself_with_fresh_keys_and_keeps_figures():
         state = step(state, BAD)
         assert float(state.done) == 1
         assert int(state.metrics["num_placed"]) == 1
-        assert int(state.metrics["attempts"]) == 3
+        assert int(state.metrics["attempts_used"]) == 3
         assert int(state.pipeline_state.episode.slot) == 0
     assert int(state.metrics["num_finished"]) == 5
     assert len({tuple(order) for order in orders}) > 1

@@ -83,7 +83,7 @@ class PlacementEnv(Env):
             "reward": reward,
             "success": finished.is_success.astype(jnp.float32),
             "num_placed": finished.is_placed.sum().astype(jnp.float32),
-            "attempts": finished.counts.attempts.sum().astype(jnp.float32),
+            "attempts_used": finished.counts.attempts.sum().astype(jnp.float32),
             "stable_steps": finished.counts.steps.sum().astype(jnp.float32),
             "num_finished": ongoing.num_finished.astype(jnp.float32),
         }
