@@ -1,0 +1,337 @@
+"""PyBullet behind the same waist, for comparison: plain, or made as fast as its interface allows.
+
+One compound body per object of the same hulls, the true mass and inertia, the same friction, early stop by
+the same rule on plain floats, PyBullet's defaults elsewhere. One client per scene stays as it is between
+calls, and only what is not where it should be is put back. Plain: multi-bodies, everything awake, neighbours
+watched at every step. Tuned: rigid bodies, neighbours asleep until touched and looked at once, at the end.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing
+from cluttergen_jax.physics.rotation import rotate
+from cluttergen_jax.physics.stability import moved
+from cluttergen_jax.types import Settling, Standing, Verdict
+from cluttergen_jax.world import World
+
+try:
+    import pybullet
+except ImportError:
+    pybullet = None
+
+_PARKING = 20.0
+_Place = tuple[tuple[float, ...], tuple[float, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Frames:
+    """Where each object's principal axes lie in its object frame: PyBullet takes a diagonal inertia only.
+
+    Attributes:
+      center: f64[K, 3]; turn: f64[K, 4] wxyz, the principal frames in the object frames.
+      inertia: f64[K, 3], about the principal axes.
+    """
+
+    center: np.ndarray
+    turn: np.ndarray
+    inertia: np.ndarray
+
+    @staticmethod
+    def of(objects: Sequence[ObjectAsset]) -> _Frames:
+        inertia, axes = np.linalg.eigh(np.stack([asset.inertia for asset in objects]))
+        axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
+        turn = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
+        return _Frames(np.stack([asset.center_of_mass for asset in objects]), turn, inertia)
+
+    def body_poses(self, objects: list[int], poses: np.ndarray) -> np.ndarray:
+        """f64[n, 7], position and quaternion xyzw of bodies, from the objects' poses f[n, 7] (wxyz)."""
+        position = poses[:, :3] + rotate(np, poses[:, 3:], self.center[objects])
+        turn = _product(poses[:, 3:], self.turn[objects])
+        return np.c_[position, turn[:, 1:], turn[:, 0]]
+
+    def object_poses(self, objects: list[int], bodies: np.ndarray) -> np.ndarray:
+        """The inverse of `body_poses`."""
+        turn = _product(bodies[:, [6, 3, 4, 5]], self.turn[objects] * [1, -1, -1, -1])
+        return np.c_[bodies[:, :3] - rotate(np, turn, self.center[objects]), turn]
+
+
+def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Quaternion products, f[n, 4] wxyz each."""
+    w, v, u, x = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
+    return np.c_[w * u - (v * x).sum(1, keepdims=True), w * x + u * v + np.cross(v, x)]
+
+
+@dataclass(eq=False)
+class _Client:
+    """One scene: a PyBullet world and where everything was left.
+
+    Attributes:
+      poses: f32[K, 7], the object poses at which bodies were last put or found.
+    """
+
+    id: int
+    bodies: list[int]
+    poses: np.ndarray
+
+
+class BulletPhysics:
+    """`BatchEngine` on PyBullet, one thread.
+
+    Args:
+      world: the compiled world whose objects and support are built again.
+      tuned: see above.
+    """
+
+    def __init__(
+        self, world: World, config: StabilityConfig, contact: ContactConfig, tuned: bool = True
+    ) -> None:
+        self.config, self._contact, self._tuned = config, contact, tuned
+        self._world = world
+        self._frames = _Frames.of(world.objects)
+        self._parked = np.tile(np.array([0, 0, 1, 1, 0, 0, 0], np.float32), (world.num_objects, 1))
+        self._parked[:, 0] = _PARKING + np.arange(world.num_objects)
+        self._clients: list[_Client] = []
+        self._files = tempfile.TemporaryDirectory()
+        self._meshes = [self._write(index, asset) for index, asset in enumerate(world.objects)]
+
+    def close(self) -> None:
+        """Ends all clients."""
+        for client in self._clients:
+            pybullet.disconnect(client.id)
+        self._clients.clear()
+        self._files.cleanup()
+
+    def settle_batch(
+        self, poses: np.ndarray, is_placed: np.ndarray, focus: np.ndarray, is_active: np.ndarray
+    ) -> Settling:
+        """One attempt in each active scene; trajectories and motion sums are left out."""
+        self._make_room(len(poses))
+        result = empty_settling(np, (len(poses),), self._world.num_objects, self.config)
+        result.poses[:] = poses
+        for row in np.flatnonzero(is_active).tolist():
+            self._settle(self._clients[row], poses[row], is_placed[row], int(focus[row]), result, row)
+        return result
+
+    def stand_batch(self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray) -> Standing:
+        """The staged last check, everything awake; movements are looked at where a stage ends."""
+        self._make_room(len(poses))
+        result = empty_standing(np, (len(poses),), self._world.num_objects)
+        for row in np.flatnonzero(is_active).tolist():
+            self._stand(self._clients[row], poses[row], is_placed[row], result, row)
+        return result
+
+    def _settle(
+        self,
+        client: _Client,
+        poses: np.ndarray,
+        is_placed: np.ndarray,
+        focus: int,
+        result: Settling,
+        row: int,
+    ) -> None:
+        self._arrange(client, poses, is_placed, again=focus)
+        neighbours = [int(k) for k in np.flatnonzero(is_placed) if k != focus]
+        if self._tuned:
+            self._activate(client, neighbours, pybullet.ACTIVATION_STATE_SLEEP)
+        else:
+            self._activate(client, neighbours, pybullet.ACTIVATION_STATE_WAKE_UP)
+        self._activate(client, [focus], pybullet.ACTIVATION_STATE_WAKE_UP)
+        watched = [] if self._tuned else [client.bodies[k] for k in neighbours]
+        num_steps, is_quiet, is_displaced = self._run_attempt(client.id, client.bodies[focus], watched)
+        self._find(client, [focus, *neighbours])
+        final = client.poses
+        result.num_steps[row] = num_steps
+        result.poses[row, is_placed] = final[is_placed]
+        verdict = Verdict.STABLE if is_quiet else Verdict.UNSETTLED
+        if is_quiet and self._overlap(client) > self.config.max_penetration:
+            verdict = Verdict.PENETRATING
+        shift, turn = moved(np, final[neighbours], poses[neighbours])
+        if is_displaced or (shift > self.config.max_shift).any() or (turn > self.config.max_turn).any():
+            verdict = Verdict.DISPLACED
+        layout = self._world.layout
+        if (below_top(np, final, layout.center_of_mass, layout.top) & is_placed).any():
+            verdict = Verdict.FELL
+        result.verdict[row] = verdict
+        result.is_quiet[row] = is_quiet
+
+    def _run_attempt(self, client: int, body: int, watched: list[int]) -> tuple[int, bool, bool]:
+        """Steps until the focus object is quiet or the attempt decided: the rule of `stability`, on floats.
+
+        Returns:
+          The number of steps, whether it came to rest in time, whether a watched body went too far.
+        """
+        config, hold, is_displaced = self.config, 0, False
+        step, velocity_of = pybullet.stepSimulation, pybullet.getBaseVelocity
+        max_speed, max_spin = config.max_speed**2, config.max_angular_speed**2
+        max_change = (config.max_acceleration * config.timestep) ** 2
+        max_spin_change = (config.max_angular_acceleration * config.timestep) ** 2
+        start = _places(client, watched)
+        x0 = y0 = z0 = a0 = b0 = c0 = 0.0
+        for number in range(1, config.last_step + 1):
+            step(physicsClientId=client)
+            (x, y, z), (a, b, c) = velocity_of(body, physicsClientId=client)
+            is_quiet = (
+                x * x + y * y + z * z < max_speed
+                and a * a + b * b + c * c < max_spin
+                and (x - x0) ** 2 + (y - y0) ** 2 + (z - z0) ** 2 < max_change
+                and (a - a0) ** 2 + (b - b0) ** 2 + (c - c0) ** 2 < max_spin_change
+            )
+            x0, y0, z0, a0, b0, c0 = x, y, z, a, b, c
+            hold = hold + 1 if is_quiet else 0
+            if watched:
+                is_displaced |= self._went_far(start, _places(client, watched))
+            if hold >= config.quiet_steps:
+                return number, number <= config.decision_step, is_displaced
+        return config.last_step, False, is_displaced
+
+    def _went_far(self, start: list[_Place], now: list[_Place]) -> bool:
+        """Whether any of the watched bodies is too far from where it was, or turned too much."""
+        max_shift, min_along = self.config.max_shift**2, math.cos(self.config.max_turn / 2)
+        for ((x0, y0, z0), (a0, b0, c0, d0)), ((x, y, z), (a, b, c, d)) in zip(start, now, strict=True):
+            if (x - x0) ** 2 + (y - y0) ** 2 + (z - z0) ** 2 > max_shift:
+                return True
+            if abs(a * a0 + b * b0 + c * c0 + d * d0) < min_along:
+                return True
+        return False
+
+    def _stand(
+        self, client: _Client, poses: np.ndarray, is_placed: np.ndarray, result: Standing, row: int
+    ) -> None:
+        config, placed = self.config, np.flatnonzero(is_placed)
+        self._arrange(client, poses, is_placed)
+        self._activate(client, placed.tolist(), pybullet.ACTIVATION_STATE_WAKE_UP)
+        for body in (client.bodies[k] for k in placed):
+            pybullet.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), physicsClientId=client.id)
+        verdict = Verdict.NONE
+        for until, max_shift, max_turn, otherwise in (
+            (config.stand_steps, config.stand_shift, config.stand_turn, Verdict.NONE),
+            (config.stand_full_steps, config.stand_full_shift, config.stand_full_turn, Verdict.CREPT),
+        ):
+            for _ in range(until - int(result.num_steps[row])):
+                pybullet.stepSimulation(physicsClientId=client.id)
+            result.num_steps[row] = until
+            self._find(client, placed.tolist())
+            shift, turn = moved(np, client.poses[placed], poses[placed])
+            stands = (shift <= max_shift).all() and (turn <= max_turn).all()
+            verdict = Verdict.STABLE if stands else otherwise
+            if verdict != Verdict.NONE:
+                break
+        result.verdict[row], result.shift[row, placed], result.turn[row, placed] = verdict, shift, turn
+
+    def _arrange(
+        self, client: _Client, poses: np.ndarray, is_placed: np.ndarray, again: int | None = None
+    ) -> None:
+        """Puts every object where it should be, unless it is there already; `again` in any case."""
+        wanted = np.where(is_placed[:, None], poses, self._parked)
+        is_amiss = (wanted != client.poses).any(1)
+        if again is not None:
+            is_amiss[again] = True
+        self._put(client, np.flatnonzero(is_amiss).tolist(), wanted[is_amiss])
+        self._activate(
+            client, np.flatnonzero(is_amiss & ~is_placed).tolist(), pybullet.ACTIVATION_STATE_SLEEP
+        )
+
+    def _put(self, client: _Client, objects: list[int], poses: np.ndarray) -> None:
+        for k, pose in zip(objects, self._frames.body_poses(objects, poses).tolist(), strict=True):
+            body = client.bodies[k]
+            pybullet.resetBasePositionAndOrientation(body, pose[:3], pose[3:], physicsClientId=client.id)
+            pybullet.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), physicsClientId=client.id)
+        client.poses[objects] = poses
+
+    def _find(self, client: _Client, objects: list[int]) -> None:
+        """Reads where some objects are now."""
+        place_of, bodies = pybullet.getBasePositionAndOrientation, client.bodies
+        places = [sum(place_of(bodies[k], physicsClientId=client.id), ()) for k in objects]
+        client.poses[objects] = self._frames.object_poses(objects, np.array(places))
+
+    def _activate(self, client: _Client, objects: list[int], state: int) -> None:
+        for k in objects:
+            pybullet.changeDynamics(client.bodies[k], -1, activationState=state, physicsClientId=client.id)
+
+    def _overlap(self, client: _Client) -> float:
+        """The deepest overlap of any two bodies, metres (contact distance is the ninth entry)."""
+        return max(
+            (-contact[8] for contact in pybullet.getContactPoints(physicsClientId=client.id)), default=0.0
+        )
+
+    def _make_room(self, num_scenes: int) -> None:
+        while len(self._clients) < num_scenes:
+            self._clients.append(self._new_client())
+
+    def _new_client(self) -> _Client:
+        client = pybullet.connect(pybullet.DIRECT)
+        pybullet.setGravity(0, 0, -self._contact.gravity, physicsClientId=client)
+        pybullet.setTimeStep(self.config.timestep, physicsClientId=client)
+        self._add_support(client, self._world.support)
+        bodies = [self._add_object(client, k) for k in range(self._world.num_objects)]
+        result = _Client(client, bodies, self._parked.copy())
+        everyone = list(range(len(bodies)))
+        self._put(result, everyone, self._parked)
+        self._activate(result, everyone, pybullet.ACTIVATION_STATE_SLEEP)
+        return result
+
+    def _add_support(self, client: int, support: SupportAsset) -> None:
+        for box in support.boxes:
+            shape = pybullet.createCollisionShape(
+                pybullet.GEOM_BOX, halfExtents=box.half_extents, physicsClientId=client
+            )
+            turn = pybullet.getQuaternionFromEuler((0, 0, box.yaw))
+            body = pybullet.createMultiBody(0, shape, -1, box.center, turn, physicsClientId=client)
+            pybullet.changeDynamics(body, -1, lateralFriction=self._friction, physicsClientId=client)
+
+    def _add_object(self, client: int, k: int) -> int:
+        asset = self._world.objects[k]
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_MESH, fileName=self._meshes[k], physicsClientId=client
+        )
+        body = pybullet.createMultiBody(
+            asset.mass, shape, useMaximalCoordinates=self._tuned, physicsClientId=client
+        )
+        # Without the mass beside it, the inertia of a rigid body becomes not-a-number.
+        pybullet.changeDynamics(
+            body,
+            -1,
+            mass=asset.mass,
+            localInertiaDiagonal=self._frames.inertia[k].tolist(),
+            lateralFriction=self._friction,
+            physicsClientId=client,
+        )
+        return body
+
+    @property
+    def _friction(self) -> float:
+        """PyBullet multiplies the coefficients of two bodies, MuJoCo takes the larger."""
+        return math.sqrt(self._contact.friction[0])
+
+    def _write(self, index: int, asset: ObjectAsset) -> str:
+        """An OBJ of the object's hulls in its principal frame; PyBullet makes a compound of its groups."""
+        lines: list[str] = []
+        first, back = 1, self._frames.turn[index] * [1, -1, -1, -1]
+        for part in asset.parts:
+            vertices = rotate(np, back, part.vertices - self._frames.center[index])
+            faces = ConvexHull(vertices).simplices + first
+            lines.append(f"o part-{first}")
+            lines += ["v {:.9g} {:.9g} {:.9g}".format(*vertex) for vertex in vertices]
+            lines += ["f {} {} {}".format(*face) for face in faces]
+            first += len(vertices)
+        path = Path(self._files.name) / f"{index}.obj"
+        path.write_text("\n".join(lines) + "\n")
+        return str(path)
+
+
+def _places(client: int, bodies: list[int]) -> list[_Place]:
+    """Position and quaternion of each body."""
+    return [pybullet.getBasePositionAndOrientation(body, physicsClientId=client) for body in bodies]

@@ -1,0 +1,47 @@
+"""Scenes to measure on: made by a method under the rules, and handed back as the waist wants them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cluttergen_jax.baselines import make_proposer
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.scenes import Scenes
+from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler
+
+Sampler = Callable[[int, int], Scenes]
+"""Makes scenes 0 .. N - 1 from a seed, on the host, failures included: `sample(num_scenes, seed)`."""
+
+
+def make_sampler(rules: Rules, method: str, block_size: int = BLOCK_SIZE) -> Sampler:
+    """A sampler that is compiled at its first call."""
+    compiled = jax.jit(BlockSampler(rules, make_proposer(method, rules)).sample)
+
+    def sample(num_scenes: int, seed: int) -> Scenes:
+        blocks = []
+        for start in range(0, num_scenes, block_size):
+            indices = start + np.arange(block_size)
+            scenes = jax.device_get(
+                compiled(jax.random.key(seed), jnp.asarray(indices), indices < num_scenes)
+            )
+            rows = min(block_size, num_scenes - start)
+            blocks.append(jax.tree.map(lambda array, rows=rows: array[:rows], scenes))
+        return jax.tree.map(lambda *parts: np.concatenate(parts), *blocks)
+
+    return sample
+
+
+def placed_poses(scenes: Scenes, rows: np.ndarray, num_objects: int) -> tuple[np.ndarray, np.ndarray]:
+    """The scenes `rows` at the waist: poses f32[N, K, 7] and is_placed bool[N, K]."""
+    poses = np.zeros((len(rows), num_objects, 7), np.float32)
+    poses[..., 3] = 1.0
+    is_placed = np.zeros((len(rows), num_objects), bool)
+    row, slot = np.nonzero(scenes.is_placed[rows])
+    index = scenes.object_index[rows][row, slot]
+    poses[row, index] = scenes.T_world_object[rows][row, slot]
+    is_placed[row, index] = True
+    return poses, is_placed

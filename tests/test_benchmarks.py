@@ -1,0 +1,149 @@
+"""The benchmarks run at their smallest, and the README's sections are replaced as they should be."""
+
+import numpy as np
+import pytest
+
+from benchmarks import bullet, contact, engines, last_check
+from benchmarks.bodies import apple, box
+from benchmarks.contact_scenes import small_scenes
+from benchmarks.recorded import small_attempts
+from benchmarks.section import prose, provenance, replace_section, table
+from cluttergen_jax.assets.pool import Pool, write_pool
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.physics.native import NativePhysics
+from cluttergen_jax.types import Verdict
+
+
+@pytest.fixture
+def pool(tmp_path):
+    objects = (box("brick", (0.03, 0.04, 0.05), 0.2), box("slab", (0.05, 0.05, 0.01), 0.3))
+    return str(write_pool(tmp_path / "blocks", Pool("blocks", objects)))
+
+
+def test_section_goes_to_the_end_of_a_new_readme(tmp_path):
+    readme = tmp_path / "README.md"
+    replace_section(readme, "one", "first")
+    replace_section(readme, "two", "second")
+    text = readme.read_text()
+    assert text.startswith("# Benchmarks")
+    assert text.index("first") < text.index("second")
+
+
+def test_section_replaces_itself_and_nothing_else(tmp_path):
+    readme = tmp_path / "README.md"
+    for name in ("one", "two", "three"):
+        replace_section(readme, name, f"old {name}")
+    before = readme.read_text()
+    # A backslash and a group reference must come through as they are.
+    replace_section(readme, "two", r"new \1 \g<0> two")
+    assert readme.read_text() == before.replace("old two", r"new \1 \g<0> two")
+
+
+def test_section_written_twice_is_the_same_file(tmp_path):
+    readme = tmp_path / "README.md"
+    replace_section(readme, "one", "text")
+    once = readme.read_text()
+    replace_section(readme, "one", "text")
+    assert readme.read_text() == once
+
+
+def test_section_keeps_what_was_written_by_hand(tmp_path):
+    readme = tmp_path / "README.md"
+    readme.write_text("# By hand\n\nabove\n\n<!-- one: begin -->\nold\n<!-- one: end -->\n\nbelow\n")
+    replace_section(readme, "one", "new")
+    assert readme.read_text() == (
+        "# By hand\n\nabove\n\n<!-- one: begin -->\nnew\n<!-- one: end -->\n\nbelow\n"
+    )
+
+
+def test_table_has_a_rule_and_equal_rows():
+    lines = table(["name", "value"], [["a", 1], ["b", 2.5]]).splitlines()
+    assert {line.count("|") for line in lines} == {3}
+    assert lines[1] == "| --- | ---: |"
+    assert lines[3] == "| b | 2.5 |"
+
+
+def test_provenance_names_command_and_versions():
+    text = provenance("contact", ["mujoco", "no-such-package"])
+    assert "python -m benchmarks.contact" in text
+    assert "mujoco 3." in text
+    assert "no-such-package not installed" in text
+
+
+def test_prose_is_one_line():
+    assert prose("a\n    b\n  c ") == "a b c"
+
+
+def test_apple_is_round_and_small_enough_for_a_part():
+    vertices = apple("apple", 0.03, 0.1).parts[0].vertices
+    assert len(np.unique(vertices.round(9), axis=0)) == len(vertices) == 32
+    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 0.03)
+
+
+def test_small_scenes_know_friction_from_ice():
+    rough, smooth = (small_scenes(ContactConfig(friction=(mu, 0.005, 0.0001)), known={}) for mu in (0.5, 0.1))
+    assert rough.stack.creep < 1e-3
+    assert rough.bowl is None
+    # A slope of 10 degrees is steeper than the angle of friction of 0.1.
+    assert rough.slope_speed < 0.001 < 0.1 < smooth.slope_speed
+    np.testing.assert_allclose(rough.slides_at, np.degrees(np.arctan(0.5)), atol=1.0)
+
+
+def test_recorded_small_attempts_come_to_rest():
+    world, attempts = small_attempts(StabilityConfig(), ContactConfig(), 6)
+    result = NativePhysics(world.layout, StabilityConfig()).settle_batch(
+        attempts.poses, attempts.is_placed, attempts.focus, np.ones(6, bool)
+    )
+    assert (result.verdict == Verdict.STABLE).all()
+    # Those let go above the flat box end on it.
+    assert np.ptp(result.poses[::2, 2, 2] - result.poses[1::2, 2, 2] - 0.02) < 1e-3
+
+
+def test_pybullet_judges_like_native():
+    pytest.importorskip("pybullet")
+    config = StabilityConfig()
+    world, attempts = small_attempts(config, ContactConfig(), 4)
+    poses = attempts.poses.copy()
+    poses[3, 2, :2] = (0.4, 0.0)
+    everyone = np.ones(4, bool)
+    native = NativePhysics(world.layout, config).settle_batch(
+        poses, attempts.is_placed, attempts.focus, everyone
+    )
+    for tuned in (True, False):
+        peer = bullet.BulletPhysics(world, config, ContactConfig(), tuned=tuned)
+        result = peer.settle_batch(poses, attempts.is_placed, attempts.focus, everyone)
+        assert (result.verdict[:3] == Verdict.STABLE).all()
+        assert (result.verdict == Verdict.STABLE).tolist() == (native.verdict == Verdict.STABLE).tolist()
+        # Bullet keeps hulls a millimetre apart on either side.
+        np.testing.assert_allclose(result.poses[:3], native.poses[:3], atol=4e-3)
+        standing = peer.stand_batch(result.poses[:3], attempts.is_placed[:3], everyone[:3])
+        assert (standing.verdict == Verdict.STABLE).all()
+        peer.close()
+
+
+@pytest.mark.slow
+def test_contact_runs(pool):
+    args = contact.Contact(pool=(pool,), trials=2, num_scenes=2, only=("ours", "pyramidal"))
+    outcomes = contact.measure({name: contact.candidates()[name] for name in args.only}, args)
+    assert outcomes["ours"].solo[0].rate == 1.0
+    assert "| pyramidal |" in contact.body_of(outcomes, args)
+
+
+@pytest.mark.slow
+def test_last_check_runs(pool):
+    args = last_check.LastCheck(
+        pool=pool, support=("table",), method=("clear",), num_scenes=4, num_verified=2
+    )
+    checks = last_check.measure(args)
+    assert len(checks[0].full) == 4
+    assert checks[0].is_verified.sum() == 2
+    assert "| clear, table | 4 | 4 |" in last_check.body_of(checks, args)
+
+
+@pytest.mark.slow
+def test_engines_run(pool):
+    args = engines.Engines(pool=pool, num_scenes=2, rounds=1, num_awake=1, num_replayed=0)
+    contenders = engines.compete(args)
+    assert contenders["native, 1 thread"].success == 1.0
+    assert all(each.turns[0].attempts > 0 for each in contenders.values())
+    assert "| native, 1 thread |" in engines.body_of(contenders, [], args)
