@@ -14,7 +14,14 @@ from cluttergen_jax.assets.inertia import mass_properties
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.object import CLOUD_SIZE, MAX_PART_VERTICES
 from cluttergen_jax.assets.object_files import object_hash
-from cluttergen_jax.assets.parts import finished, flattened, hull_of, reduced, sound_points
+from cluttergen_jax.assets.parts import (
+    finished,
+    flattened,
+    hull_of,
+    reduced,
+    sound_points,
+    with_spread_bottom,
+)
 from cluttergen_jax.assets.readers.primitives import cylinder, ellipsoid
 from cluttergen_jax.assets.rest import settled_turn, tilt_of, upright_turn
 from cluttergen_jax.assets.solid import solid_of
@@ -52,10 +59,11 @@ def test_a_hole_is_mended_and_a_void_is_filled():
 
 def test_a_soup_is_rebuilt_on_its_own_surface():
     ball = ellipsoid(np.full(3, 0.05))
-    rng = np.random.default_rng(0)
-    soup = Mesh(ball.vertices, ball.faces[rng.uniform(size=len(ball.faces)) < 0.8])
-    inner = slab((0.02, 0.02, 0.0))
-    solid = solid_of([joined([soup, Mesh(inner.vertices, inner.faces[:5])])])
+    corners = ball.vertices[ball.faces]
+    # Every triangle for itself, a little apart from its neighbours.
+    corners = corners.mean(1, keepdims=True) + 0.97 * (corners - corners.mean(1, keepdims=True))
+    soup = Mesh(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
+    solid = solid_of([joined([soup, slab((0.02, 0.02, 0.02))])])
     assert not solid.is_exact
     assert solid.volume == pytest.approx(4 / 3 * np.pi * 0.05**3, rel=0.06)
     radius = np.linalg.norm(solid.mesh.vertices, axis=1)
@@ -119,6 +127,17 @@ def test_bottoms_become_flat_and_stay_wide():
     assert len(part) <= MAX_PART_VERTICES
     assert len(bottom) >= 8
     assert np.linalg.norm(bottom[:, :2], axis=1).min() > 0.029
+
+
+def test_corners_of_the_bottom_are_well_apart_and_a_narrow_foot_keeps_its_width():
+    rng = np.random.default_rng(0)
+    foot = slab((0.05, 0.002, 0.03)).vertices
+    crowded = np.concatenate([foot, foot + rng.uniform(-1, 1, foot.shape) * [5e-4, 2e-5, 0]])
+    kept = with_spread_bottom(crowded, -0.03)
+    low = kept[kept[:, 2] == -0.03]
+    assert len(low) == 4
+    np.testing.assert_allclose(np.ptp(low[:, :2], axis=0), [0.1, 0.004], rtol=0.03)
+    assert (kept[:, 2] > 0).sum() == (crowded[:, 2] > 0).sum()
 
 
 def test_thin_things_are_not_flattened_away():

@@ -60,8 +60,8 @@ def solid_of(meshes: Sequence[Mesh]) -> Solid:
             "a surface that lies in a plane or on a line", "a mesh of an object with some thickness"
         )
     united = _united(meshes) if len(meshes) <= _MAX_PIECES else None
-    is_exact = united is not None
-    mesh = united if united is not None else _rebuilt(surface)
+    is_exact = united is not None and _covers(united, surface)
+    mesh = united if united is not None and is_exact else _rebuilt(surface)
     if len(mesh.faces) == 0:
         raise AssetError("a surface that encloses nothing", "a mesh of an object with some thickness")
     return Solid(mesh, is_exact, surface)
@@ -82,6 +82,18 @@ def _as_manifold(mesh: Mesh) -> manifold3d.Manifold:
 def _as_mesh(manifold: manifold3d.Manifold) -> Mesh:
     raw = manifold.to_mesh64()
     return Mesh(raw.vert_properties[:, :3], raw.tri_verts)
+
+
+def _covers(united: Mesh, surface: Mesh) -> bool:
+    """Whether no vertex of the surface is outside of the solid by more than a cell.
+
+    Mending can close a surface in the wrong way, and what faces inwards is taken for a void.
+    """
+    voxels = Voxels.of(united)
+    lower, upper = united.bounds
+    is_near = (surface.vertices > lower - voxels.pitch) & (surface.vertices < upper + voxels.pitch)
+    solid = binary_dilation(voxels.solid, np.ones((3, 3, 3), bool))
+    return bool(is_near.all() and solid[voxels.index(surface.vertices)].all())
 
 
 def _united(meshes: Sequence[Mesh]) -> Mesh | None:
