@@ -9,7 +9,7 @@ import trimesh
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.readers import ReadOptions, find_sources, read_shape, read_source, ycb_sources
 from cluttergen_jax.assets.readers.convex import signed_volume
-from cluttergen_jax.assets.readers.mesh_file import cleaned
+from cluttergen_jax.assets.readers.mesh_file import GREY, cleaned
 from cluttergen_jax.errors import AssetError
 
 SIZE = np.array([0.06, 0.04, 0.11])
@@ -45,6 +45,16 @@ def test_every_mesh_format_gives_the_same_box(tmp_path, suffix):
 def test_colours_are_read(tmp_path, suffix):
     (shape,) = read_source(save_box(tmp_path / f"crate.{suffix}"))
     np.testing.assert_allclose(shape.pieces[0].rgba[:3], np.array([200, 40, 40]) / 255, atol=0.02)
+
+
+def test_a_missing_texture_is_grey(tmp_path):
+    box = trimesh.creation.box(SIZE)
+    box.visual = trimesh.visual.TextureVisuals(uv=np.zeros((8, 2)))
+    box.export(str(tmp_path / "crate.obj"))
+    for file in tmp_path.glob("*.mtl"):
+        file.unlink()
+    (shape,) = read_source(tmp_path / "crate.obj")
+    assert shape.pieces[0].rgba == GREY
 
 
 def test_y_up_and_scale(tmp_path):

@@ -14,6 +14,7 @@ from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.errors import AssetError
 
 GREY = (0.7, 0.7, 0.7, 1.0)
+_STAND_IN = 2
 
 
 def read_mesh_file(path: Path) -> tuple[list[Piece], str]:
@@ -74,12 +75,12 @@ def mean_colour(visual: Any, is_linear: bool = False) -> tuple[float, float, flo
 def _texture_colours(visual: Any, is_linear: bool) -> np.ndarray:
     material = visual.material
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    if image is not None and max(image.size) <= _STAND_IN:
+        # What trimesh puts where a material or its texture is missing.
+        return np.array(GREY)
     if image is not None and visual.uv is not None:
         return trimesh.visual.color.uv_to_color(visual.uv, image) / 255.0
     main = np.asarray(material.main_color, np.float64) / 255.0
-    # trimesh's own default, where a material names a texture that is not there.
-    if np.allclose(main[:3], 100 / 255):
-        return np.array(GREY)
     if is_linear:
         main[:3] = np.where(main[:3] <= 0.0031308, 12.92 * main[:3], 1.055 * main[:3] ** (1 / 2.4) - 0.055)
     return main
