@@ -95,9 +95,7 @@ class BulletPhysics:
       tuned: see above.
     """
 
-    def __init__(
-        self, world: World, config: StabilityConfig, contact: ContactConfig, tuned: bool = True
-    ) -> None:
+    def __init__(self, world: World, config: StabilityConfig, contact: ContactConfig, tuned: bool) -> None:
         self.config, self._contact, self._tuned = config, contact, tuned
         self._world = world
         self._frames = _Frames.of(world.objects)

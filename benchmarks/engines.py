@@ -38,7 +38,8 @@ class Engines:
     Attributes:
       pool: name or folder.
       support: where `clear` places the objects.
-      num_scenes: scenes of each round and engine, side by side.
+      num_scenes: scenes of each round and engine; native has them side by side.
+      num_clients: PyBullet's clients, each of which takes 30 MB: so many scenes side by side there.
       rounds: how often the engines take turns.
       num_awake: scenes stepped with everything awake.
       num_replayed: attempts given to MJX; 0 leaves MJX out.
@@ -47,7 +48,8 @@ class Engines:
 
     pool: str = "dining"
     support: str = "table"
-    num_scenes: int = 64
+    num_scenes: int = 128
+    num_clients: int = 16
     rounds: int = 5
     num_awake: int = 16
     num_replayed: int = 64
@@ -91,11 +93,14 @@ class Contender:
     """An engine in the comparison, and its turns.
 
     Attributes:
+      engine: behind the waist.
+      sample: makes scenes with whatever engine is in use, as many side by side as suit this one.
       awake_steps: steps per CPU-second of whole scenes, everything awake.
       success: share of scenes that were finished, over all turns.
     """
 
     engine: BatchEngine
+    sample: Sampler
     turns: list[Turn] = field(default_factory=list)
     awake_steps: float = np.nan
     success: float = np.nan
@@ -111,34 +116,35 @@ def main(args: Engines) -> None:
 _PACKAGES = ("mujoco", "mujoco-mjx", "jax", "warp-lang", "pybullet")
 
 
-def make_contenders(world: World, stability: StabilityConfig, contact: ContactConfig) -> dict[str, Contender]:
+def make_contenders(world: World, rules: Rules, args: Engines) -> dict[str, Contender]:
     """Native with one thread comes first: the others are compared with it."""
-    engines: dict[str, BatchEngine] = {
-        "native, 1 thread": NativePhysics(world.layout, stability, num_threads=1),
-        "native, all threads": NativePhysics(world.layout, stability),
+    stability, contact = rules.physics.config, ContactConfig()
+    sample = make_sampler(rules, "clear", block_size=args.num_scenes)
+    contenders = {
+        "native, 1 thread": Contender(NativePhysics(world.layout, stability, num_threads=1), sample),
+        "native, all threads": Contender(NativePhysics(world.layout, stability), sample),
     }
     if bullet.pybullet is not None:
-        engines["PyBullet, tuned"] = bullet.BulletPhysics(world, stability, contact, tuned=True)
-        engines["PyBullet, plain"] = bullet.BulletPhysics(world, stability, contact, tuned=False)
-    return {name: Contender(engine) for name, engine in engines.items()}
+        sample = make_sampler(rules, "clear", block_size=min(args.num_clients, args.num_scenes))
+        for tuned in (True, False):
+            name = f"PyBullet, {'tuned' if tuned else 'plain'}"
+            contenders[name] = Contender(bullet.BulletPhysics(world, stability, contact, tuned), sample)
+    return contenders
 
 
 def compete(args: Engines) -> dict[str, Contender]:
     """The engines take turns at making scenes."""
-    stability, contact, support = StabilityConfig(), ContactConfig(), find_support(args.support)
-    world = make_world(find_pool(args.pool).objects, support, stability, contact)
+    stability, support = StabilityConfig(), find_support(args.support)
+    world = make_world(find_pool(args.pool).objects, support, stability, ContactConfig())
     physics = HostPhysics(world.num_objects, stability)
     placement = PlacementConfig(num_objects=min(10, world.num_objects), history_stride=0)
     rules = Rules(placement, physics, geometry_of(world), region_of(support.region, support))
-    sample = make_sampler(rules, "clear", block_size=args.num_scenes)
-    contenders = make_contenders(world, stability, contact)
+    contenders = make_contenders(world, rules, args)
     for contender in contenders.values():
-        _take_turn(contender, physics, sample, args, seed=0)
-        contender.turns.clear()
-        contender.awake_steps = _awake_steps(contender.engine, physics, sample, args, world)
+        contender.awake_steps = _awake_steps(contender, physics, args, world)
     for seed in range(1, args.rounds + 1):
         for contender in contenders.values():
-            _take_turn(contender, physics, sample, args, seed)
+            contender.turns.append(_turn(contender, physics, args.num_scenes, seed))
     for contender in contenders.values():
         finished = sum(turn.num_scenes for turn in contender.turns)
         contender.success = finished / (args.num_scenes * args.rounds)
@@ -147,35 +153,34 @@ def compete(args: Engines) -> dict[str, Contender]:
     return contenders
 
 
-def _take_turn(contender: Contender, physics: HostPhysics, sample: Sampler, args: Engines, seed: int) -> None:
+def _turn(contender: Contender, physics: HostPhysics, num_scenes: int, seed: int) -> Turn:
     physics.use(contender.engine)
     started = time.process_time()
-    scenes = sample(args.num_scenes, seed)
-    contender.turns.append(
-        Turn(
-            program_seconds=time.process_time() - started,
-            settle_seconds=physics.settle_seconds,
-            stand_seconds=physics.stand_seconds,
-            num_attempts=int(scenes.counts.attempts.sum()),
-            num_scenes=int(scenes.is_success.sum()),
-            num_settle_steps=int(scenes.counts.steps.sum()),
-        )
+    scenes = contender.sample(num_scenes, seed)
+    return Turn(
+        program_seconds=time.process_time() - started,
+        settle_seconds=physics.settle_seconds,
+        stand_seconds=physics.stand_seconds,
+        num_attempts=int(scenes.counts.attempts.sum()),
+        num_scenes=int(scenes.is_success.sum()),
+        num_settle_steps=int(scenes.counts.steps.sum()),
     )
 
 
-def _awake_steps(
-    engine: BatchEngine, physics: HostPhysics, sample: Sampler, args: Engines, world: World
-) -> float:
-    """Steps per CPU-second of finished scenes, everything awake, for the length of the full last check."""
+def _awake_steps(contender: Contender, physics: HostPhysics, args: Engines, world: World) -> float:
+    """Steps per CPU-second of filled scenes, everything awake, for the length of the full last check.
+
+    The scenes are made by the engine itself, which compiles what is to be timed later.
+    """
+    engine, config = contender.engine, physics.config
     physics.use(engine)
-    scenes = sample(args.num_scenes, 0)
+    scenes = contender.sample(args.num_scenes, 0)
     rows = np.flatnonzero(scenes.is_filled)[: args.num_awake]
     if not len(rows):
         return np.nan
     poses, is_placed = placed_poses(scenes, rows, world.num_objects)
-    config = physics.config
-    steps = config.stand_full_steps
-    engine.config = replace(config, stand_steps=steps)
+    # As long a first stage as the second: nobody stops early.
+    engine.config = replace(config, stand_steps=config.stand_full_steps)
     started = time.process_time()
     num_steps = engine.stand_batch(poses, is_placed, np.ones(len(rows), bool)).num_steps.sum()
     seconds = time.process_time() - started
