@@ -1,0 +1,41 @@
+"""The simulators behind the waist (`protocol.Physics`)."""
+
+from __future__ import annotations
+
+import jax
+
+from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.physics.native import NativePhysics
+from cluttergen_jax.physics.protocol import Physics
+
+ENGINES = ("auto", "native", "warp", "jax")
+
+
+def make_physics(
+    layout: Layout, config: StabilityConfig, engine: str = "auto", num_threads: int = 0
+) -> Physics:
+    """The engine called `engine` for one compiled world.
+
+    Args:
+      layout: the compiled world.
+      config: when an object stands still.
+      engine: "native" (MuJoCo's C engine), "warp" (MJX on an NVIDIA GPU, slowly on a CPU), "jax" (MJX in
+        pure JAX, for few simple objects), or "auto": warp where JAX runs on an NVIDIA GPU, else native.
+      num_threads: threads of the native engine; 0 takes every core.
+
+    Raises:
+      ConfigError: unknown engine.
+      MissingExtraError: "warp" without Warp installed.
+    """
+    if engine not in ENGINES:
+        raise ConfigError(f"engine = {engine!r}", ", ".join(ENGINES), "engine native, which runs everywhere")
+    if engine == "auto":
+        engine = "warp" if jax.default_backend() == "gpu" else "native"
+    if engine == "native":
+        return NativePhysics(layout, config, num_threads)
+    # MJX takes a second to import, and only who asks for it pays.
+    from cluttergen_jax.physics.mjx import MjxPhysics
+
+    return MjxPhysics(layout, config, engine)
