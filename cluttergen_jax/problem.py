@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import jax.numpy as jnp
 import numpy as np
 
+from cluttergen_jax.assets.columns import Columns
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
@@ -22,6 +23,7 @@ from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.world import World, make_world, repeated
 
 SMALLEST_REGION = 0.02
+_RUN = 64
 
 
 @dataclass(frozen=True)
@@ -95,9 +97,7 @@ def compose(
     _check_region(region, support)
     world = make_world([*objects, *standing], support, config.stability, config.contact)
     physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
-    rules = Rules(
-        config.placement, physics, geometry_of(world), region_of(region, support), len(standing)
-    )
+    rules = Rules(config.placement, physics, geometry_of(world), region_of(region, support), len(standing))
     return Problem(config, world, rules, region)
 
 
@@ -110,24 +110,32 @@ def region_of(rectangle: Rectangle, support: SupportAsset) -> Region:
 
 def geometry_of(world: World) -> Geometry:
     """The world's objects as arrays, columns padded to the longest."""
-    most = max(len(columns.top) for columns in world.columns)
+    most = max(len(columns.sample) for columns in world.columns)
 
     def padded(arrays: list[np.ndarray]) -> jnp.ndarray:
         rows = [np.pad(a, [(0, most - len(a))] + [(0, 0)] * (a.ndim - 1)) for a in arrays]
         return jnp.asarray(np.stack(rows), jnp.float32)
 
+    runs = [_surface_runs(columns) for columns in world.columns]
     boxes = [(*box.center, *box.half_extents, box.yaw) for box in world.support.boxes]
     return Geometry(
         half_extents=jnp.asarray(np.stack([asset.half_extents for asset in world.objects]), jnp.float32),
         center_of_mass=jnp.asarray(world.layout.center_of_mass, jnp.float32),
         cloud=jnp.asarray(np.stack([asset.cloud for asset in world.objects]), jnp.float32),
-        column_xy=padded([columns.xy for columns in world.columns]),
-        column_bottom=padded([columns.bottom for columns in world.columns]),
-        column_top=padded([columns.top for columns in world.columns]),
-        is_column=padded([np.ones(len(columns.top)) for columns in world.columns]) > 0,
+        column_xy=padded([columns.xy[columns.sample] for columns in world.columns]),
+        column_bottom=padded([columns.bottom[columns.sample] for columns in world.columns]),
+        is_column=padded([np.ones(len(columns.sample)) for columns in world.columns]) > 0,
+        surface=jnp.asarray(np.concatenate(runs), jnp.float32),
+        surface_owner=jnp.asarray(np.repeat(np.arange(len(runs)), [len(run) for run in runs]), jnp.int32),
         boxes=jnp.asarray(np.array(boxes), jnp.float32),
         top=jnp.float32(world.support.top),
     )
+
+
+def _surface_runs(columns: Columns) -> np.ndarray:
+    """f64[M, 64, 3]: an object's grown upper surface, padded with its first point."""
+    padding = np.repeat(columns.surface[:1], -len(columns.surface) % _RUN, axis=0)
+    return np.concatenate([columns.surface, padding]).reshape(-1, _RUN, 3)
 
 
 def _check_region(region: Rectangle, support: SupportAsset) -> None:

@@ -18,7 +18,8 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics.layout import Layout
 
 MAX_OBJECTS = 200
-COLUMN_SPACING = 0.007
+COLUMN_SPACING = 0.0035
+NUM_COLUMN_SAMPLES = 512
 _PARKING_START = 50.0
 _PARKING_HEIGHT = 10.0
 
@@ -90,7 +91,7 @@ def make_world(
         body.pos = (x, 0.0, _PARKING_HEIGHT)
         x += asset.radius + 0.1
     model = _compile(spec)
-    columns = {id(asset): cut_columns(asset, COLUMN_SPACING) for asset in objects}
+    columns = {id(asset): cut_columns(asset, COLUMN_SPACING, NUM_COLUMN_SAMPLES) for asset in objects}
     return World(
         names=names,
         objects=tuple(objects),

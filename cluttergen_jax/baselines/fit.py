@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
-from cluttergen_jax.placement.heightmap import VOID, HeightMap, columns_at, heights_under
-from cluttergen_jax.placement.region import Region
-from cluttergen_jax.placement.types import Geometry
+from cluttergen_jax.placement.heightmap import VOID, HeightMap
 from cluttergen_jax.types import Array
 
-_CONTACT_GAP = 0.004
+_CONTACT_GAP = 0.0015
+_BASE = 0.003
 _BARE = 0.003
-_DIRECTIONS = 8
+_DEEP = -0.03
+_DIRECTIONS = 12
 
 
-@struct.dataclass
-class Candidates:
+class Candidates(struct.PyTreeNode):
     """Positions and turns in the region frame. N candidates.
 
     Attributes:
@@ -32,60 +34,109 @@ class Candidates:
         return Candidates(self.xy[index], self.yaw[index])
 
 
-@struct.dataclass
-class Fit:
-    """How one candidate would lie; leading axis N for many.
+class UnderSide(struct.PyTreeNode):
+    """What of an object can touch what lies below: a sample of its columns, object frame, metres.
 
     Attributes:
-      rest: f32, height of the object's origin above the top when it first touches something, metres.
-      blocked: f32, share of its columns over other objects.
-      hanging: f32, share of its columns over nothing at all.
-      support: f32, metres: how far inside what carries it the centre of mass is; negative if it would tip.
+      xy: f32[C, 2]; bottom: f32[C]; is_column: bool[C].
+      center_of_mass: f32[2].
+    """
+
+    xy: Array
+    bottom: Array
+    is_column: Array
+    center_of_mass: Array
+
+    def first(self, number: int) -> UnderSide:
+        """A coarser sample."""
+        return self.replace(
+            xy=self.xy[:number], bottom=self.bottom[:number], is_column=self.is_column[:number]
+        )
+
+
+class Fit(struct.PyTreeNode):
+    """How N candidates would lie.
+
+    Attributes:
+      rest: f32[N], height of the object's origin above the top when it first touches something, metres.
+      blocked: f32[N], share of its columns over other objects.
+      hanging: f32[N], share of its columns over nothing at all.
+      gap: f32[N], mean distance from its base, the lowest of its columns, down to what lies below, metres.
     """
 
     rest: Array
     blocked: Array
     hanging: Array
-    support: Array
+    gap: Array
 
 
-def draw_candidates(key: Array, region: Region, number: int) -> Candidates:
-    """Uniform over the region and over one turn."""
-    key_xy, key_yaw = jax.random.split(key)
-    xy = jax.random.uniform(key_xy, (number, 2), minval=-1.0) * region.half_extents
-    return Candidates(xy, jax.random.uniform(key_yaw, (number,), maxval=2 * jnp.pi))
-
-
-def fit_candidates(
-    geometry: Geometry, heights: HeightMap, focus: Array, candidates: Candidates, num_columns: int
-) -> Fit:
-    """Lets the first `num_columns` columns of object `focus` down onto the height map, at each candidate."""
-    bottom = geometry.column_bottom[focus, :num_columns]
-    is_column = geometry.is_column[focus, :num_columns]
+def let_down(under: UnderSide, heights: HeightMap, candidates: Candidates) -> Fit:
+    """Lets an object down onto a height map at each candidate."""
+    below = heights.at(_cells(under, heights, candidates))
+    is_column = under.is_column
+    lowest = jnp.min(jnp.where(is_column, under.bottom, jnp.inf))
+    is_base = is_column & (under.bottom < lowest + _BASE)
+    rest, blocked, hanging, base = _reduce(
+        (jnp.where(is_column, below - under.bottom, VOID), jnp.maximum, VOID),
+        (((below > _BARE) & is_column).astype(jnp.float32), jnp.add, 0.0),
+        (((below <= VOID) & is_column).astype(jnp.float32), jnp.add, 0.0),
+        (jnp.where(is_base, jnp.maximum(below, _DEEP), 0.0), jnp.add, 0.0),
+    )
     total = jnp.maximum(is_column.sum(), 1)
-    angles = 2 * jnp.pi * jnp.arange(_DIRECTIONS) / _DIRECTIONS
-    directions = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
-
-    def fit(xy: Array, yaw: Array) -> Fit:
-        points = columns_at(geometry.column_xy[focus, :num_columns], xy, yaw)
-        below = heights_under(heights, points)
-        carries = is_column & (below > VOID)
-        rest = jnp.max(jnp.where(carries, below - bottom, VOID))
-        touches = carries & (rest + bottom - below < _CONTACT_GAP)
-        center = columns_at(geometry.center_of_mass[focus, None, :2], xy, yaw)[0]
-        reach = jnp.where(touches[:, None], (points - center) @ directions.T, -1.0)
-        return Fit(
-            rest=rest,
-            blocked=jnp.sum(carries & (below > _BARE)) / total,
-            hanging=jnp.sum(is_column & (below <= VOID)) / total,
-            support=jnp.min(jnp.max(reach, axis=0)),
-        )
-
-    return jax.vmap(fit)(candidates.xy, candidates.yaw)
+    gap = rest + lowest - base / jnp.maximum(is_base.sum(), 1)
+    return Fit(rest, blocked / total, hanging / total, gap)
 
 
-def widened(heights: HeightMap, cells: int) -> HeightMap:
-    """The map with every surface grown sideways by some cells; what is void stays void."""
-    window = (2 * cells + 1, 2 * cells + 1)
-    grown = jax.lax.reduce_window(heights.height, -jnp.inf, jax.lax.max, window, (1, 1), "SAME")
-    return heights.replace(height=jnp.where(heights.height > VOID, grown, VOID))
+def mean_under(under: UnderSide, field: HeightMap, candidates: Candidates) -> Array:
+    """f32[N]: the mean of any map over the object's columns at each candidate."""
+    values = jnp.where(under.is_column, field.at(_cells(under, field, candidates)), 0.0)
+    return values.sum(1) / jnp.maximum(under.is_column.sum(), 1)
+
+
+def support_share(under: UnderSide, heights: HeightMap, candidates: Candidates, rest: Array) -> Array:
+    """f32[N]: how far inside what carries it the centre of mass is, over the same on flat ground.
+
+    1 is as good as the bare top; below 0 it tips. Distances are the smallest over some directions.
+
+    Args:
+      rest: f32[N], from `let_down`.
+    """
+    below = heights.at(_cells(under, heights, candidates))
+    touches = (rest[:, None] + under.bottom - below < _CONTACT_GAP) & under.is_column
+    lowest = jnp.min(jnp.where(under.is_column, under.bottom, jnp.inf))
+    on_ground = (under.bottom < lowest + _CONTACT_GAP) & under.is_column
+    return _margin(under, touches) / jnp.maximum(_margin(under, on_ground[None]), 1e-3)
+
+
+def _margin(under: UnderSide, touches: Array) -> Array:
+    """f32[N], metres: how far the centre of mass is inside the columns that touch, bool[N, C]."""
+    angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    offset = under.xy - under.center_of_mass
+    reach = [np.cos(angle) * offset[:, 0] + np.sin(angle) * offset[:, 1] for angle in angles]
+    farthest = _reduce(*((jnp.where(touches, one, -1.0), jnp.maximum, -1.0) for one in reach))
+    return jnp.min(jnp.stack(farthest), axis=0)
+
+
+def _reduce(*terms: tuple[Array, Callable[[Array, Array], Array], float]) -> tuple[Array, ...]:
+    """Reduces several arrays along their last axis in one pass.
+
+    Reduced one by one, each would look up the height map again: on a CPU that is most of the cost.
+
+    Args:
+      terms: f32[N, C], the function that joins two entries, and its neutral element.
+    """
+    joins = [join for _, join, _ in terms]
+    return jax.lax.reduce(
+        tuple(array for array, _, _ in terms),
+        tuple(jnp.float32(start) for _, _, start in terms),
+        lambda left, right: tuple(join(a, b) for join, a, b in zip(joins, left, right, strict=True)),
+        (1,),
+    )
+
+
+def _cells(under: UnderSide, heights: HeightMap, candidates: Candidates) -> Array:
+    """i32[N, C]: the cell under each column at each candidate."""
+    cos, sin = jnp.cos(candidates.yaw)[:, None], jnp.sin(candidates.yaw)[:, None]
+    x = cos * under.xy[:, 0] - sin * under.xy[:, 1] + candidates.xy[:, 0, None]
+    y = sin * under.xy[:, 0] + cos * under.xy[:, 1] + candidates.xy[:, 1, None]
+    return heights.index_of(x, y)

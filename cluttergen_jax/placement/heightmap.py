@@ -1,99 +1,167 @@
-"""The free space over a queried region: a height map, and where an object let down onto it would rest.
+"""The free space over a queried region: the height of whatever lies under each cell of a grid.
 
-Pure geometry, no physics: what lies under each cell, from the placed objects' columns and the support's boxes.
+Pure geometry, no physics: the placed objects' upper surfaces and the support's boxes.
 """
 
 from __future__ import annotations
 
-import jax
+from dataclasses import dataclass
+
 import jax.numpy as jnp
-import jaxlie
+import numpy as np
 from flax import struct
+from scipy.ndimage import grey_closing
 
 from cluttergen_jax.placement.region import Region, from_pose
 from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.types import Array
 
-CELL = 0.01
-MARGIN_CELLS = 2
 VOID = -1e3
 """Height of a cell with nothing under it, metres."""
 
+_FINEST_CELL = 0.0072
+_MOST_CELLS = 40_000
+_GROUND_CELL = 0.0025
+_MOST_GROUND_CELLS = 2_000_000
+_NARROW_GAP = 0.02
+_LOWEST_GROUND = -0.01
 
-@struct.dataclass
-class HeightMap:
+
+class HeightMap(struct.PyTreeNode):
     """Heights above the support's top, region frame.
 
     Attributes:
-      height: f32[H, W], metres: the highest surface over each cell, 0 on the bare top, VOID off the support.
-        Axis 0 runs along the region's x, axis 1 along its y.
-      origin: f32[2], the position of cell (0, 0)'s centre in the region frame, metres.
+      height: f32[W, H], metres: the highest surface over each cell, 0 on the bare top, VOID off the support.
+        Axis 0 runs along the region's x, axis 1 along its y. The cells of the border are VOID.
+      corner: f32[2], where cell (0, 0) begins in the region frame, metres.
+      cell: the sides of a cell, metres.
     """
 
     height: Array
-    origin: Array
+    corner: Array
+    cell: tuple[float, float] = struct.field(pytree_node=False)
+
+    def index_of(self, x: Array, y: Array) -> Array:
+        """i32[...]: the cells of points f32[...] in the flattened map; off the map, one of its border."""
+        shape = self.height.shape
+        # Clipped before it is cut to whole numbers, so that nothing negative is rounded towards zero.
+        i = jnp.clip((x - self.corner[0]) * (1 / self.cell[0]), 0.0, shape[0] - 1.0).astype(jnp.int32)
+        j = jnp.clip((y - self.corner[1]) * (1 / self.cell[1]), 0.0, shape[1] - 1.0).astype(jnp.int32)
+        return i * shape[1] + j
+
+    def at(self, index: Array) -> Array:
+        """f32[...]: the heights of cells i32[...] from `index_of`."""
+        return self.height.reshape(-1).at[index].get(mode="clip")
 
 
-def grid_shape(half_extents: tuple[float, float]) -> tuple[int, int]:
-    """Cells along x and y for regions up to these half extents (static under `jit`), margin included."""
-    counts = [-(-2 * side // CELL) + 2 * MARGIN_CELLS for side in half_extents]
-    return int(counts[0]), int(counts[1])
+@dataclass(frozen=True, eq=False)
+class _Ground:
+    """The support alone, in the world frame; constants under `jit`.
+
+    Attributes:
+      height: f32[W, H], metres above the top, VOID where there is nothing; its border is VOID.
+      corner: f64[2], metres; cell: metres.
+    """
+
+    height: np.ndarray
+    corner: np.ndarray
+    cell: float
 
 
-def make_height_map(
-    geometry: Geometry, region: Region, poses: Array, is_placed: Array, shape: tuple[int, int]
-) -> HeightMap:
-    """The height map of a scene.
+class HeightMapper:
+    """Makes height maps of scenes on one support.
 
     Args:
-      poses: f32[K, 7], world; is_placed: bool[K]; shape: from `grid_shape`.
+      geometry: of the world; its arrays are read here, outside `jit`.
+      region: the usual region. Maps are as large as it is, and wider by an object's radius where the support
+        goes on; regions up to that size are wholly mapped.
     """
-    origin = -(jnp.array(shape, jnp.float32) - 1) / 2 * CELL
-    axes = [origin[axis] + CELL * jnp.arange(shape[axis]) for axis in (0, 1)]
-    cells = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1)
-    height = _support_height(geometry, region, cells)
-    T_region_world = region.T_world_region.inverse()
 
-    def tops(pose: Array, xy: Array, top: Array) -> Array:
-        T_region_object = T_region_world @ from_pose(pose)
-        return jax.vmap(T_region_object.apply)(jnp.append(xy, top[:, None], axis=1))
+    def __init__(self, geometry: Geometry, region: Region) -> None:
+        boxes = np.asarray(geometry.boxes, np.float64)
+        top = float(geometry.top)
+        boxes = boxes[boxes[:, 2] + boxes[:, 5] - top > _LOWEST_GROUND]
+        self._geometry = geometry
+        self._ground = _ground_of(boxes, top)
+        half = np.asarray(region.half_extents, np.float64) + _margin(geometry, region, boxes)
+        counts = np.ceil(2 * half / max(_FINEST_CELL, np.sqrt(4 * half.prod() / _MOST_CELLS)) - 1e-4)
+        # The sides are whole numbers of cells, so that cells end where the support does.
+        self._cell = (float(2 * half[0] / counts[0]), float(2 * half[1] / counts[1]))
+        self._shape = (int(counts[0]) + 2, int(counts[1]) + 2)
 
-    points = jax.vmap(tops)(poses, geometry.column_xy, geometry.column_top)
-    counts = geometry.is_column & is_placed[:, None]
-    index = jnp.round((points[..., :2] - origin) / CELL).astype(jnp.int32)
-    in_grid = jnp.all((index >= 0) & (index < jnp.array(shape)), axis=-1) & counts
-    flat = jnp.where(in_grid, index[..., 0] * shape[1] + index[..., 1], shape[0] * shape[1])
-    raised = height.ravel().at[flat.ravel()].max(points[..., 2].ravel(), mode="drop")
-    return HeightMap(raised.reshape(shape), origin)
+    def __call__(self, region: Region, poses: Array, is_placed: Array) -> HeightMap:
+        """The map of one scene: poses f32[K, 7], world; is_placed bool[K]."""
+        corner = -jnp.array(self._shape, jnp.float32) / 2 * jnp.array(self._cell)
+        bare = HeightMap(self._bare(region, corner), corner, self._cell)
+        # Poses of objects that are not placed may be anything.
+        T_world_object = from_pose(jnp.where(is_placed[:, None], poses, jnp.eye(7)[3]))
+        T_region_object = region.T_world_region.inverse() @ T_world_object
+        turn = T_region_object.rotation().as_matrix()[self._geometry.surface_owner]
+        shift = T_region_object.translation()[self._geometry.surface_owner]
+        points = jnp.moveaxis(self._geometry.surface, -1, 0)
+        x, y, z = (
+            sum(turn[:, axis, k, None] * points[k] for k in range(3)) + shift[:, axis, None]
+            for axis in range(3)
+        )
+        index = bare.index_of(x, y)
+        height = jnp.where(is_placed[self._geometry.surface_owner][:, None], z, VOID)
+        raised = bare.height.reshape(-1).at[index.reshape(-1)].max(height.reshape(-1), mode="drop")
+        return bare.replace(height=_with_void_border(raised.reshape(self._shape)))
+
+    def _bare(self, region: Region, corner: Array) -> Array:
+        """f32[W, H]: the heights of the support itself."""
+        ground = self._ground
+        T = region.T_world_region
+        turn, shift = T.rotation().as_matrix()[:2, :2], T.translation()[:2] - ground.corner
+        x, y = (corner[axis] + self._cell[axis] * (jnp.arange(self._shape[axis]) + 0.5) for axis in (0, 1))
+        i, j = (
+            jnp.clip(
+                ((turn[axis, 0] * x + shift[axis])[:, None] + turn[axis, 1] * y) * (1 / ground.cell),
+                0.0,
+                ground.height.shape[axis] - 1.0,
+            ).astype(jnp.int32)
+            for axis in (0, 1)
+        )
+        flat = jnp.asarray(ground.height.reshape(-1))
+        return _with_void_border(flat.at[i * ground.height.shape[1] + j].get(mode="clip"))
 
 
-def _support_height(geometry: Geometry, region: Region, cells: Array) -> Array:
-    """The highest box under each cell, relative to the top: f32[H, W] from f32[H, W, 2]."""
-    T = region.T_world_region
-    rotation = T.rotation().as_matrix()[:2, :2]
-    world = cells @ rotation.T + T.translation()[:2]
-
-    def under(height: Array, box: Array) -> tuple[Array, None]:
-        offset = world - box[:2]
-        cos, sin = jnp.cos(box[6]), jnp.sin(box[6])
-        x = cos * offset[..., 0] + sin * offset[..., 1]
-        y = cos * offset[..., 1] - sin * offset[..., 0]
-        covers = (jnp.abs(x) <= box[3]) & (jnp.abs(y) <= box[4])
-        top = box[2] + box[5] - geometry.top
-        return jnp.where(covers & (top > -0.01), jnp.maximum(height, top), height), None
-
-    return jax.lax.scan(under, jnp.full(cells.shape[:2], VOID, jnp.float32), geometry.boxes)[0]
+def _with_void_border(height: Array) -> Array:
+    i, j = (jnp.arange(side) for side in height.shape)
+    inner = ((i > 0) & (i < height.shape[0] - 1))[:, None] & ((j > 0) & (j < height.shape[1] - 1))
+    return jnp.where(inner, height, VOID)
 
 
-def heights_under(heights: HeightMap, xy: Array) -> Array:
-    """The map's height at points, f32[...] from f32[..., 2] in the region frame; VOID off the map."""
-    shape = heights.height.shape
-    index = jnp.round((xy - heights.origin) / CELL).astype(jnp.int32)
-    in_grid = jnp.all((index >= 0) & (index < jnp.array(shape)), axis=-1)
-    index = jnp.clip(index, 0, jnp.array(shape) - 1)
-    return jnp.where(in_grid, heights.height[index[..., 0], index[..., 1]], VOID)
+def _margin(geometry: Geometry, region: Region, boxes: np.ndarray) -> np.ndarray:
+    """f64[2]: how far beyond the region's sides objects centred in it can find the support."""
+    inverse = np.asarray(region.T_world_region.inverse().as_matrix(), np.float64)
+    local = np.concatenate([_corners(box) for box in boxes]) @ inverse[:2, :2].T + inverse[:2, 3]
+    beyond = np.abs(local).max(0) - np.asarray(region.half_extents)
+    radius = np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max()
+    return np.clip(beyond, 0.0, radius)
 
 
-def columns_at(xy: Array, position: Array, yaw: Array) -> Array:
-    """Points of an upright object's frame, f32[C, 2], where they stand in the region frame."""
-    return xy @ jaxlie.SO2.from_radians(yaw).as_matrix().T + position
+def _corners(box: np.ndarray) -> np.ndarray:
+    """f64[4, 2]: a box of `Geometry.boxes` from above."""
+    cos, sin = np.cos(box[6]), np.sin(box[6])
+    signs = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
+    return box[:2] + (signs * box[3:5]) @ np.array([[cos, sin], [-sin, cos]])
+
+
+def _ground_of(boxes: np.ndarray, top: float) -> _Ground:
+    """The highest box over each cell. Gaps too narrow to matter, as between planks, are bridged."""
+    corners = np.concatenate([_corners(box) for box in boxes])
+    low, high = corners.min(0), corners.max(0)
+    cell = max(_GROUND_CELL, float(np.sqrt((high - low).prod() / _MOST_GROUND_CELLS)))
+    counts = np.ceil((high - low) / cell - 1e-4).astype(int)
+    axes = [low[axis] + (np.arange(counts[axis]) + 0.5) * cell for axis in (0, 1)]
+    x, y = np.meshgrid(*axes, indexing="ij")
+    height = np.full(x.shape, VOID)
+    for box in boxes:
+        cos, sin = np.cos(box[6]), np.sin(box[6])
+        along, across = cos * (x - box[0]) + sin * (y - box[1]), cos * (y - box[1]) - sin * (x - box[0])
+        covers = (np.abs(along) <= box[3]) & (np.abs(across) <= box[4])
+        height[covers] = np.maximum(height[covers], box[2] + box[5] - top)
+    width = int(_NARROW_GAP / cell) + 1
+    bridged = grey_closing(np.pad(height, width, constant_values=VOID), size=(width, width))
+    return _Ground(np.asarray(bridged, np.float32), low - width * cell, cell)

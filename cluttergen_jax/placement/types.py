@@ -15,8 +15,10 @@ class Geometry(struct.PyTreeNode):
       half_extents: f32[K, 3], of each object's box, object frame, metres.
       center_of_mass: f32[K, 3], object frame, metres.
       cloud: f32[K, P, 3], surface points, object frame, farthest-point ordered.
-      column_xy: f32[K, C, 2]; column_bottom, column_top: f32[K, C]; is_column: bool[K, C]: each object
-        seen from above (`assets.columns`), farthest-point ordered, padded.
+      column_xy: f32[K, C, 2]; column_bottom: f32[K, C]; is_column: bool[K, C]: each object's under-side, a
+        sample of its columns (`assets.columns`), farthest-point ordered, padded.
+      surface: f32[M, 64, 3]; surface_owner: i32[M]: the grown upper surfaces of all objects, points in the
+        object frame, metres, in runs of one object each; a run that is not full repeats a point.
       boxes: f32[B, 7]: the support's boxes: centre, half extents, yaw; world, metres, radians.
       top: f32, height of the support's top, metres.
     """
@@ -26,8 +28,9 @@ class Geometry(struct.PyTreeNode):
     cloud: Array
     column_xy: Array
     column_bottom: Array
-    column_top: Array
     is_column: Array
+    surface: Array
+    surface_owner: Array
     boxes: Array
     top: Array
 
