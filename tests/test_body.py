@@ -20,7 +20,7 @@ from cluttergen_jax.assets.parts import (
     hull_of,
     reduced,
     sound_points,
-    with_spread_bottom,
+    with_plain_bottom,
 )
 from cluttergen_jax.assets.readers.primitives import cylinder, ellipsoid
 from cluttergen_jax.assets.rest import settled_turn, tilt_of, upright_turn
@@ -122,22 +122,35 @@ def test_bottoms_become_flat_and_stay_wide():
     rng = np.random.default_rng(0)
     can = cylinder(0.03, 0.05, sections=64).vertices
     rough = can + np.where(can[:, 2:] < 0, rng.uniform(0, 0.0025, (len(can), 1)) * [0, 0, 1], 0)
-    (part,) = finished([rough], flatten=True)
+    (part,) = finished([rough], 12)
     bottom = part[part[:, 2] == part[:, 2].min()]
     assert len(part) <= MAX_PART_VERTICES
     assert len(bottom) >= 8
     assert np.linalg.norm(bottom[:, :2], axis=1).min() > 0.029
 
 
-def test_corners_of_the_bottom_are_well_apart_and_a_narrow_foot_keeps_its_width():
+def test_the_bottom_keeps_no_corner_that_it_does_not_need():
     rng = np.random.default_rng(0)
     foot = slab((0.05, 0.002, 0.03)).vertices
-    crowded = np.concatenate([foot, foot + rng.uniform(-1, 1, foot.shape) * [5e-4, 2e-5, 0]])
-    kept = with_spread_bottom(crowded, -0.03)
+    crowded = np.concatenate(
+        [foot, foot + rng.uniform(-1, 1, foot.shape) * [5e-4, 2e-5, 0], foot * [0.1, 1, 1]]
+    )
+    kept = with_plain_bottom(crowded, -0.03)
     low = kept[kept[:, 2] == -0.03]
     assert len(low) == 4
     np.testing.assert_allclose(np.ptp(low[:, :2], axis=0), [0.1, 0.004], rtol=0.03)
     assert (kept[:, 2] > 0).sum() == (crowded[:, 2] > 0).sum()
+
+
+def test_a_round_base_stays_round():
+    can = cylinder(0.03, 0.05, sections=64).vertices
+    kept = with_plain_bottom(can, -0.05)
+    low = kept[kept[:, 2] == -0.05]
+    assert 8 <= len(low) <= 12
+    # However it leans, the can stands on nearly as wide a base.
+    angles = np.linspace(0, 2 * np.pi, 100)
+    reach = (low[:, :2] @ np.stack([np.cos(angles), np.sin(angles)])).max(0)
+    assert reach.min() > 0.9 * 0.03
 
 
 def test_thin_things_are_not_flattened_away():

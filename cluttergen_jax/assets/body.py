@@ -13,7 +13,7 @@ from cluttergen_jax.assets.deviation import deviation
 from cluttergen_jax.assets.hollow import MAX_FILL, Hollow, find_hollow, holds_ball, known_hollow
 from cluttergen_jax.assets.inertia import MassProperties, mass_properties
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
-from cluttergen_jax.assets.parts import as_meshes, finished, hull_of
+from cluttergen_jax.assets.parts import MAX_BASE_CORNERS, as_meshes, finished, hull_of
 from cluttergen_jax.assets.pieces import drawn
 from cluttergen_jax.assets.rest import resting_poses, settled_turn, tilt_of
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
@@ -23,6 +23,7 @@ from cluttergen_jax.errors import AssetError, ConfigError
 MAX_DEVIATION = 0.05
 MAX_TILT = np.radians(15)
 _FLAT = np.radians(0.5)
+_FEWER_CORNERS = (8, 6, 5, 4)
 _NOWHERE = Provenance("draft", "none")
 
 
@@ -47,8 +48,9 @@ class BodyConfig:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """One set of parts for a shape, in its resting orientation, and how good it is."""
+    """One set of parts for a shape, raw and in its resting orientation, and how good it is."""
 
+    raw: list[np.ndarray]
     parts: list[np.ndarray]
     rotation: np.ndarray
     hollow: Hollow | None
@@ -85,6 +87,15 @@ def make_object(shape: Shape, config: BodyConfig | None = None) -> ObjectAsset:
     Raises:
       AssetError: nothing with a volume can be made of the surfaces.
     """
+    return next(object_variants(shape, config))
+
+
+def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[ObjectAsset]:
+    """`make_object`'s body, then the same with ever fewer corners on the plane on which it stands.
+
+    For whoever measures how it stands: some outlines make MuJoCo change its choice of contacts from step
+    to step. They are yielded as they are made; the parts are found only once.
+    """
     config = config or BodyConfig()
     solid = solid_of([piece.mesh for piece in shape.pieces])
     mass = mass_properties(solid.mesh, shape.density, shape.mass)
@@ -97,7 +108,11 @@ def make_object(shape: Shape, config: BodyConfig | None = None) -> ObjectAsset:
             break
     if best is None:
         raise AssetError(f"{shape.label!r} has no convex part")
-    return _asset(shape, solid, mass, best, config)
+    yield _asset(shape, solid, mass, best, config)
+    for corners in _FEWER_CORNERS:
+        fewer = _candidate(best.raw, shape, solid, mass, config, corners)
+        if best.rank[:3] == fewer.rank[:3]:
+            yield _asset(shape, solid, mass, fewer, config)
 
 
 def _proposals(shape: Shape, solid: Solid, config: BodyConfig) -> Iterator[list[np.ndarray]]:
@@ -113,9 +128,14 @@ def _proposals(shape: Shape, solid: Solid, config: BodyConfig) -> Iterator[list[
 
 
 def _candidate(
-    raw: list[np.ndarray], shape: Shape, solid: Solid, mass: MassProperties, config: BodyConfig
+    raw: list[np.ndarray],
+    shape: Shape,
+    solid: Solid,
+    mass: MassProperties,
+    config: BodyConfig,
+    corners: int = MAX_BASE_CORNERS,
 ) -> _Candidate:
-    parts, rotation = _at_rest(raw, mass)
+    parts, rotation = _at_rest(raw, mass, corners)
     turned = _turned(solid, rotation)
     if shape.cavity is not None:
         hollow: Hollow | None = known_hollow(shape.cavity).moved(rotation, np.zeros(3))
@@ -126,6 +146,7 @@ def _candidate(
         hollow = find_hollow(turned)
     is_judged = hollow is not None and config.tier == "standard"
     return _Candidate(
+        raw=raw,
         parts=parts,
         rotation=rotation,
         hollow=hollow,
@@ -135,23 +156,25 @@ def _candidate(
     )
 
 
-def _at_rest(raw: list[np.ndarray], mass: MassProperties) -> tuple[list[np.ndarray], np.ndarray]:
+def _at_rest(
+    raw: list[np.ndarray], mass: MassProperties, corners: int
+) -> tuple[list[np.ndarray], np.ndarray]:
     """Finished parts in the orientation in which they come to rest, and the turn from the authored one.
 
     The bottom is made flat in the pose found without flattening, so that a leaning object is not cut
     to its lean; only if it topples is the bottom of the authored pose tried.
     """
-    rotation = settled_turn(_draft(finished(raw, flatten=False), mass))
+    rotation = settled_turn(_draft(finished(raw, None), mass))
     if tilt_of(rotation) > MAX_TILT:
-        kept = settled_turn(_draft(finished(raw, flatten=True), mass))
+        kept = settled_turn(_draft(finished(raw, corners), mass))
         rotation = kept if tilt_of(kept) < tilt_of(rotation) else rotation
     for _ in range(4):
-        parts = finished([points @ rotation.T for points in raw], flatten=True)
+        parts = finished([points @ rotation.T for points in raw], corners)
         more = settled_turn(_draft(parts, mass.moved(rotation, np.zeros(3))))
         if tilt_of(more) < _FLAT:
             return parts, rotation
         rotation = more @ rotation
-    return finished([points @ rotation.T for points in raw], flatten=True), rotation
+    return finished([points @ rotation.T for points in raw], corners), rotation
 
 
 def _draft(parts: list[np.ndarray], mass: MassProperties) -> ObjectAsset:

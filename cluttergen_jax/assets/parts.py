@@ -14,8 +14,11 @@ from cluttergen_jax.assets.object import MAX_PART_VERTICES
 BOTTOM_REACH = 0.003
 _THIN_SHARE = 0.15
 _MIN_THICKNESS = 0.0004
-_BOTTOM_CORNERS = 12
-_BOTTOM_GAP = 0.1
+# A wide base keeps its outline; of a small foot four corners are enough, and MuJoCo has nothing to choose.
+MAX_BASE_CORNERS = 12
+_FOOT_CORNERS = 4
+_FOOT_SHARE = 0.5
+_OUTLINE_TOLERANCE = 0.04
 
 # Along the axes and the diagonals of a cube.
 _DIRECTIONS = np.concatenate(
@@ -108,40 +111,72 @@ def flattened(parts: Sequence[np.ndarray]) -> list[np.ndarray]:
     return out
 
 
-def with_spread_bottom(points: np.ndarray, bottom: float) -> np.ndarray:
-    """The points without those of the bottom's outline that lie close to another one.
+def with_plain_bottom(points: np.ndarray, bottom: float, corners: int = MAX_BASE_CORNERS) -> np.ndarray:
+    """The points with no more of those on the bottom than its outline needs.
 
-    MuJoCo keeps four contacts of a face that lies on another. Among corners a millimetre apart it changes
-    its choice from step to step, and the object trembles; among a dozen corners well apart it does not.
-    Distances are measured with the outline stretched to a square, so that a narrow foot keeps its width.
+    MuJoCo keeps four contacts of a face that lies on another. Where corners are nearly on one line or a
+    millimetre apart it changes its choice from step to step, and the object trembles. So corners are taken
+    one by one, always the one farthest outside of the outline so far, until none is farther than 4 % of the
+    outline's width. It is stretched to a square for this, so that a narrow foot keeps its width.
+
+    Args:
+      points: f64[N, 3].
+      bottom: height of the bottom plane.
+      corners: how many of its points stay at most.
     """
     low = np.flatnonzero(points[:, 2] < bottom + 1e-6)
-    outline = points[low][:, :2]
-    if len(low) <= 4:
+    if len(low) <= 3:
         return points
-    centered = outline - outline.mean(0)
-    _, spread, axes = np.linalg.svd(centered, full_matrices=False)
+    outline = points[low][:, :2] - points[low][:, :2].mean(0)
+    _, spread, axes = np.linalg.svd(outline, full_matrices=False)
     if spread[1] < 1e-6:
         return points
-    along = centered @ axes.T
-    square = along / np.ptp(along, axis=0)
-    kept = [int(np.linalg.norm(square, axis=1).argmax())]
-    while len(kept) < _BOTTOM_CORNERS:
-        gap = np.linalg.norm(square[:, None] - square[kept], axis=2).min(1)
-        if gap.max() < _BOTTOM_GAP:
+    square = outline @ axes.T
+    square /= np.ptp(square, axis=0)
+    return np.delete(points, np.delete(low, _corners(square, corners)), axis=0)
+
+
+def _corners(outline: np.ndarray, count: int) -> list[int]:
+    """Indices of at most `count` of the points f64[N, 2] whose outline nearly encloses all of them."""
+    first = int(np.linalg.norm(outline, axis=1).argmax())
+    second = int(np.linalg.norm(outline - outline[first], axis=1).argmax())
+    normal = (outline[second] - outline[first])[::-1] * (1, -1)
+    kept = [first, second, int(np.abs((outline - outline[first]) @ normal).argmax())]
+    while len(kept) < count:
+        hull = hull_of(outline[kept])
+        if hull is None:
             break
-        kept.append(int(gap.argmax()))
-    return np.delete(points, np.delete(low, kept), axis=0)
+        outside = (outline @ hull.equations[:, :2].T + hull.equations[:, 2]).max(1)
+        if outside.max() < _OUTLINE_TOLERANCE:
+            break
+        kept.append(int(outside.argmax()))
+    return kept
 
 
-def finished(parts: Sequence[np.ndarray], flatten: bool, count: int = MAX_PART_VERTICES) -> list[np.ndarray]:
-    """Parts of at most `count` vertices each, their common bottom flat and kept."""
-    parts = flattened(parts) if flatten else list(parts)
-    if not flatten:
+def finished(
+    parts: Sequence[np.ndarray], base_corners: int | None, count: int = MAX_PART_VERTICES
+) -> list[np.ndarray]:
+    """Parts of at most `count` vertices each; their common bottom flat, with at most `base_corners`.
+
+    With `base_corners` None bottoms are left as they are.
+    """
+    if base_corners is None:
         return [reduced(points, None, count) for points in parts]
+    parts = flattened(parts)
     bottom = bottom_height(parts)
     hulls = [sound_points(points) for points in parts]
-    return [reduced(with_spread_bottom(points, bottom), bottom, count) for points in hulls]
+    feet = [points[points[:, 2] < bottom + 1e-6] for points in hulls]
+    wide = _FOOT_SHARE * _width(np.concatenate(feet))
+    corners = [base_corners if _width(foot) >= wide else _FOOT_CORNERS for foot in feet]
+    return [
+        reduced(with_plain_bottom(points, bottom, most), bottom, count)
+        for points, most in zip(hulls, corners, strict=True)
+    ]
+
+
+def _width(points: np.ndarray) -> float:
+    """The larger horizontal side of the box around points; zero if there are none."""
+    return float(np.ptp(points[:, :2], axis=0).max()) if len(points) else 0.0
 
 
 def as_meshes(parts: Sequence[np.ndarray]) -> tuple[Mesh, ...]:

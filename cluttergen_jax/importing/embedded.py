@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from cluttergen_jax.assets.body import make_object
 from cluttergen_jax.assets.modeller.catalog import POOLS, make_shape
 from cluttergen_jax.assets.pool import Pool, write_pool
-from cluttergen_jax.importing.solo import with_solo
+from cluttergen_jax.importing.solo import measured_object
 
 LICENCE = "Apache-2.0"
 
@@ -23,7 +22,7 @@ def build_pool(name: str, seed: int | None = None, note: Callable[[str], None] =
     """
     objects = []
     for family in POOLS[name]:
-        asset = with_solo(make_object(make_shape(family, seed)))
+        asset = measured_object(make_shape(family, seed))
         note(f"{name}/{asset.name}: {len(asset.parts)} parts, solo {asset.quality.solo_rate}")
         objects.append(asset)
     return Pool(name, tuple(objects), licence=LICENCE)

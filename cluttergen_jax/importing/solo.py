@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluttergen_jax.assets.body import MAX_TILT
+from cluttergen_jax.assets.body import MAX_TILT, BodyConfig, object_variants
 from cluttergen_jax.assets.mjcf import add_object, add_support, new_spec
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.physics.layout import Layout
@@ -19,6 +20,28 @@ NUM_TRIALS = 256
 MAX_GAP = 0.003
 MIN_RATE = 0.99
 _BLOCK = 32
+
+
+def measured_object(shape: Shape, config: BodyConfig | None = None, trials: int = NUM_TRIALS) -> ObjectAsset:
+    """The body of a shape that stands best, its solo rate measured.
+
+    Of the variants that `object_variants` offers the first is taken that stands in a quarter as many
+    placements of another seed; if none does, the best. The trials that are reported decide nothing.
+
+    Raises:
+      AssetError: nothing with a volume can be made of the surfaces.
+    """
+    config = config or BodyConfig()
+    best: ObjectAsset | None = None
+    best_rate = -1.0
+    for asset in object_variants(shape, config):
+        rate, _ = solo_stability(asset, max(trials // 4, 8), config.seed + 1)
+        if rate > best_rate:
+            best, best_rate = asset, rate
+        if rate == 1.0:
+            break
+    assert best is not None
+    return with_solo(best, trials, config.seed)
 
 
 def with_solo(asset: ObjectAsset, trials: int = NUM_TRIALS, seed: int = 0) -> ObjectAsset:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from cluttergen_jax.assets.body import BodyConfig, make_object
+from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.assets.readers import ReadOptions, Source, read_shape
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.importing import cache
-from cluttergen_jax.importing.solo import NUM_TRIALS, with_solo
+from cluttergen_jax.importing.solo import NUM_TRIALS, measured_object
 from cluttergen_jax.physics.log import silent_log
 
 
@@ -41,9 +41,9 @@ def run_job(job: Job) -> str:
     try:
         # Rest and ball test look at the poses themselves, so MuJoCo's own log has nothing to add.
         with silent_log():
-            asset = make_object(read_shape(job.source, job.config.read), job.config.body)
-            asset = replace(asset, flags=(*job.source.notes, *asset.flags))
-            cache.store(job.key, with_solo(asset, job.config.trials, job.config.body.seed))
+            shape = read_shape(job.source, job.config.read)
+            asset = measured_object(shape, job.config.body, job.config.trials)
+            cache.store(job.key, replace(asset, flags=(*job.source.notes, *asset.flags)))
     except ClutterGenError as error:
         return str(error)
     except Exception as error:  # One object that nobody foresaw must not end a run of hundreds.
