@@ -75,7 +75,10 @@ def assert_close(first, second, exactly):
         if exactly or ours.dtype.kind in "bi":
             np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
         else:
-            np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-5, err_msg=field.name)
+            # XLA adds in another order for another batch size: velocities differ by rounding over a step.
+            is_motion = field.name in ("trajectory", "motion_sum", "speed_sum")
+            rtol, atol = (1e-2, 2e-3) if is_motion else (1e-3, 1e-5)
+            np.testing.assert_allclose(ours, theirs, rtol=rtol, atol=atol, err_msg=field.name)
 
 
 @pytest.mark.parametrize("name", ALL)
