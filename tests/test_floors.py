@@ -19,6 +19,7 @@ FLOORS = {
     "problem": 3,
     "sampling": 3,
     "training": 3,
+    "policies": 3,
     "baselines": 3,
     "bank": 3,
     "render": 3,

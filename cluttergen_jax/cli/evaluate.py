@@ -15,7 +15,8 @@ import numpy as np
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.bank.bank import write_atomically
-from cluttergen_jax.baselines import make_proposer
+from cluttergen_jax.baselines import METHODS as BASELINES
+from cluttergen_jax.cli.methods import checkpoint_of, proposer_of, suited
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.problem import ProblemConfig, make_problem
@@ -29,7 +30,8 @@ class Evaluate:
     """Compare methods on pools and supports. Writes table.md, table.csv and results.json.
 
     Attributes:
-      methods: random, clear, drop.
+      methods: random, clear, drop, and trained policies: policy, open_loop, short_memory, normal.
+      checkpoint: the policy's folder, for a single learned method; else the embedded ones are taken.
       pools: names or folders.
       supports: names or folders; table-0.40x0.50 is a cuboid of that size, all of it the queried region.
       num_objects: objects per scene.
@@ -41,6 +43,7 @@ class Evaluate:
     """
 
     methods: tuple[str, ...] = ("random", "clear", "drop")
+    checkpoint: str | None = None
     pools: tuple[str, ...] = ("dining",)
     supports: tuple[str, ...] = ("table",)
     num_objects: int = 10
@@ -80,9 +83,10 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 def row_of(args: Evaluate, pool: str, support: str, method: str) -> dict[str, Any]:
     """One row: `args.trials` scenes of one method on one pool and support."""
-    placement = PlacementConfig(num_objects=args.num_objects, max_attempts=args.attempts, history_stride=0)
+    checkpoint = checkpoint_of(method, pool, args.checkpoint if method not in BASELINES else None)
+    placement = suited(PlacementConfig(num_objects=args.num_objects, max_attempts=args.attempts), checkpoint)
     problem = make_problem(ProblemConfig(pool=pool, support=support, repeat=args.repeat, placement=placement))
-    sampler = BlockSampler(problem.rules, make_proposer(method, problem.rules))
+    sampler = BlockSampler(problem.rules, proposer_of(method, checkpoint, problem.rules))
     started, cpu = time.perf_counter(), time.process_time()
     title = f"{method} {support}"
     done = [scenes for _, _, scenes in sample_blocks(sampler, blocks_of(args.trials), args.seed, title)]

@@ -18,8 +18,8 @@ from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.bank.bank import BankWriter, names_of, read_bank
 from cluttergen_jax.bank.summary import summary_of
 from cluttergen_jax.bank.table import table_of
-from cluttergen_jax.baselines import make_proposer
 from cluttergen_jax.cli.files import write_files
+from cluttergen_jax.cli.methods import checkpoint_of, proposer_of, suited
 from cluttergen_jax.cli.parse import parse_keep_out, parse_region
 from cluttergen_jax.cli.start import read_start, start_of
 from cluttergen_jax.errors import ConfigError
@@ -39,7 +39,9 @@ class Generate:
       out: the bank's folder; the same command continues an interrupted one.
       pool: a pool's name or folder (`cluttergen list`).
       num_scenes: scenes to make, failures counted.
-      method: how poses are proposed: random, clear or drop.
+      method: how poses are proposed: random, clear, drop, or a trained policy: policy, open_loop,
+        short_memory or normal.
+      checkpoint: the policy's folder; the embedded one for the pool if not given.
       num_objects: objects per scene; all of the pool's (40 at most) if not given.
       objects: names of the pool's objects to use.
       support: a support's name or folder; table-0.40x0.50 is a cuboid of that size.
@@ -62,6 +64,7 @@ class Generate:
     pool: str = "dining"
     num_scenes: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 20
     method: str = "clear"
+    checkpoint: str | None = None
     num_objects: int | None = None
     objects: tuple[str, ...] = ()
     support: str = "table"
@@ -89,12 +92,14 @@ def _generate(args: Generate) -> int:
         raise ConfigError(f"--num-scenes {args.num_scenes}", f"1 to {MAX_SCENES}")
     if not 0 <= args.seed < 2**32:
         raise ConfigError(f"--seed {args.seed}", "0 to 4294967295")
+    checkpoint = checkpoint_of(args.method, args.pool, args.checkpoint)
     config = problem_config(args)
+    config = dataclasses.replace(config, placement=suited(config.placement, checkpoint))
     standing, poses = read_start(args.start)
     problem = make_problem(config, standing)
     start = start_of(problem.world, standing, poses)
     begin = partial(problem.rules.begin, keep_out=_keep_out(args), start=start)
-    sampler = BlockSampler(problem.rules, make_proposer(args.method, problem.rules), begin)
+    sampler = BlockSampler(problem.rules, proposer_of(args.method, checkpoint, problem.rules), begin)
     _warn_of_flags(problem)
     writer = BankWriter(
         args.out,
@@ -133,7 +138,6 @@ def problem_config(args: Generate) -> ProblemConfig:
             max_attempts=args.attempts,
             containment=args.containment,
             order=args.order,
-            history_stride=0,
         ),
     )
 
@@ -148,6 +152,7 @@ def recipe_of(args: Generate, problem: Problem) -> dict[str, Any]:
         "start": args.start,
         "keep_out": args.keep_out,
         "method": args.method,
+        "checkpoint": args.checkpoint,
         "seed": args.seed,
         "block_size": BLOCK_SIZE,
         "names": problem.world.names,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from cluttergen_jax.assets.pool import ALL, EMBEDDED, list_pools, read_pool
 from cluttergen_jax.assets.support_file import list_supports
 from cluttergen_jax.errors import PoolError
+from cluttergen_jax.policies import list_policies
 
 
 @dataclass(frozen=True)
@@ -29,4 +30,9 @@ class List:
         for name in list_supports():
             print(f"  {name}")
         print("  table-WxD[xH] is a cuboid of that size in metres, such as table-0.40x0.50")
+        print("checkpoints (--method)")
+        for name in list_policies():
+            print(f"  {name}")
+        if not list_policies():
+            print("  none yet: python train.py makes one")
         return 0

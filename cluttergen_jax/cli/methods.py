@@ -1,0 +1,45 @@
+"""Methods by name: geometric baselines, and trained policies from checkpoints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from cluttergen_jax.agent.checkpoint import read_record
+from cluttergen_jax.baselines import METHODS as BASELINES
+from cluttergen_jax.baselines import make_proposer
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.proposer import Proposer
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.policies import find_policy, load_policy
+from cluttergen_jax.training.presets import VARIANTS
+
+METHODS = (*BASELINES, *VARIANTS)
+
+
+def checkpoint_of(method: str, pool: str, checkpoint: str | None = None) -> Path | None:
+    """The checkpoint behind a method; None for a baseline.
+
+    Raises:
+      ConfigError: there is no such method, or a checkpoint is given for a baseline.
+      PoolError: no checkpoint is embedded for it.
+    """
+    if method not in METHODS:
+        raise ConfigError(f"method {method!r}", ", ".join(METHODS), "--method clear")
+    if method in BASELINES:
+        if checkpoint is not None:
+            raise ConfigError(f"--checkpoint with method {method!r}, which has none", ", ".join(VARIANTS))
+        return None
+    return Path(checkpoint) if checkpoint is not None else find_policy(method, pool)
+
+
+def suited(placement: PlacementConfig, checkpoint: Path | None) -> PlacementConfig:
+    """The settings with the history that a method looks back on: none for a baseline."""
+    stride = 0 if checkpoint is None else read_record(checkpoint)["placement"]["history_stride"]
+    return replace(placement, history_stride=stride)
+
+
+def proposer_of(method: str, checkpoint: Path | None, rules: Rules) -> Proposer:
+    """The method, bound to a world."""
+    return make_proposer(method, rules) if checkpoint is None else load_policy(checkpoint, rules)

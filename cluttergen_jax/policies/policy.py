@@ -1,0 +1,67 @@
+"""A trained policy, read from a checkpoint and bound to a world."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import jax
+
+from cluttergen_jax.agent.checkpoint import read_policy, read_record
+from cluttergen_jax.agent.learner import Learner
+from cluttergen_jax.assets.pool import embedded_root
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.networks.actor_critic import NetworkConfig
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.types import Array
+
+
+def list_policies() -> dict[str, Path]:
+    """Embedded checkpoints by name, POOL-VARIANT, with their folders."""
+    root = embedded_root() / "checkpoints"
+    folders = sorted(root.iterdir()) if root.is_dir() else []
+    return {folder.name: folder for folder in folders if (folder / "record.json").is_file()}
+
+
+def find_policy(variant: str, pool: str) -> Path:
+    """The embedded checkpoint of a variant for a pool.
+
+    Raises:
+      PoolError: there is none; the message lists those that exist.
+    """
+    policies = list_policies()
+    name = f"{pool}-{variant}"
+    if name in policies:
+        return policies[name]
+    raise PoolError(
+        f"no checkpoint for method {variant!r} on pool {pool!r}",
+        ", ".join(policies) or "none is embedded",
+        f"python train.py --pool {pool} --variant {variant}, then --checkpoint runs/{name}-0/policy",
+    )
+
+
+def load_policy(path: Path, rules: Rules, is_sampled: bool = True) -> Callable[[Array, Episode], Array]:
+    """A proposer that acts with the weights in `path`.
+
+    Args:
+      rules: of the world to act in. It must remember what the policy was trained to look back on.
+      is_sampled: draw actions; else take the mean.
+
+    Raises:
+      PoolError: the checkpoint is missing or damaged.
+      ConfigError: the world's history is not what the policy reads.
+    """
+    record = read_record(path)
+    wanted, given = record["placement"], rules.config
+    for name in ("max_attempts", "history_stride"):
+        if wanted[name] != getattr(given, name):
+            raise ConfigError(
+                f"{name} = {getattr(given, name)} with a policy trained with {wanted[name]}",
+                f"{name} = {wanted[name]}",
+                "the settings that the policy was trained with",
+            )
+    learner = Learner(rules, NetworkConfig(**record["network"]))
+    params = read_policy(path, learner.init(jax.random.key(0)))
+    return partial(learner.propose, params, is_sampled=is_sampled)
