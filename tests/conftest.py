@@ -1,4 +1,4 @@
-"""Skips are counted: with CLUTTERGEN_STRICT_SKIPS set, one that allowed_skips.txt does not list fails the run."""
+"""Skips are counted: with CLUTTERGEN_STRICT_SKIPS set, one that allowed_skips.txt lacks fails the run."""
 
 import datetime
 import json

@@ -30,6 +30,8 @@ def test_wheel_generates_outside_the_checkout(tmp_path):
     assert str(ROOT) not in where
     cluttergen = tmp_path / "fresh" / "bin" / "cluttergen"
     listed = run(cluttergen, "list", cwd=tmp_path)
-    assert all(name in listed for name in ("dining", "study", "office", "kitchen", "household", "round_table"))
+    assert all(
+        name in listed for name in ("dining", "study", "office", "kitchen", "household", "round_table")
+    )
     run(cluttergen, "generate", "-n", "1", "--out", "bank", "--no-render", cwd=tmp_path)
     assert "1 of 1 scenes stand" in run(cluttergen, "verify", "bank", cwd=tmp_path)

@@ -10,7 +10,6 @@ from typing import Any
 
 from cluttergen_jax.agent.checkpoint import read_record
 from cluttergen_jax.agent.config import PPOConfig
-from cluttergen_jax.agent.learner import Learner
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.problem import ProblemConfig, make_problem
@@ -63,9 +62,9 @@ class Train:
         folder = Path(self.out or f"runs/{Path(self.pool).name}-{self.variant}-{self.seed}")
         recipe = recipe_of(self, settings)
         _check_folder(folder, recipe)
-        learner = Learner(problem.rules, settings.network)
         print(f"run        {folder}")
-        Run(learner, settings.ppo, RunConfig(seed=self.seed), folder, recipe).train()
+        config = RunConfig(seed=self.seed)
+        Run(problem.rules, settings.network, settings.ppo, config, folder, recipe).train()
         print(f"done       policy in {folder / 'policy'}, curve in {folder / 'curve.png'}")
         return 0
 

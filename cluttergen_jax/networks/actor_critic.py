@@ -49,7 +49,7 @@ class NetworkConfig:
 
 
 class HistoryEncoder(nn.Module):
-    """Three layers over the padded, flattened attempts; attempts not yet made are zeros (paper, section 3.2)."""
+    """Three layers over the flattened attempts, zeros where there is none yet (paper, section 3.2)."""
 
     width: int
     length: int

@@ -1,7 +1,7 @@
 """Distributions over actions in (0, 1)^A, independent in every coordinate (paper, section 3.2).
 
-A head turns raw network outputs, f32[..., A, 2], into a distribution. Log-probabilities and entropies are exact
-and summed over coordinates; actions are kept off the edges, where densities may vanish or diverge.
+A head turns raw network outputs, f32[..., A, 2], into a distribution. Log-probabilities and entropies are
+exact and summed over coordinates; actions are kept off the edges, where densities may vanish or diverge.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class PointNet(nn.Module):
 
     @nn.compact
     def __call__(self, cloud: Array, mask: Array | None = None) -> Array:
-        """f32[..., F] from a cloud f32[..., P, 3] in metres and a mask bool[..., P] of the points that count."""
+        """f32[..., F] from a cloud f32[..., P, 3] in metres and a mask bool[..., P] of points that count."""
         x = cloud * LENGTH_SCALE
         for width in (*self.widths, self.num_features):
             x = nn.relu(nn.Dense(width)(x))

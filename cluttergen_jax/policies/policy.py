@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jax
 
@@ -13,6 +13,7 @@ from cluttergen_jax.agent.learner import Learner
 from cluttergen_jax.assets.pool import embedded_root
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.networks.actor_critic import NetworkConfig
+from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
@@ -42,7 +43,23 @@ def find_policy(variant: str, pool: str) -> Path:
     )
 
 
-def load_policy(path: Path, rules: Rules, is_sampled: bool = True) -> Callable[[Array, Episode], Array]:
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """A proposer that draws from a trained actor, or takes its mean."""
+
+    rules: Rules
+    learner: Learner
+    params: Any
+    is_sampled: bool
+
+    def __call__(self, key: Array, episode: Episode) -> Array:
+        """See `placement.proposer.Proposer`."""
+        seen = observe(self.rules, episode, ObservationConfig())
+        dist, _ = self.learner.apply(self.params, jax.tree.map(lambda leaf: leaf[None], seen))
+        return (dist.sample(key) if self.is_sampled else dist.mean())[0]
+
+
+def load_policy(path: Path, rules: Rules, is_sampled: bool = True) -> Policy:
     """A proposer that acts with the weights in `path`.
 
     Args:
@@ -62,6 +79,9 @@ def load_policy(path: Path, rules: Rules, is_sampled: bool = True) -> Callable[[
                 f"{name} = {wanted[name]}",
                 "the settings that the policy was trained with",
             )
-    learner = Learner(rules, NetworkConfig(**record["network"]))
-    params = read_policy(path, learner.init(jax.random.key(0)))
-    return partial(learner.propose, params, is_sampled=is_sampled)
+    geometry = rules.geometry
+    most = min(rules.num_slots, geometry.num_objects)
+    learner = Learner(NetworkConfig(**record["network"]), geometry.cloud, geometry.half_extents, most)
+    key = jax.random.key(0)
+    seen = jax.eval_shape(lambda: observe(rules, rules.begin(key), ObservationConfig()))
+    return Policy(rules, learner, read_policy(path, learner.init(key, seen)), is_sampled)

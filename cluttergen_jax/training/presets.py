@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from cluttergen_jax.agent.config import PPOConfig
 from cluttergen_jax.config import StabilityConfig
@@ -77,7 +78,7 @@ def make_settings(preset: str, variant: str) -> Settings:
     if preset not in PRESETS:
         raise ConfigError(f"preset {preset!r}", ", ".join(PRESETS))
     settings = PRESETS[preset]()
-    changes = {
+    changes: dict[str, dict[str, Any]] = {
         "policy": {},
         "open_loop": {"history_width": 0},
         "short_memory": {"history_length": 1},

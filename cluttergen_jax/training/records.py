@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import Any
 
 Row = dict[str, float]
 
@@ -50,7 +51,7 @@ class Records:
             self._events.close()
 
 
-def _events(folder: Path):  # type: ignore[no-untyped-def]
+def _events(folder: Path) -> Any:
     from tensorboardX import SummaryWriter
 
     return SummaryWriter(str(folder / "tensorboard"))

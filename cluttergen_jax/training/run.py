@@ -18,7 +18,9 @@ from cluttergen_jax.agent.config import PPOConfig
 from cluttergen_jax.agent.learner import Learner
 from cluttergen_jax.agent.ppo import PPO, TrainState
 from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.networks.actor_critic import NetworkConfig
 from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.training.records import Records, Row, draw_curve
 
 
@@ -45,7 +47,8 @@ class Run:
     """A run in a folder: `last/` (whole state), `best/` and `policy/` (weights), progress.csv, curve.png.
 
     Args:
-      learner: the network and the decision process.
+      rules: the decision process.
+      network: the network's sizes.
       ppo: the numbers.
       config: how it is watched over.
       folder: continued if it holds a run.
@@ -53,16 +56,26 @@ class Run:
     """
 
     def __init__(
-        self, learner: Learner, ppo: PPOConfig, config: RunConfig, folder: Path, recipe: dict[str, Any]
+        self,
+        rules: Rules,
+        network: NetworkConfig,
+        ppo: PPOConfig,
+        config: RunConfig,
+        folder: Path,
+        recipe: dict[str, Any],
     ) -> None:
-        self.learner, self.config, self.folder, self.recipe = learner, config, folder, recipe
-        self.ppo = PPO(PlacementEnv(learner.rules), learner.apply, ppo)
+        self.config, self.folder, self.recipe = config, folder, recipe
+        geometry = rules.geometry
+        most = min(rules.num_slots, geometry.num_objects)
+        self.learner = Learner(network, geometry.cloud, geometry.half_extents, most)
+        self.ppo = PPO(PlacementEnv(rules), self.learner.apply, ppo)
         folder.mkdir(parents=True, exist_ok=True)
 
     def start(self) -> TrainState:
         """The state to go on from: the last checkpoint's, or a fresh one."""
         key_init, key_run = jax.random.split(jax.random.key(self.config.seed))
-        state = jax.jit(self.ppo.start)(key_run, self.learner.init(key_init))
+        observation = jax.eval_shape(self.ppo.env.reset, key_init).obs
+        state = jax.jit(self.ppo.start)(key_run, self.learner.init(key_init, observation))
         last = self.folder / "last"
         return read_state(last, state) if last.exists() else state
 
