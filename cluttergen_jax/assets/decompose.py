@@ -17,8 +17,9 @@ from cluttergen_jax.errors import AssetError, ConfigError
 class DecompositionConfig:
     """CoACD's parameters, and when it is not needed.
 
-    The default searches less than CoACD's own default (nodes 20, iterations 150, depth 3, resolution
-    2,000) for about the same hulls in a quarter of the time.
+    The default searches less than CoACD's own (threshold 0.05, nodes 20, iterations 150, depth 3,
+    resolution 2,000): on scanned mugs and cans the same deviation and openness with fewer parts, several
+    times faster. What it serves badly is done again with `finer`.
 
     Attributes:
       threshold: CoACD's concavity at which a part is convex enough.
@@ -31,14 +32,14 @@ class DecompositionConfig:
       one_hull_deviation: ... and is nowhere farther from it than this, over the diagonal, gets one hull.
     """
 
-    threshold: float = 0.05
+    threshold: float = 0.08
     max_parts: int = 32
     resolution: int = 1000
-    nodes: int = 10
-    iterations: int = 60
+    nodes: int = 6
+    iterations: int = 30
     depth: int = 2
     seed: int = 0
-    simplify: float = 0.002
+    simplify: float = 0.004
     one_hull_volume: float = 0.96
     one_hull_deviation: float = 0.02
 
@@ -55,8 +56,8 @@ class DecompositionConfig:
             threshold=max(0.01, self.threshold / 2.5),
             max_parts=self.max_parts,
             resolution=2 * self.resolution,
-            nodes=2 * self.nodes,
-            iterations=2 * self.iterations,
+            nodes=3 * self.nodes,
+            iterations=4 * self.iterations,
             depth=self.depth + 1,
             seed=self.seed + 1,
             simplify=self.simplify / 2,
