@@ -16,6 +16,15 @@ def box(name: str, half_extents: tuple[float, float, float], mass: float) -> Obj
     return _solid(name, corners, np.diag((half**2).sum() - half**2) * mass / 3, mass)
 
 
+def prism(name: str, radius: float, half_height: float, mass: float) -> ObjectAsset:
+    """A hexagonal prism that stands on one of its hexagons; its inertia is that of a cylinder."""
+    angle = np.arange(6) * np.pi / 3
+    ring = radius * np.stack([np.cos(angle), np.sin(angle)], -1)
+    vertices = np.concatenate([np.c_[ring, np.full(6, z)] for z in (-half_height, half_height)])
+    across = mass * (3 * radius**2 + 4 * half_height**2) / 12
+    return _solid(name, vertices, np.diag([across, across, mass * radius**2 / 2]), mass)
+
+
 def apple(name: str, radius: float, mass: float) -> ObjectAsset:
     """A round thing of 32 vertices: the corners of an icosahedron and of its dual on one sphere."""
     golden = (1 + 5**0.5) / 2

@@ -5,6 +5,7 @@ import pytest
 
 from benchmarks import bullet, contact, engines, last_check
 from benchmarks.bodies import apple, box
+from benchmarks.contact_drops import drops
 from benchmarks.contact_scenes import small_scenes
 from benchmarks.recorded import small_attempts
 from benchmarks.section import prose, provenance, replace_section, table
@@ -121,9 +122,13 @@ def test_pybullet_judges_like_native():
         peer.close()
 
 
+def test_native_drops_come_to_rest():
+    assert drops(ContactConfig(), "native") == 1.0
+
+
 @pytest.mark.slow
 def test_contact_runs(pool):
-    args = contact.Contact(pool=(pool,), trials=2, num_scenes=2, only=("ours", "pyramidal"))
+    args = contact.Contact(pool=(pool,), trials=2, num_scenes=2, warp=False, only=("ours", "pyramidal"))
     outcomes = contact.measure({name: contact.candidates()[name] for name in args.only}, args)
     assert outcomes["ours"].solo[0].rate == 1.0
     assert "| pyramidal |" in contact.body_of(outcomes, args)

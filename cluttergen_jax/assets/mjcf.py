@@ -58,9 +58,7 @@ def _add_visuals(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pieces: t
         )
 
 
-def add_object(
-    spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bool = False
-) -> mujoco.MjsBody:
+def add_object(spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bool = False) -> mujoco.MjsBody:
     """Adds a free body called `name` whose frame is the object frame.
 
     The free joint's qpos is the object's pose: position, then quaternion wxyz. Mass and inertia are the

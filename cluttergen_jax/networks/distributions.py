@@ -127,4 +127,4 @@ class TruncatedNormal(struct.PyTreeNode):
         return jnp.sum(0.5 * jnp.log(2 * jnp.pi * jnp.e) + jnp.log(self.scale) + log_mass + pull, axis=-1)
 
 
-HEADS = {"beta": Beta, "normal": TruncatedNormal}
+HEADS: dict[str, type[Beta] | type[TruncatedNormal]] = {"beta": Beta, "normal": TruncatedNormal}

@@ -52,7 +52,7 @@ def _flattened(function: HostFunction) -> HostFunction:
         arrays = [np.asarray(array) for array in args]
         batch = arrays[-1].shape
         num_scenes = int(np.prod(batch))
-        result = function(*(array.reshape(num_scenes, *array.shape[len(batch) :]) for array in arrays))
-        return jax.tree.map(lambda array: array.reshape(*batch, *array.shape[1:]), result)
+        result = function(*(array.reshape((num_scenes, *array.shape[len(batch) :])) for array in arrays))
+        return jax.tree.map(lambda array: array.reshape((*batch, *array.shape[1:])), result)
 
     return call
