@@ -235,12 +235,12 @@ def test_a_slow_topple_is_seen_awake_to_the_end(layout, engine):
 
 
 def test_the_depth_that_a_pair_may_have_is_the_configs(layout):
-    strict = NativePhysics(layout, StabilityConfig(max_added_penetration=1e-5))
+    strict = NativePhysics(layout, StabilityConfig(max_added_penetration=1e-6))
     one = scene(layout, {0: (0, 0, TOP + 0.0501)})
     assert verdicts(settle(strict, one)) == [Verdict.PENETRATING]
     relaxed = settle(NativePhysics(layout, CONFIG), one)
     assert verdicts(relaxed) == [Verdict.STABLE]
-    assert 1e-5 < relaxed.penetration[0] < 1e-4
+    assert 1e-6 < relaxed.penetration[0] < 1e-4
 
 
 def test_a_diverged_scene_leaves_the_other_sixty_three_alone(layout, engine):
