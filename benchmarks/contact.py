@@ -140,10 +140,10 @@ def body_of(outcomes: dict[str, Outcome], args: Contact) -> str:
         one thread. No-slip iterations do not exist in MJX."""
     small = """Known answers: after 1 s of settling (the apple: 6 s) the movement within 10 s and the deepest
         overlap; a box on a slope of 10 degrees creeps at what speed; at what tilt it slides along a side and
-        across a corner, and the angle of friction, at which it should; the share of boxes and hexagonal prisms
-        that come to rest by the rule, let go upright 0 to 20 mm above the table, in float64 (native) and in
-        float32 (Warp). Handbooks give dry wood, ceramic, metal and hard plastic a friction of 0.2 to 0.6,
-        rubber about 1."""
+        across a corner, and the angle of friction, at which it should; the share of boxes and hexagonal
+        prisms that come to rest by the rule, let go upright 0 to 20 mm above the table, in float64 (native)
+        and in float32 (Warp). Textbook tables put wood or metal on wood near a friction of 0.5 at rest and
+        0.3 sliding, rubber on dry ground near 1."""
     parts = [
         "## Contact parameters",
         prose(real),
