@@ -150,14 +150,15 @@ def test_the_map_covers_what_rays_hit_and_little_else(crowded: tuple[Problem, li
     fullest = max(proposals, key=lambda proposal: proposal.is_placed.sum())
     assert fullest.is_placed.sum() >= 8
     region = problem.rules.region
-    heights = HeightMapper(problem.rules.geometry, region)(region, fullest.poses, fullest.is_placed)
+    mapper = jax.jit(HeightMapper(problem.rules.geometry, region).__call__)
+    heights = mapper(region, fullest.poses, fullest.is_placed)
     hits = ray_heights(problem, data_of(problem, fullest.poses, fullest.is_placed), heights)
-    mapped = np.asarray(heights.height)[1:-1, 1:-1]
+    mapped, middle = np.asarray(heights.height)[1:-1, 1:-1], hits[:, :, 1, 1]
     # On a steep flank a cell's centre may lie uphill of the nearest point: rarely, and by less than a cell.
-    assert np.mean(mapped >= hits - 0.0015) > 0.998
-    assert np.all(mapped >= spread(np.min, hits, 1) - 0.0015)
+    assert np.mean(mapped >= middle - 0.0015) > 0.998
+    assert np.all(mapped >= spread(np.min, middle, 1) - 0.0015)
     # Grown by 4 mm and cut into cells of 7 mm, a surface reaches two cells at most; rays may miss a tip.
-    assert np.mean(mapped <= spread(np.max, hits, 2) + 0.004) > 0.995
+    assert np.mean(mapped <= spread(np.max, hits.max((2, 3)), 2) + 0.004) > 0.998
     assert 0.05 < np.mean(mapped == 0) < 0.9
 
 
@@ -169,33 +170,35 @@ def spread(join, hits: np.ndarray, reach: int) -> np.ndarray:
 
 
 def ray_heights(problem: Problem, data: mujoco.MjData, heights) -> np.ndarray:
-    """f64[W, H]: what vertical rays through the cells' centres hit, above the top."""
+    """f64[W, H, 3, 3]: what vertical rays hit, above the top: nine in each cell but those of the border."""
     model = problem.world.layout.model
     shape, corner, cell = heights.height.shape, np.asarray(heights.corner), heights.cell
-    hits = np.empty((shape[0] - 2, shape[1] - 2))
+    hits = np.empty((shape[0] - 2, shape[1] - 2, 3, 3))
     geom, start = np.zeros(1, np.int32), 3.0
-    for i, j in np.ndindex(hits.shape):
-        x, y = corner + (np.array([i, j]) + 1.5) * cell
+    for i, j, k, m in np.ndindex(hits.shape):
+        x, y = corner + (np.array([i, j]) + 1 + (np.array([k, m]) + 0.5) / 3) * cell
         distance = mujoco.mj_ray(
             model, data, np.array([x, y, start]), np.array([0.0, 0, -1]), None, 1, -1, geom
         )
-        hits[i, j] = start - distance - TOP
+        hits[i, j, k, m] = start - distance - TOP
     return hits
 
 
 def test_drop_lets_things_down_onto_what_is_there(crowded: tuple[Problem, list[Proposal]]) -> None:
-    """At release nothing overlaps, and the first contact is close below: exactly so on flat things."""
+    """At release hardly anything overlaps, and the first contact is close below, on flat things exactly."""
     problem, proposals = crowded
     assert all(proposal.is_placed.any() or on_top(problem, proposal) < 2e-6 for proposal in proposals)
     stacked = [proposal for proposal in proposals if on_top(problem, proposal) > 0.002][:20]
     assert len(stacked) >= 8
     falls = []
     for proposal in stacked:
-        fall = 0.0
+        fall = -0.001
         while fall < 0.03 and not touches(problem, proposal, fall):
             fall += 0.0005
         falls.append(fall)
-    assert min(falls) > 0
+    # Under-sides are known at points a few millimetres apart, so a slope may be met a little early.
+    assert min(falls) > -0.001
+    assert np.mean(np.array(falls) > 0) > 0.8
     assert np.median(falls) < 0.004
     assert max(falls) < 0.015
 
@@ -267,7 +270,7 @@ def test_the_bare_top_is_found_between_gaps_and_a_riser(method: str, most_over_g
 def test_off_the_support_the_map_is_void() -> None:
     problem = compose(trio(), table_with([(-0.1, 0.05)]), ProblemConfig(placement=PlacementConfig(3)))
     region = problem.rules.region
-    mapper = HeightMapper(problem.rules.geometry, region)
+    mapper = jax.jit(HeightMapper(problem.rules.geometry, region).__call__)
     heights = mapper(region, jnp.full((3, 7), jnp.nan), jnp.zeros(3, bool))
     x = jnp.array([-0.15, -0.02, 0.1, 0.3, 0.1])
     y = jnp.array([0.0, 0.0, 0.0, 0.0, -5.0])
