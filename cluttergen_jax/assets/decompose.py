@@ -32,7 +32,7 @@ class DecompositionConfig:
       one_hull_deviation: ... and is nowhere farther from it than this, over the diagonal, gets one hull.
     """
 
-    threshold: float = 0.08
+    threshold: float = 0.06
     max_parts: int = 32
     resolution: int = 1000
     nodes: int = 6
