@@ -16,7 +16,7 @@ from cluttergen_jax.assets.pool import find_pool, user_root
 from cluttergen_jax.assets.readers import ReadOptions, find_sources
 from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.inspect_ import Inspect
-from cluttergen_jax.errors import PoolError
+from cluttergen_jax.errors import AssetError, PoolError
 from cluttergen_jax.importing import cache, run
 from cluttergen_jax.importing.run import ImportConfig, import_sources
 from cluttergen_jax.importing.worker import ObjectConfig
@@ -89,6 +89,8 @@ def test_embedded_names_are_taken(tree):
 
 
 def test_nothing_to_import_fails_without_a_pool(tmp_path):
+    with pytest.raises(AssetError, match="nothing to import"):
+        import_sources([], "mine", QUICK)
     report = import_sources([tmp_path / "nowhere"], "mine", QUICK)
     assert report.status == 1
     assert report.path is None

@@ -25,7 +25,9 @@ class DecompositionConfig:
       threshold: CoACD's concavity at which a part is convex enough.
       max_parts: convex parts at most; more are merged.
       resolution: samples by which concavity is measured.
-      nodes, iterations, depth: of the tree search for cutting planes.
+      nodes: cutting planes that the tree search considers at a time.
+      iterations: of the tree search.
+      depth: how many cuts it looks ahead.
       seed: of CoACD's sampling.
       simplify: how far the mesh may move to have fewer triangles, over its diagonal.
       one_hull_volume: a solid that fills this share of its hull ...

@@ -84,6 +84,8 @@ def import_sources(
     """
     config = config or ImportConfig()
     _check_name(pool_name)
+    if not sources:
+        raise AssetError("nothing to import", f"files, folders, or {YCB!r}")
     found, failures = _find(sources)
     keys = [cache.cache_key(source, config.object) for source in found]
     made: dict[str, ObjectAsset] = {}
