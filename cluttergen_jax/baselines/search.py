@@ -46,12 +46,14 @@ class Look(struct.PyTreeNode):
       lift: f32[N], metres higher than on the bare top.
       support: f32[N], `fit.support_share`; 1 where it was not looked at.
       crowd: f32[N], how much of their surroundings is taken or beyond the support, 0 to 1.
+      attempt: i32, attempts of this object that have failed.
     """
 
     fit: Fit
     lift: Array
     support: Array
     crowd: Array
+    attempt: Array
 
 
 class Search:
@@ -77,7 +79,7 @@ class Search:
 
         def rank(candidates: Candidates, fit: Fit, support: Array) -> Array:
             crowd = mean_under(sparse, crowded, candidates)
-            cost = self.cost(Look(fit, fit.rest - bare_rest, support, crowd))
+            cost = self.cost(Look(fit, fit.rest - bare_rest, support, crowd, episode.attempt))
             is_allowed = self._is_allowed(episode, focus, candidates) & (fit.rest + CLEARANCE <= height_range)
             return jnp.where(is_allowed, cost, cost + _FORBIDDEN)
 
