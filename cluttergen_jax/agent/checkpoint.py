@@ -20,20 +20,24 @@ from cluttergen_jax.errors import PoolError
 FORMAT = 1
 
 
-def _without_keys(tree: Any) -> Any:
-    """PRNG keys as plain arrays, which is what can be stored."""
-    return jax.tree.map(
-        lambda x: jax.random.key_data(x) if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x, tree
-    )
+def _is_key(leaf: Any) -> bool:
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
-def _with_keys(stored: Any, like: Any) -> Any:
-    """The inverse of `_without_keys`, guided by a tree that has the keys."""
-    return jax.tree.map(
-        lambda x, y: jax.random.wrap_key_data(x) if jnp.issubdtype(y.dtype, jax.dtypes.prng_key) else x,
-        stored,
-        like,
-    )
+def _stored(tree: Any) -> dict[str, Any]:
+    """The leaves that can be stored, by number: PRNG keys as plain arrays, empty arrays left out."""
+    leaves = [jax.random.key_data(leaf) if _is_key(leaf) else leaf for leaf in jax.tree.leaves(tree)]
+    return {f"{number:05d}": leaf for number, leaf in enumerate(leaves) if leaf.size}
+
+
+def _restored(stored: dict[str, Any], like: Any) -> Any:
+    """The inverse of `_stored`, guided by a tree of the same structure."""
+    leaves, structure = jax.tree.flatten(like)
+    for number, leaf in enumerate(leaves):
+        if leaf.size:
+            value = stored[f"{number:05d}"]
+            leaves[number] = jax.random.wrap_key_data(value) if _is_key(leaf) else value
+    return jax.tree.unflatten(structure, leaves)
 
 
 def save_state(path: Path, state: Any, record: dict[str, Any]) -> None:
@@ -41,7 +45,7 @@ def save_state(path: Path, state: Any, record: dict[str, Any]) -> None:
     fresh = path.with_name(f".{path.name}.partial").absolute()
     shutil.rmtree(fresh, ignore_errors=True)
     with ocp.StandardCheckpointer() as checkpointer:
-        checkpointer.save(fresh / "state", _without_keys(state))
+        checkpointer.save(fresh / "state", _stored(state))
     (fresh / "record.json").write_text(json.dumps({"format": FORMAT, **record}, indent=1) + "\n")
     aside = path.with_name(f".{path.name}.old")
     shutil.rmtree(aside, ignore_errors=True)
@@ -68,13 +72,12 @@ def read_record(path: Path) -> dict[str, Any]:
 
 def read_state(path: Path, like: Any) -> Any:
     """The pytree that `save_state` stored; `like` has its structure, shapes and types."""
-    target = _without_keys(like)
     with ocp.StandardCheckpointer() as checkpointer:
         try:
-            stored = checkpointer.restore((path / "state").absolute(), target)
+            stored = checkpointer.restore((path / "state").absolute(), _stored(like))
         except (ValueError, OSError, KeyError) as error:
             raise PoolError(f"{path} does not hold what this run needs ({error})") from error
-    return _with_keys(stored, like)
+    return _restored(stored, like)
 
 
 def save_policy(path: Path, params: Any, record: dict[str, Any]) -> None:

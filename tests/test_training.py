@@ -1,0 +1,150 @@
+"""Training runs: they leave what they promise, are taken up again, and their policies generate scenes."""
+
+import json
+from dataclasses import asdict
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cluttergen_jax.agent.checkpoint import read_policy, read_record
+from cluttergen_jax.agent.config import PPOConfig
+from cluttergen_jax.agent.learner import Learner
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.networks.actor_critic import NetworkConfig
+from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.observation import ObservationConfig, observe
+from cluttergen_jax.policies import load_policy
+from cluttergen_jax.training import run as run_module
+from cluttergen_jax.training.records import read_rows
+from cluttergen_jax.training.run import DivergedError, Run, RunConfig
+from tests.problems import made_up_rules
+
+SMALL = NetworkConfig(
+    object_points=8,
+    object_features=8,
+    token_width=16,
+    num_heads=2,
+    num_blocks=1,
+    history_width=8,
+    num_layers=2,
+    width=16,
+)
+PPO = PPOConfig(num_envs=4, num_steps=4, num_minibatches=2, num_epochs=2, num_attempts=64)
+
+
+def recipe(rules):
+    return {"placement": asdict(rules.config), "network": asdict(SMALL)}
+
+
+def make_run(folder, ppo=PPO, seed=0):
+    rules = made_up_rules(history_stride=12, reward="compressed")
+    return Run(rules, SMALL, ppo, RunConfig(seed=seed, window=2), folder, recipe(rules))
+
+
+def weights(state):
+    return np.concatenate([np.asarray(leaf).ravel() for leaf in jax.tree.leaves(state.params)])
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "whole"
+    return folder, make_run(folder).train()
+
+
+def test_leaves_progress_curve_and_checkpoints(trained):
+    folder, _ = trained
+    rows = read_rows(folder / "progress.csv")
+    assert [row["attempts"] for row in rows] == [16, 32, 48, 64]
+    assert (folder / "curve.png").stat().st_size > 1000
+    assert read_record(folder / "last")["num_updates"] == 4
+    for name in ("policy", "best"):
+        assert (folder / name / "weights.npz").exists()
+    assert list((folder / "tensorboard").iterdir())
+
+
+def test_stopped_run_goes_on_to_the_same_bits(trained, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+    shown, calls = run_module._shown, []
+
+    def stop_at_third(row):
+        calls.append(row)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return shown(row)
+
+    monkeypatch.setattr(run_module, "_shown", stop_at_third)
+    with pytest.raises(KeyboardInterrupt):
+        make_run(folder).train()
+    assert len(calls) == 3
+    state = make_run(folder).train()
+    np.testing.assert_array_equal(weights(state), weights(trained[1]))
+    assert [row["update"] for row in read_rows(folder / "progress.csv")] == [0, 1, 2, 3]
+
+
+def test_diverged_run_keeps_the_last_good_state(tmp_path):
+    run = make_run(tmp_path / "run")
+    with pytest.raises(DivergedError, match="not finite"):
+        run._check({"loss": float("nan")}, 7)
+    assert not (tmp_path / "run" / "last").exists()
+
+
+def test_policy_reads_back_and_acts(trained):
+    folder, state = trained
+    rules = made_up_rules(history_stride=12)
+    policy = load_policy(folder / "policy", rules, is_sampled=False)
+    episode = rules.begin(jax.random.key(0))
+    action = jax.jit(policy)(jax.random.key(1), episode)
+    assert action.shape == (4,)
+    assert ((action > 0) & (action < 1)).all()
+    kept = jax.tree.leaves(policy.params)
+    assert (
+        max(float(jnp.abs(a - b).max()) for a, b in zip(kept, jax.tree.leaves(state.params), strict=True))
+        < 1.1
+    )
+
+
+def test_policy_that_remembers_otherwise_is_refused(trained):
+    with pytest.raises(ConfigError, match="history_stride"):
+        load_policy(trained[0] / "policy", made_up_rules(history_stride=0))
+
+
+def test_weights_of_another_network_are_refused(trained):
+    other = NetworkConfig(width=24, num_layers=2)
+    rules = made_up_rules(history_stride=12)
+    geometry = rules.geometry
+    learner = Learner(other, geometry.cloud, geometry.half_extents, 4)
+    seen = jax.eval_shape(PlacementEnv(rules).reset, jax.random.key(0)).obs
+    with pytest.raises(PoolError, match="another network"):
+        read_policy(trained[0] / "policy", learner.init(jax.random.key(0), seen))
+
+
+def test_damaged_record_is_named(trained, tmp_path):
+    (tmp_path / "record.json").write_text("{")
+    with pytest.raises(PoolError, match=str(tmp_path.name)):
+        read_record(tmp_path)
+    assert json.loads((trained[0] / "policy" / "record.json").read_text())["format"] == 1
+
+
+def test_renumbering_the_objects_leaves_actions_unchanged():
+    rules = made_up_rules(history_stride=12)
+    cloud = jax.random.normal(jax.random.key(5), (6, 8, 3)) * 0.03
+    half = jnp.abs(jax.random.normal(jax.random.key(6), (6, 3))) * 0.05
+    episode = rules.begin(jax.random.key(0))
+    for _ in range(2):
+        episode, _ = rules.attempt(episode, jnp.array([0.9, 0.4, 0.5, 0.1]))
+    seen = jax.tree.map(lambda leaf: leaf[None], observe(rules, episode, ObservationConfig()))
+    learner = Learner(SMALL, cloud, half, 4)
+    params = learner.init(jax.random.key(1), jax.tree.map(lambda leaf: leaf[0], seen))
+    order = jnp.array([3, 0, 5, 1, 4, 2])
+    new_number = jnp.argsort(order)
+    renumbered = seen | {
+        "focus": new_number[seen["focus"]],
+        "is_placed": seen["is_placed"][:, order],
+        "T_region_object": seen["T_region_object"][:, order],
+    }
+    one = learner.apply(params, seen)
+    two = Learner(SMALL, cloud[order], half[order], 4).apply(params, renumbered)
+    np.testing.assert_allclose(one[0].mean(), two[0].mean(), atol=1e-5)
+    np.testing.assert_allclose(one[1], two[1], atol=1e-5)
