@@ -1,6 +1,6 @@
 """The native engine: MuJoCo's C simulator, a batch of scenes on a thread pool, behind a JAX callback.
 
-Placed neighbours may fall asleep during an attempt (they wake when touched), the focus object never does,
+Placed neighbours sleep until they are touched, as they lay at rest before; the focus object never sleeps,
 and the last check keeps everything awake. Objects that are not placed sleep where they are parked: asleep
 they are weightless. Every call resets the simulations it uses, so that no sleeping state leaks from one to
 the next.

@@ -16,6 +16,8 @@ _BAD = [
     int(mujoco.mjtWarning.mjWARN_BADQACC),
 ]
 
+_ROOMY = 4 << 20
+
 
 def sleeping_model(model: mujoco.MjModel) -> mujoco.MjModel:
     """A copy in which every object starts asleep, and a diverging scene is left to be seen, not reset."""
@@ -36,6 +38,11 @@ class Simulations:
     def __init__(self, model: mujoco.MjModel, layout: Layout, size: int, num_threads: int) -> None:
         self._batch = Batch(model, size, num_threads, persistent=True)
         self._policy = self._batch.expand("tree_sleep_policy")
+        self._qpos0 = self._batch.expand("qpos0")
+        self._parked = layout.parked
+        # A reset collides whoever sleeps, and where that finds no room it ends the process. In the arena that
+        # MuJoCo sizes by itself even all objects at one point fit; in one made small by hand all start awake.
+        self._starts_asleep = model.narena >= _ROOMY
         self._num_objects = layout.num_objects
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._raised = np.zeros(size, bool)
@@ -54,12 +61,14 @@ class Simulations:
         self._policy[:num] = np.where(
             never_sleeps, int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER), int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)
         )
-        self._batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        self._raised[:num] = False
-        start = self.poses(ids)
-        start[is_placed] = poses[is_placed]
+        start = np.where(is_placed[..., None], poses, self._parked)
         start[..., 3:] /= np.linalg.norm(start[..., 3:], axis=-1, keepdims=True)
+        if self._starts_asleep:
+            # Reference poses, unlike writes to the state, wake nobody.
+            self._qpos0[:num] = start.reshape(num, -1)
+        self._batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         self._qpos[:num] = start.reshape(num, -1)
+        self._raised[:num] = False
         return start
 
     def step(self, ids: np.ndarray) -> None:
