@@ -98,11 +98,10 @@ def test_policy_reads_back_and_acts(trained):
     action = jax.jit(policy)(jax.random.key(1), episode)
     assert action.shape == (4,)
     assert ((action > 0) & (action < 1)).all()
-    kept = jax.tree.leaves(policy.params)
-    assert (
-        max(float(jnp.abs(a - b).max()) for a, b in zip(kept, jax.tree.leaves(state.params), strict=True))
-        < 1.1
-    )
+    # Stored at half precision, and without the critic.
+    seen = jax.tree.map(lambda leaf: leaf[None], observe(rules, episode, ObservationConfig()))
+    whole, _ = policy.learner.apply(state.params, seen)
+    np.testing.assert_allclose(action, whole.mean()[0], atol=0.01)
 
 
 def test_policy_that_remembers_otherwise_is_refused(trained):
