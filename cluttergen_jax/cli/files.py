@@ -17,6 +17,9 @@ from cluttergen_jax.render.sheet import contact_sheet, save_png
 from cluttergen_jax.world import base_name
 
 _OVERVIEW = 12
+_MANY = 100
+_FINE, _QUICK = 32, 8
+"""Pictures averaged into one: soft light for a few scenes, speed for many."""
 
 
 def scene_path(bank: Bank, index: int, ending: str) -> Path:
@@ -27,7 +30,7 @@ def scene_path(bank: Bank, index: int, ending: str) -> Path:
 def write_files(bank: Bank, num_scenes: int, config: ProblemConfig, is_drawn: bool) -> None:
     """Writes what is missing: MJCF files, and pictures if they are wanted and can be drawn."""
     scenes = [scene for scene in bank.scenes() if scene.is_success and scene.index < num_scenes]
-    assets = {name: bank.object(name) for scene in scenes for name in map(base_name, scene.objects)}
+    assets = {name: bank.object(name) for name in {base_name(n) for scene in scenes for n in scene.objects}}
     for scene in scenes:
         path = scene_path(bank, scene.index, "xml")
         if not path.exists():
@@ -46,12 +49,13 @@ def write_files(bank: Bank, num_scenes: int, config: ProblemConfig, is_drawn: bo
 
 def _draw(bank: Bank, scenes: Sequence[SceneRecord], assets: dict) -> None:
     images: list[np.ndarray] = []
+    samples = _FINE if len(scenes) <= _MANY else _QUICK
     for scene in tqdm(scenes, unit="picture", desc="drawing", disable=None):
         path = scene_path(bank, scene.index, "png")
         if path.exists() and len(images) >= min(_OVERVIEW, len(scenes)):
             continue
         objects = [assets[base_name(name)] for name in scene.objects]
-        image = render_scene(objects, scene.poses, bank.support, close=True)
+        image = render_scene(objects, scene.poses, bank.support, close=True, samples=samples)
         save_png(image, path)
         images.append(image)
     captions = [f"{scene.index:06d}" for scene in scenes[:_OVERVIEW]]
