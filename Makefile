@@ -61,5 +61,10 @@ scenes: $(VENV)/.dev ## build the embedded pools and supports again
 	$(RUN)/python scenes/build.py
 	$(RUN)/python scenes/build_supports.py
 
+bench: $(VENV)/.all ## measure contact, last check and engines again; renews benchmarks/README.md
+	$(RUN)/python -m benchmarks.contact --write
+	$(RUN)/python -m benchmarks.last_check --write
+	$(RUN)/python -m benchmarks.engines --write
+
 clean: ## remove what these commands made
 	rm -rf $(VENV) out build dist .pytest_cache .ruff_cache .mypy_cache
