@@ -14,7 +14,6 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.problem import ProblemConfig, make_problem
 from cluttergen_jax.training.presets import Settings, make_settings
-from cluttergen_jax.training.run import Run, RunConfig
 
 
 @dataclass(frozen=True)
@@ -49,6 +48,9 @@ class Train:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        # Brax takes seconds to import, and only who trains needs it.
+        from cluttergen_jax.training.run import Run, RunConfig
+
         settings = self._settings()
         problem = make_problem(
             ProblemConfig(
