@@ -34,8 +34,12 @@ def summary_of(table: pa.Table, num_scenes: int, num_new: int = 0, seconds: floa
         f"attempts   {attempts.sum()}, {mean_attempts:.2f} per placed object",
         f"rest       after {mean_steps:.0f} steps of 1/240 s in the mean",
     ]
-    rejected = [f"{v.label} {n} ({n / total:.1%})" for v, n in counts.items() if n and v != Verdict.STABLE]
-    lines.append(f"rejected   {', '.join(rejected) or 'nothing'}")
+    rejected = [
+        f"{number} {verdict.label} ({number / total:.1%}): {verdict.sentence}"
+        for verdict, number in counts.items()
+        if number and verdict != Verdict.STABLE
+    ]
+    lines.append("rejected   " + ("\n           ".join(rejected) or "nothing"))
     if num_new and seconds > 0:
         lines.append(f"speed      {num_new} new scenes in {seconds:.1f} s, compilation included")
     return "\n".join(lines)
