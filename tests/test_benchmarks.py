@@ -101,7 +101,7 @@ def test_recorded_small_attempts_come_to_rest():
 
 
 def test_pybullet_judges_like_native():
-    pytest.importorskip("pybullet")
+    pytest.importorskip("pybullet", reason="needs the extra peers")
     config = StabilityConfig()
     world, attempts = small_attempts(config, ContactConfig(), 4)
     poses = attempts.poses.copy()

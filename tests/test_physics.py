@@ -45,7 +45,7 @@ def duo():
 @functools.cache
 def engine_of(name):
     if name == "warp":
-        pytest.importorskip("warp", reason="the extra gpu is not installed")
+        pytest.importorskip("warp", reason="needs the extra gpu")
     return make_physics(duo(), CONFIG, name)
 
 
@@ -288,7 +288,7 @@ def test_a_diverged_scene_leaves_the_others_alone(name):
 
 
 def test_warp_tells_an_overflow_of_constraints_by_scene():
-    pytest.importorskip("warp", reason="the extra gpu is not installed")
+    pytest.importorskip("warp", reason="needs the extra gpu")
     # Sixteen rows hold the four contacts of one box, not those of two bodies.
     physics = MjxPhysics(duo(), CONFIG, "warp", num_contacts=32, num_rows=16)
     names = ["resting", "dropped 1 mm", "resting"]
@@ -300,7 +300,7 @@ def test_warp_tells_an_overflow_of_constraints_by_scene():
 
 
 def test_warp_tells_a_full_contact_list_to_all():
-    pytest.importorskip("warp", reason="the extra gpu is not installed")
+    pytest.importorskip("warp", reason="needs the extra gpu")
     physics = MjxPhysics(duo(), CONFIG, "warp", num_contacts=3, num_rows=64)
     report = jax.jit(jax.vmap(physics.settle))(*batch(["resting", "dropped 1 mm", "inactive"]))
     np.testing.assert_array_equal(report.verdict, [Verdict.OVERFLOW, Verdict.OVERFLOW, Verdict.NONE])
