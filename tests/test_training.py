@@ -98,7 +98,12 @@ def test_policy_reads_back_and_acts(trained):
     action = jax.jit(policy)(jax.random.key(1), episode)
     assert action.shape == (4,)
     assert ((action > 0) & (action < 1)).all()
-    # Stored at half precision, and without the critic.
+    # Stored at half precision, and without the critic: everything else comes back.
+    pairs = jax.tree.leaves_with_path(
+        jax.tree.map(lambda a, b: jnp.abs(a - b).max(), policy.params, state.params)
+    )
+    changed = {jax.tree_util.keystr(path).split("'")[3] for path, change in pairs if change > 1e-3}
+    assert changed <= {"critic", "value"}
     seen = jax.tree.map(lambda leaf: leaf[None], observe(rules, episode, ObservationConfig()))
     whole, _ = policy.learner.apply(state.params, seen)
     np.testing.assert_allclose(action, whole.mean()[0], atol=0.01)

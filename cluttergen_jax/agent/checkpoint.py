@@ -18,6 +18,8 @@ import orbax.checkpoint as ocp
 from cluttergen_jax.errors import PoolError
 
 FORMAT = 1
+_CRITIC = ("params/critic/", "params/value/")
+"""What acting does not need; an attention layer has a `value` too, which it does."""
 
 
 def _is_key(leaf: Any) -> bool:
@@ -85,9 +87,7 @@ def save_policy(path: Path, params: Any, record: dict[str, Any]) -> None:
     path.mkdir(parents=True, exist_ok=True)
     flat = flax.traverse_util.flatten_dict(params, sep="/")
     weights = {
-        name: np.asarray(value, np.float16)
-        for name, value in flat.items()
-        if "/critic/" not in name and "/value/" not in name
+        name: np.asarray(value, np.float16) for name, value in flat.items() if not name.startswith(_CRITIC)
     }
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **weights)  # type: ignore[arg-type]
