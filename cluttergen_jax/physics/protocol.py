@@ -22,7 +22,8 @@ class Physics(Protocol):
 
         Args:
           poses: f32[K, 7], position and quaternion wxyz of every object; read where placed.
-          is_placed: bool[K], the focus object included.
+          is_placed: bool[K], the focus object included. The others are taken to lie at rest, as committed
+            objects do: an engine may let them sleep until they are touched.
           focus: i32, the object in hand.
           is_active: bool.
         """
