@@ -25,9 +25,9 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
+from cluttergen_jax.assets.part_files import write_parts
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, write_support
-from cluttergen_jax.bank.part_files import write_parts
 from cluttergen_jax.errors import BankError
 
 FORMAT = 1

@@ -9,11 +9,11 @@ import numpy as np
 from tqdm import tqdm
 
 from cluttergen_jax.bank.bank import Bank, SceneRecord, write_atomically
-from cluttergen_jax.bank.scene_xml import scene_xml
 from cluttergen_jax.problem import ProblemConfig
 from cluttergen_jax.render.assets import render_scene
 from cluttergen_jax.render.gl import renderer_status
 from cluttergen_jax.render.sheet import contact_sheet, save_png
+from cluttergen_jax.scene.xml import scene_xml
 from cluttergen_jax.world import base_name
 
 _OVERVIEW = 12

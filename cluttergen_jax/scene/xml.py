@@ -15,8 +15,8 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.bank.part_files import part_name
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.world import unique_names
 
