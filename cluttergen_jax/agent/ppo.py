@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
@@ -14,11 +14,19 @@ from flax import struct
 
 from cluttergen_jax.agent.advantages import generalised_advantages
 from cluttergen_jax.agent.config import PPOConfig
+from cluttergen_jax.agent.devices import Devices, OneDevice
+from cluttergen_jax.agent.health import GradientSteps, Health, health_of, squares
 from cluttergen_jax.types import Array
 
 Params = Any
 Apply = Callable[[Params, Any], tuple[Any, Array]]
 """(params, observations with a leading axis) -> (action distribution, values)."""
+Encode = Callable[[Params], Callable[[Any], Any]]
+"""params -> a function of observations with a leading axis, called once for each attempt."""
+
+
+def _as_seen(params: Params) -> Callable[[Any], Any]:
+    return lambda observation: observation
 
 
 class Transition(struct.PyTreeNode):
@@ -57,11 +65,15 @@ class PPO:
       env: one environment, known only by Brax's protocol.
       apply: the network.
       config: the numbers.
+      devices: where the environments live.
+      encode: adds to observations, when they are made, what no later update will change.
     """
 
     env: Env
     apply: Apply
     config: PPOConfig
+    devices: Devices = field(default_factory=OneDevice)
+    encode: Encode = _as_seen
 
     def optimizer(self) -> optax.GradientTransformation:
         """Adam after clipping, with the config's schedule."""
@@ -82,6 +94,10 @@ class PPO:
 
     def update(self, state: TrainState) -> tuple[TrainState, dict[str, Array]]:
         """One rollout and its gradient steps; the new state and figures to show."""
+        return self.checked_update(state)[:2]
+
+    def checked_update(self, state: TrainState) -> tuple[TrainState, dict[str, Array], Health]:
+        """`update`, and where in it numbers stopped being finite."""
         key_rollout, key_learn, key = jax.random.split(state.key, 3)
         env, batch = self._roll_out(state.params, state.env, key_rollout)
         _, last_value = self.apply(state.params, env.obs)
@@ -89,37 +105,43 @@ class PPO:
             batch.reward, batch.value, batch.done, last_value, self.config.discount, self.config.gae_lambda
         )
         flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), (batch, advantage, target))
-        (params, optimizer), losses = self._learn(state.params, state.optimizer, flat, key_learn)
-        figures = {name: jnp.mean(values) for name, values in losses.items()}
+        (params, optimizer), steps = self._learn(state.params, state.optimizer, flat, key_learn)
+        steps = jax.tree.map(lambda x: x.reshape(-1), steps)
+        figures = {name: jnp.mean(values) for name, values in steps.losses.items()}
         spread = jnp.var(target)
         figures["explained_variance"] = 1 - jnp.var(target - batch.value) / jnp.maximum(spread, 1e-8)
         figures |= {"reward": jnp.mean(batch.reward), "episodes": jnp.sum(batch.done)}
         figures |= {f"env/{name}": jnp.mean(value) for name, value in env.metrics.items()}
-        return TrainState(params, optimizer, env, key, state.num_updates + 1), figures
+        health = health_of(batch, (env.obs, last_value), steps)
+        return TrainState(params, optimizer, env, key, state.num_updates + 1), figures, health
 
     def _roll_out(self, params: Params, env: State, key: Array) -> tuple[State, Transition]:
+        encode = self.encode(params)
+
         def step(env: State, key: Array) -> tuple[State, Transition]:
-            dist, value = self.apply(params, env.obs)
+            seen = encode(env.obs)
+            dist, value = self.apply(params, seen)
             action = dist.sample(key)
-            after = jax.vmap(self.env.step)(env, action)
-            return after, Transition(env.obs, action, dist.log_prob(action), value, after.reward, after.done)
+            after = self.devices.each(self.env.step)(env, action)
+            return after, Transition(seen, action, dist.log_prob(action), value, after.reward, after.done)
 
         return jax.lax.scan(step, env, jax.random.split(key, self.config.num_steps))
 
     def _learn(
         self, params: Params, optimizer: optax.OptState, flat: Any, key: Array
-    ) -> tuple[tuple[Params, optax.OptState], dict[str, Array]]:
+    ) -> tuple[tuple[Params, optax.OptState], GradientSteps]:
         config, transform = self.config, self.optimizer()
 
-        def minibatch(carry: Any, index: Array) -> tuple[Any, dict[str, Array]]:
+        def minibatch(carry: Any, index: Array) -> tuple[Any, GradientSteps]:
             params, optimizer = carry
-            chosen = jax.tree.map(lambda x: x[index], flat)
+            chosen = self.devices.spread(jax.tree.map(lambda x: x[index], flat))
             gradient, losses = jax.grad(self._loss, has_aux=True)(params, *chosen)
             change, optimizer = transform.update(gradient, optimizer, params)
             losses["gradient_norm"] = optax.global_norm(gradient)
-            return (optax.apply_updates(params, change), optimizer), losses
+            params = optax.apply_updates(params, change)
+            return (params, optimizer), GradientSteps(losses, squares(gradient), squares(params))
 
-        def epoch(carry: Any, key: Array) -> tuple[Any, dict[str, Array]]:
+        def epoch(carry: Any, key: Array) -> tuple[Any, GradientSteps]:
             order = jax.random.permutation(key, config.batch_size)
             return jax.lax.scan(minibatch, carry, order.reshape(config.num_minibatches, -1))
 
