@@ -17,7 +17,7 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.region import Region, make_region
+from cluttergen_jax.placement.region import KeepOut, Region, make_region, no_keep_out
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.world import World, make_world, repeated
@@ -105,6 +105,17 @@ def region_of(rectangle: Rectangle, support: SupportAsset) -> Region:
     """A rectangle on a support's top as the decision process sees it."""
     return make_region(
         jnp.array(rectangle.center), jnp.array(rectangle.half_extents), rectangle.yaw, support.top
+    )
+
+
+def keep_out_of(boxes: Sequence[Rectangle]) -> KeepOut:
+    """Rectangles that objects must stay out of, as the decision process sees them."""
+    if not boxes:
+        return no_keep_out()
+    return KeepOut(
+        center=jnp.array([box.center for box in boxes], jnp.float32),
+        half_extents=jnp.array([box.half_extents for box in boxes], jnp.float32),
+        yaw=jnp.array([box.yaw for box in boxes], jnp.float32),
     )
 
 

@@ -6,6 +6,8 @@ from pathlib import Path
 import cluttergen_jax
 
 ROOT = Path(cluttergen_jax.__file__).parent
+# Two floors lie between products and commands: `methods` names baselines and policies alike, and `sampler`
+# puts together whatever a scene takes. Both look down on the products; commands and programs use them.
 FLOORS = {
     "errors": 0,
     "types": 0,
@@ -14,6 +16,7 @@ FLOORS = {
     "physics": 1,
     "networks": 1,
     "world": 2,
+    "scene": 2,
     "placement": 2,
     "agent": 2,
     "problem": 3,
@@ -22,8 +25,11 @@ FLOORS = {
     "policies": 3,
     "baselines": 3,
     "bank": 3,
+    "export": 3,
     "render": 3,
     "importing": 3,
+    "methods": 3.2,
+    "sampler": 3.5,
     "cli": 4,
     "__main__": 5,
 }

@@ -16,8 +16,8 @@ import numpy as np
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.bank.bank import write_atomically
 from cluttergen_jax.baselines import METHODS as BASELINES
-from cluttergen_jax.cli.methods import checkpoint_of, proposer_of, suited
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.methods import checkpoint_of, proposer_of, suited
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.problem import ProblemConfig, make_problem
 from cluttergen_jax.sampling import BlockSampler, blocks_of, sample_blocks

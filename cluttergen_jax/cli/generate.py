@@ -9,23 +9,21 @@ from functools import partial
 from importlib.metadata import version
 from typing import Annotated, Any
 
-import jax.numpy as jnp
 import tyro
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.bank.bank import BankWriter, names_of, read_bank
+from cluttergen_jax.bank.start import read_start, start_of
 from cluttergen_jax.bank.summary import summary_of
 from cluttergen_jax.bank.table import table_of
 from cluttergen_jax.cli.files import write_files
-from cluttergen_jax.cli.methods import checkpoint_of, proposer_of, suited
 from cluttergen_jax.cli.parse import parse_keep_out, parse_region
-from cluttergen_jax.cli.start import read_start, start_of
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.methods import checkpoint_of, default_method, proposer_of, suited
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.region import KeepOut, no_keep_out
-from cluttergen_jax.problem import Problem, ProblemConfig, make_problem
+from cluttergen_jax.problem import Problem, ProblemConfig, keep_out_of, make_problem
 from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
 
 MAX_SCENES = 10_000_000
@@ -40,7 +38,7 @@ class Generate:
       pool: a pool's name or folder (`cluttergen list`).
       num_scenes: scenes to make, failures counted.
       method: how poses are proposed: random, clear, drop, or a trained policy: policy, open_loop,
-        short_memory or normal.
+        short_memory or normal. If not given: policy where a checkpoint is embedded for the pool, else clear.
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       num_objects: objects per scene; all of the pool's (40 at most) if not given.
       objects: names of the pool's objects to use.
@@ -63,7 +61,7 @@ class Generate:
     out: str = "out"
     pool: str = "dining"
     num_scenes: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 20
-    method: str = "clear"
+    method: str | None = None
     checkpoint: str | None = None
     num_objects: int | None = None
     objects: tuple[str, ...] = ()
@@ -92,14 +90,20 @@ def _generate(args: Generate) -> int:
         raise ConfigError(f"--num-scenes {args.num_scenes}", f"1 to {MAX_SCENES}")
     if not 0 <= args.seed < 2**32:
         raise ConfigError(f"--seed {args.seed}", "0 to 4294967295")
-    checkpoint = checkpoint_of(args.method, args.pool, args.checkpoint)
+    method = args.method or default_method(args.pool, args.checkpoint)
+    args = dataclasses.replace(args, method=method)
+    checkpoint = checkpoint_of(method, args.pool, args.checkpoint)
     config = problem_config(args)
     config = dataclasses.replace(config, placement=suited(config.placement, checkpoint))
     standing, poses = read_start(args.start)
     problem = make_problem(config, standing)
     start = start_of(problem.world, standing, poses)
-    begin = partial(problem.rules.begin, keep_out=_keep_out(args), start=start)
-    sampler = BlockSampler(problem.rules, proposer_of(args.method, checkpoint, problem.rules), begin)
+    begin = partial(
+        problem.rules.begin,
+        keep_out=keep_out_of([parse_keep_out(text) for text in args.keep_out]),
+        start=start,
+    )
+    sampler = BlockSampler(problem.rules, proposer_of(method, checkpoint, problem.rules), begin)
     _warn_of_flags(problem)
     writer = BankWriter(
         args.out,
@@ -158,17 +162,6 @@ def recipe_of(args: Generate, problem: Problem) -> dict[str, Any]:
         "names": problem.world.names,
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax")},
     }
-
-
-def _keep_out(args: Generate) -> KeepOut:
-    boxes = [parse_keep_out(text) for text in args.keep_out]
-    if not boxes:
-        return no_keep_out()
-    return KeepOut(
-        jnp.array([box.center for box in boxes]),
-        jnp.array([box.half_extents for box in boxes]),
-        jnp.array([box.yaw for box in boxes]),
-    )
 
 
 def run_blocks(

@@ -42,9 +42,13 @@ class BlockSampler:
 
     def step(self, episodes: Episode) -> Episode:
         """One attempt in every episode that is not over."""
-        keys = jax.vmap(jax.random.split)(episodes.key)
-        actions = jax.vmap(self.propose)(keys[:, 0], episodes)
-        return jax.vmap(self.rules.attempt)(episodes.replace(key=keys[:, 1]), actions)[0]
+        return jax.vmap(self.step_one)(episodes)
+
+    def step_one(self, episode: Episode) -> Episode:
+        """One attempt, unless the episode is over."""
+        key_propose, key_next = jax.random.split(episode.key)
+        action = self.propose(key_propose, episode)
+        return self.rules.attempt(episode.replace(key=key_next), action)[0]
 
     def finish(self, episodes: Episode) -> Scenes:
         """The scenes of finished episodes."""

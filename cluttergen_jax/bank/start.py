@@ -26,12 +26,12 @@ def read_start(text: str | None) -> tuple[list[ObjectAsset], np.ndarray]:
         return [], np.zeros((0, 7), np.float32)
     path, _, number = text.rpartition(":")
     if not path or not number.isdigit():
-        raise ConfigError(f"--start {text!r}", "BANK:INDEX, such as out:3")
+        raise ConfigError(f"start {text!r}", "BANK:INDEX, such as out:3")
     bank = read_bank(path)
     scene = next((each for each in bank.scenes() if each.index == int(number)), None)
     if scene is None or not scene.is_success:
         state = "no such scene" if scene is None else f"a scene that failed: {scene.verdict}"
-        raise BankError(f"--start {text}: {state}", "a scene that stands")
+        raise BankError(f"start {text}: {state}", "a scene that stands")
     return [bank.object(base_name(name)) for name in scene.objects], scene.poses
 
 

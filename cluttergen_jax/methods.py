@@ -12,10 +12,20 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.proposer import Proposer
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.policies import find_policy, load_policy
+from cluttergen_jax.policies import find_policy, list_policies, load_policy
 from cluttergen_jax.training.presets import VARIANTS
 
 METHODS = (*BASELINES, *VARIANTS)
+DEFAULT_METHOD = "policy"
+"""What `generate` and `make_sampler` take where nothing is said, if a checkpoint is embedded for the pool."""
+
+FALLBACK_METHOD = "clear"
+
+
+def default_method(pool: str, checkpoint: str | None = None) -> str:
+    """The method for a pool where none is named: `DEFAULT_METHOD`, or `clear` where it has no checkpoint."""
+    is_trained = checkpoint is not None or f"{pool}-{DEFAULT_METHOD}" in list_policies()
+    return DEFAULT_METHOD if DEFAULT_METHOD in BASELINES or is_trained else FALLBACK_METHOD
 
 
 def checkpoint_of(method: str, pool: str, checkpoint: str | None = None) -> Path | None:

@@ -1,0 +1,7 @@
+"""Scenes as JAX functions: sampled afresh (`make_sampler`), or drawn from a saved bank (`load_bank`)."""
+
+from cluttergen_jax.sampler.make import make_sampler
+from cluttergen_jax.sampler.sampled import SampledScene
+from cluttergen_jax.sampler.sampler import Sampler
+
+__all__ = ["SampledScene", "Sampler", "make_sampler"]

@@ -1,0 +1,101 @@
+"""From names to a sampler."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.bank.start import read_start, start_of
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.methods import checkpoint_of, default_method, proposer_of, suited
+from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.observation import ObservationConfig
+from cluttergen_jax.problem import ProblemConfig, keep_out_of, make_problem
+from cluttergen_jax.sampler.sampler import Sampler
+from cluttergen_jax.sampling import BlockSampler
+
+MAX_RETRIES = 10_000
+
+
+def make_sampler(
+    pool: str | Path = "dining",
+    support: str | Path = "table",
+    num_objects: int | None = None,
+    method: str | None = None,
+    *,
+    checkpoint: str | Path | None = None,
+    max_retries: int = 0,
+    objects: Sequence[str] = (),
+    repeat: bool = False,
+    region: Rectangle | None = None,
+    keep_out: Sequence[Rectangle] = (),
+    start: str | None = None,
+    containment: str = "center",
+    order: str = "random",
+    max_attempts: int = 5,
+    num_scene_points: int = 0,
+    engine: str = "auto",
+    num_threads: int = 0,
+) -> Sampler:
+    """A function `sample(key) -> SampledScene` that may be compiled, mapped, scanned and sharded.
+
+    Nothing random is decided here: equal keys give equal scenes, within contract.md's limits.
+
+    Args:
+      pool: a pool's name or folder.
+      support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
+      num_objects: objects per scene; all of the pool's (40 at most) if not given.
+      method: "random", "clear", "drop", or a trained policy. If not given: "policy" where a checkpoint is
+        given or embedded for the pool, else "clear".
+      checkpoint: a policy's folder, such as `cluttergen train` leaves; the embedded one if not given.
+      max_retries: a scene that fails is drawn again so often, inside the compiled code, until one passes.
+      objects: names of the pool's objects to use; all of them if empty.
+      repeat: let objects stand there more than once.
+      region: the queried region; the support's own if not given.
+      keep_out: upright boxes that objects must stay out of.
+      start: a saved scene, "BANK:INDEX", whose objects stand there and count as neighbours.
+      containment: what must lie in the region: the bounding box's "center" or the whole "footprint".
+      order: "random", or "fixed" to the pool's order.
+      max_attempts: per object.
+      num_scene_points: points of each scene's cloud; 0 for none.
+      engine: "auto", "native", "warp" or "jax".
+      num_threads: of the native engine; 0 takes every core.
+
+    Raises:
+      ConfigError: a setting is out of range or contradicts another.
+      PoolError: a pool, an object, a support or a checkpoint cannot be found or read.
+      BankError: the scene to start from cannot be read, or does not stand.
+    """
+    if not 0 <= max_retries <= MAX_RETRIES:
+        raise ConfigError(f"max_retries = {max_retries}", f"0 to {MAX_RETRIES}", "max_retries=5")
+    ObservationConfig(num_scene_points=num_scene_points)
+    pool, given = str(pool), None if checkpoint is None else str(checkpoint)
+    method = method or default_method(pool, given)
+    policy = checkpoint_of(method, pool, given)
+    if num_objects is None:
+        num_objects = min(len(objects) or len(find_pool(pool)), MAX_SLOTS)
+    placement = PlacementConfig(
+        num_objects=num_objects, max_attempts=max_attempts, containment=containment, order=order
+    )
+    config = ProblemConfig(
+        pool=pool,
+        objects=tuple(objects),
+        repeat=repeat,
+        support=str(support),
+        region=region,
+        engine=engine,
+        num_threads=num_threads,
+        placement=suited(placement, policy),
+    )
+    standing, poses = read_start(start)
+    problem = make_problem(config, standing)
+    return Sampler(
+        problem=problem,
+        steps=BlockSampler(problem.rules, proposer_of(method, policy, problem.rules)),
+        keep_out=keep_out_of(keep_out),
+        start=start_of(problem.world, standing, poses),
+        max_retries=max_retries,
+        num_scene_points=num_scene_points,
+    )

@@ -1,0 +1,130 @@
+"""The scene sampler: a pure function from a key to a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from cluttergen_jax.bank import SceneRecord
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.region import KeepOut, Region
+from cluttergen_jax.placement.types import Episode, Start
+from cluttergen_jax.problem import Problem
+from cluttergen_jax.sampler.sampled import SampledScene, sampled_scene
+from cluttergen_jax.sampling import BlockSampler
+from cluttergen_jax.types import Array, Verdict
+
+
+class _Drawing(struct.PyTreeNode):
+    """A scene in the making, and how often it has been begun."""
+
+    episode: Episode
+    num_draws: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Sampler:
+    """Samples one scene from a key; see `make_sampler`. Map it with `jax.vmap`, compile it with `jax.jit`.
+
+    Attributes:
+      problem: the compiled world, its rules and its queried region.
+      steps: who proposes, and how an attempt is made.
+      keep_out: where no object may come to lie, unless another is given in the call.
+      start: what stands there already, unless another is given in the call.
+      max_retries: how often a scene that fails is drawn again.
+      num_scene_points: points of the scene's cloud; 0 for none.
+    """
+
+    problem: Problem
+    steps: BlockSampler
+    keep_out: KeepOut
+    start: Start
+    max_retries: int
+    num_scene_points: int
+
+    def __call__(
+        self,
+        key: Array,
+        region: Region | None = None,
+        keep_out: KeepOut | None = None,
+        start: Start | None = None,
+    ) -> SampledScene:
+        """One scene. All arguments may be traced, and mapped over.
+
+        Args:
+          key: one PRNG key, consumed. `jax.random.fold_in(jax.random.key(seed), i)` makes scene i of the bank
+            that `cluttergen generate --seed` writes with the same settings.
+          region: a queried region on the same support, no larger than the sampler's own
+            (`placement.region.make_region`).
+          keep_out: where no object may come to lie.
+          start: what stands there already: objects of this sampler's world, no more than it was made for.
+
+        Raises:
+          ConfigError: `key` is not one key.
+        """
+        _check_key(key)
+        rules = self.problem.rules
+        begin = partial(
+            rules.begin,
+            region=region,
+            keep_out=self.keep_out if keep_out is None else keep_out,
+            start=self.start if start is None else start,
+        )
+
+        def advance(drawing: _Drawing) -> _Drawing:
+            episode, num_draws = self.steps.step_one(drawing.episode), drawing.num_draws
+            if not self.max_retries:
+                return drawing.replace(episode=episode)
+            again = episode.is_over & ~episode.is_success & (num_draws <= self.max_retries)
+            # The key of an episode that is over has not been used.
+            fresh = begin(episode.key)
+            episode = jax.tree.map(lambda new, old: jnp.where(again, new, old), fresh, episode)
+            return _Drawing(episode, num_draws + again)
+
+        first = _Drawing(begin(key), jnp.int32(1))
+        last = jax.lax.while_loop(lambda drawing: ~drawing.episode.is_over, advance, first)
+        return sampled_scene(rules, last.episode, last.num_draws, self.num_scene_points)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The compiled world's objects, in the order of `SampledScene.object_index`."""
+        return self.problem.world.names
+
+    def record(self, scene: SampledScene, index: int = 0) -> SceneRecord:
+        """One scene on the host, as banks, pictures and exports take it.
+
+        Args:
+          scene: a scene without leading axes, or a batch of which `index` is taken.
+        """
+        if np.ndim(scene.is_success):
+            scene = jax.tree.map(lambda leaf: leaf[index], scene)
+        placed = np.asarray(scene.is_placed)
+        chosen = np.asarray(scene.object_index)[placed]
+        return SceneRecord(
+            index=index,
+            objects=tuple(self.names[each] for each in chosen),
+            poses=np.asarray(scene.poses)[placed],
+            is_success=bool(scene.is_success),
+            verdict=Verdict(int(scene.verdict)).label,
+        )
+
+
+def _check_key(key: Any) -> None:
+    """Refuses what is not one PRNG key, old style or new."""
+    dtype, shape = getattr(key, "dtype", None), np.shape(key)
+    if dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key):
+        is_one = shape == ()
+    else:
+        is_one = dtype == jnp.uint32 and shape == (2,)
+    if not is_one:
+        raise ConfigError(
+            f"sample(key) with a {type(key).__name__} of type {dtype} and shape {shape}",
+            "one key, as jax.random.key(0)",
+            "jax.vmap(sample)(jax.random.split(jax.random.key(0), 256)) for many scenes",
+        )

@@ -1,0 +1,239 @@
+"""The sampler as a JAX function: the same scene however it is mapped, and what is asked of it holds."""
+
+import os
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+import pytest
+
+import cluttergen_jax as cg
+from cluttergen_jax.assets.pool import Pool, write_pool
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.bank import read_bank
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError, PoolError
+from cluttergen_jax.methods import FALLBACK_METHOD, default_method
+from cluttergen_jax.placement.region import KeepOut, make_region
+from cluttergen_jax.types import Verdict
+from tests.worlds import trio
+
+KEYS = jax.random.split(jax.random.key(3), 6)
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
+
+
+@pytest.fixture(scope="module")
+def sample(pool):
+    return cg.make_sampler(pool=pool, num_objects=2, method="random", num_scene_points=60)
+
+
+@pytest.fixture(scope="module")
+def scenes(sample):
+    return jax.jit(jax.vmap(sample))(KEYS)
+
+
+def assert_same(one, two):
+    assert jax.tree.structure(one) == jax.tree.structure(two)
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True):
+        assert a.dtype == b.dtype
+        np.testing.assert_array_equal(a, b)
+
+
+def test_shapes_and_types_are_as_documented(scenes):
+    expected = {
+        "is_success": ((6,), bool),
+        "is_filled": ((6,), bool),
+        "verdict": ((6,), np.int32),
+        "object_index": ((6, 2), np.int32),
+        "is_placed": ((6, 2), bool),
+        "drift": ((6,), np.float32),
+        "num_draws": ((6,), np.int32),
+        "cloud": ((6, 60, 3), np.float32),
+        "cloud_mask": ((6, 60), bool),
+        "poses": ((6, 2, 7), np.float32),
+    }
+    seen = {name: getattr(scenes, name) for name in expected}
+    assert {name: (value.shape, value.dtype) for name, value in seen.items()} == expected
+    assert isinstance(scenes.T_world_object, jaxlie.SE3)
+    assert scenes.region.half_extents.shape == (6, 2)
+    np.testing.assert_allclose(scenes.T_world_support.translation(), 0)
+
+
+@pytest.mark.parametrize("form", ["vmap of vmap", "scan", "pmap"])
+def test_every_transformation_gives_the_same_scenes(sample, scenes, form):
+    if form == "vmap of vmap":
+        nested = jax.jit(jax.vmap(jax.vmap(sample)))(KEYS.reshape(2, 3))
+        result = jax.tree.map(lambda leaf: leaf.reshape(6, *leaf.shape[2:]), nested)
+    elif form == "scan":
+        result = jax.lax.scan(lambda carry, key: (carry, sample(key)), 0, KEYS)[1]
+    else:
+        mapped = jax.pmap(jax.vmap(sample), devices=jax.devices()[:1])(KEYS[None])
+        result = jax.tree.map(lambda leaf: leaf[0], mapped)
+    assert_same(result, scenes)
+
+
+SHARDED = """
+import sys, jax, numpy as np, cluttergen_jax as cg
+from jax.sharding import NamedSharding, PartitionSpec as P
+assert jax.device_count() == 2
+sample = cg.make_sampler(pool=sys.argv[1], num_objects=2, method="random")
+keys = jax.random.split(jax.random.key(3), 6)
+plain = jax.jit(jax.vmap(sample))(keys)
+mesh = jax.make_mesh((2,), ("scene",), axis_types=(jax.sharding.AxisType.Auto,))
+spread = jax.device_put(keys, NamedSharding(mesh, P("scene")))
+by_jit = jax.jit(jax.vmap(sample))(spread)
+spec = P("scene")
+mapped = jax.shard_map(jax.vmap(sample), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+by_shard_map = jax.jit(mapped)(spread)
+assert len(by_shard_map.is_success.sharding.device_set) == 2
+for other in (by_jit, by_shard_map):
+    jax.tree.map(np.testing.assert_array_equal, plain, other)
+print("equal", int(plain.is_success.sum()))
+"""
+
+
+def test_sharded_over_two_devices(pool):
+    env = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run(
+        [sys.executable, "-c", SHARDED, pool], env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.startswith("equal")
+
+
+def test_a_scene_is_what_its_fields_say(sample, scenes):
+    assert {int(index) for row in scenes.object_index for index in row} <= {0, 1, 2}
+    for row in range(6):
+        record = sample.record(scenes, row)
+        assert record.is_success == bool(scenes.is_success[row])
+        assert len(record.objects) == int(scenes.is_placed[row].sum())
+        if record.is_success:
+            assert record.verdict == Verdict.STABLE.label
+            assert set(record.objects) <= {"box", "prism", "tall"}
+        # The region's own points lie on the table's top; every point that counts is on or above it.
+        cloud = np.asarray(scenes.cloud[row])[np.asarray(scenes.cloud_mask[row])]
+        assert cloud[:, 2].min() > 0.699
+
+
+@pytest.fixture(scope="module")
+def bank(pool, tmp_path_factory):
+    path = tmp_path_factory.mktemp("banks") / "bank"
+    more = ["--method", "random", "--num-objects", "2", "-n", "6", "--seed", "5", "--max-files", "0"]
+    assert main(["generate", "--pool", pool, "--out", str(path), *more]) == 0
+    return path
+
+
+def test_is_the_scene_that_generate_saves(sample, bank):
+    # Old-style keys, to see that they do as well.
+    keys = jax.vmap(lambda index: jax.random.fold_in(jax.random.PRNGKey(5), index))(jnp.arange(6))
+    ours = jax.jit(jax.vmap(sample))(keys)
+    for row, theirs in enumerate(read_bank(bank).scenes()):
+        mine = sample.record(ours, row)
+        assert (mine.objects, mine.verdict) == (theirs.objects, theirs.verdict)
+        np.testing.assert_array_equal(mine.poses, theirs.poses)
+
+
+def test_retries_draw_again_until_a_scene_passes(pool):
+    # On so small a table, three objects at random fail more often than not.
+    asked = {"pool": pool, "support": "table-0.11x0.11", "method": "random"}
+    once = jax.jit(jax.vmap(cg.make_sampler(**asked)))(KEYS)
+    more = jax.jit(jax.vmap(cg.make_sampler(**asked, max_retries=20)))(KEYS)
+    assert (once.num_draws == 1).all()
+    assert (more.num_draws <= 21).all()
+    assert (more.is_success | (more.num_draws == 21)).all()
+    assert int(more.is_success.sum()) > int(once.is_success.sum())
+    # A scene that passed at once is left as it was; one that did not has been drawn again.
+    passed = np.asarray(once.is_success)
+    np.testing.assert_array_equal(more.num_draws == 1, passed)
+    np.testing.assert_array_equal(more.poses[passed], once.poses[passed])
+
+
+def test_region_and_keep_out_may_be_given_in_the_call_and_mapped(sample):
+    offsets = jnp.array([-0.2, 0.2])
+
+    def shifted(key, offset):
+        region = make_region(jnp.array([0.0, offset]), jnp.array([0.2, 0.1]), 0.0, 0.7)
+        return sample(key, region=region)
+
+    scenes = jax.jit(jax.vmap(shifted))(KEYS[:2], offsets)
+    centre = np.asarray(scenes.poses[..., 1])
+    placed = np.asarray(scenes.is_placed)
+    assert placed.any(axis=1).all()
+    assert (np.abs(centre - offsets[:, None])[placed] <= 0.1 + 1e-5).all()
+    right = KeepOut(jnp.array([[0.15, 0.0]]), jnp.array([[0.15, 0.5]]), jnp.zeros(1))
+    kept = jax.jit(jax.vmap(lambda key: sample(key, keep_out=right)))(KEYS)
+    assert (np.asarray(kept.poses[..., 0])[np.asarray(kept.is_placed)] < 0).all()
+
+
+def test_around_a_saved_scene(pool, bank):
+    stood = next(scene for scene in read_bank(bank).scenes() if scene.is_success)
+    around = cg.make_sampler(
+        pool=pool,
+        num_objects=1,
+        method="random",
+        start=f"{bank}:{stood.index}",
+        keep_out=[Rectangle((0.2, 0.0), (0.1, 0.35))],
+    )
+    scenes = jax.jit(jax.vmap(around))(KEYS[:3])
+    assert [name.split("#")[0] for name in around.names[-2:]] == list(stood.objects)
+    assert (scenes.object_index[:, :2] == jnp.array([3, 4])).all()
+    np.testing.assert_allclose(scenes.poses[:, :2], np.stack([stood.poses] * 3), atol=0.003)
+    assert scenes.is_placed[:, 2].any()
+    with pytest.raises(BankError, match="no such scene"):
+        cg.make_sampler(pool=pool, method="random", start=f"{bank}:99")
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        ({"num_objects": 9}, "1 to 3"),
+        ({"num_objects": 0}, "num_objects"),
+        ({"method": "magic"}, "clear"),
+        ({"method": "policy"}, "no checkpoint"),
+        ({"method": "clear", "checkpoint": "x"}, "checkpoint"),
+        ({"checkpoint": "nowhere"}, "not a checkpoint"),
+        ({"max_retries": -1}, "max_retries"),
+        ({"num_scene_points": -1}, "-1 scene points"),
+        ({"support": "nothing"}, "no support"),
+        ({"pool": "nothing"}, "no pool"),
+        ({"engine": "hand"}, "native"),
+        ({"region": Rectangle((9.0, 0.0), (0.1, 0.1))}, "beyond support"),
+    ],
+)
+def test_bad_settings_are_explained(pool, asked, says):
+    with pytest.raises(ClutterGenError, match=says):
+        cg.make_sampler(**{"pool": pool} | asked)
+
+
+@pytest.mark.parametrize("key", [KEYS, 0, jnp.zeros(2), None])
+def test_what_is_not_one_key_is_refused(sample, key):
+    with pytest.raises(ConfigError, match="one key"):
+        sample(key)
+
+
+def test_the_default_method_follows_what_is_embedded(pool, monkeypatch):
+    assert default_method(pool) == FALLBACK_METHOD
+    assert default_method(pool, "a/checkpoint") == "policy"
+    monkeypatch.setattr("cluttergen_jax.methods.list_policies", lambda: {"dining-policy": None})
+    assert default_method("dining") == "policy"
+    assert default_method("study") == FALLBACK_METHOD
+    with pytest.raises(PoolError):
+        cg.make_sampler(pool="study", method="open_loop")
+
+
+def test_importing_the_package_loads_neither_jax_nor_mujoco():
+    code = (
+        "import sys, cluttergen_jax as cg; names = dir(cg); "
+        "assert {'make_sampler', 'load_bank'} <= set(names); "
+        "assert not {'jax', 'mujoco', 'numpy', 'trimesh'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = cg.nothing
