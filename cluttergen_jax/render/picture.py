@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import colorsys
 import copy
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -13,15 +12,12 @@ import numpy as np
 from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.render.camera import View, drawn_points, placed_camera
-from cluttergen_jax.render.gl import gl_context
-from cluttergen_jax.render.sampling import low_discrepancy, shift_lights, shift_pixel
 from cluttergen_jax.render.sheet import contact_sheet, save_png
+from cluttergen_jax.render.studio import HIDDEN_GROUP, check_size, open_studio, set_range
 
 __all__ = ["contact_sheet", "distinct_colour", "render_model", "save_png"]
 
-_HIDDEN_GROUP = 5
-_MAX_SIDE = 8192
-_DEFAULT_VIEW = View()
+DEFAULT_VIEW = View()
 
 
 def distinct_colour(index: int) -> tuple[float, float, float, float]:
@@ -31,7 +27,7 @@ def distinct_colour(index: int) -> tuple[float, float, float, float]:
     return red, green, blue, 1.0
 
 
-def _prepare(
+def prepared(
     model: mujoco.MjModel, hulls: bool, show: Sequence[str] | None
 ) -> tuple[mujoco.MjModel, np.ndarray]:
     """A copy whose drawn geoms are in the visual group and the others hidden; bool[ngeom] says which."""
@@ -51,32 +47,8 @@ def _prepare(
     if hulls:
         for index, geom in enumerate(np.flatnonzero(is_drawn & is_hull)):
             model.geom_rgba[geom] = distinct_colour(index)
-    model.geom_group[:] = np.where(is_drawn, VISUAL_GROUP, _HIDDEN_GROUP)
+    model.geom_group[:] = np.where(is_drawn, VISUAL_GROUP, HIDDEN_GROUP)
     return model, is_drawn
-
-
-@contextmanager
-def _drawer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.MjrContext]:
-    with gl_context(width, height):
-        context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-        try:
-            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
-            yield context
-        finally:
-            context.free()
-
-
-def _set_range(model: mujoco.MjModel, points: np.ndarray, view: View, width: int, height: int) -> float:
-    """Fits clipping planes, shadow map and buffer to what is drawn; returns the content's radius, metres."""
-    reach = float(np.linalg.norm(np.ptp(points, axis=0)) / 2) or 1.0
-    model.stat.extent = reach
-    model.stat.center = (points.min(0) + points.max(0)) / 2
-    # A smaller shadow map, or a nearer far plane, leaves speckles on the floor.
-    model.vis.map.shadowclip = 4.0
-    model.vis.map.znear, model.vis.map.zfar = 0.05, 500.0
-    model.vis.global_.fovy = view.field_of_view
-    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
-    return reach
 
 
 def _named_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
@@ -89,52 +61,11 @@ def _named_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
     return camera
 
 
-def _averaged(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    camera: mujoco.MjvCamera,
-    width: int,
-    height: int,
-    samples: int,
-    reach: float,
-) -> np.ndarray:
-    """uint8[height, width, 3]: the mean of `samples` pictures."""
-    scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)
-    option = mujoco.MjvOption()
-    option.geomgroup[:] = 0
-    option.geomgroup[VISUAL_GROUP] = 1
-    names = {i: model.light(i).name for i in range(model.nlight)}
-    rect = mujoco.MjrRect(0, 0, width, height)
-    pixels = np.empty((height, width, 3), np.uint8)
-    total = np.zeros((height, width, 3), np.uint32)
-    everything = mujoco.mjtCatBit.mjCAT_ALL.value
-    with _drawer(model, width, height) as context:
-        for index in range(samples):
-            mujoco.mjv_updateScene(model, data, option, None, camera, everything, scene)
-            scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = 1
-            u = low_discrepancy(index)
-            if samples > 1:
-                shift_lights(scene, names, u, model.stat.center, reach)
-                shift_pixel(scene, u[4], u[5], width, height)
-            mujoco.mjr_render(rect, scene, context)
-            mujoco.mjr_readPixels(pixels, None, rect, context)
-            total += pixels
-    return np.flipud((total + samples // 2) // samples).astype(np.uint8)
-
-
-def _check_size(width: int, height: int, samples: int) -> None:
-    if not (16 <= width <= _MAX_SIDE and 16 <= height <= _MAX_SIDE and samples >= 1):
-        raise ConfigError(
-            f"a picture of {width} x {height}, {samples} samples",
-            f"16 to {_MAX_SIDE} pixels, 1 sample or more",
-        )
-
-
 def render_model(
     model: mujoco.MjModel,
     qpos: np.ndarray | None = None,
     *,
-    camera: View | str = _DEFAULT_VIEW,
+    camera: View | str = DEFAULT_VIEW,
     width: int = 640,
     height: int = 480,
     hulls: bool = False,
@@ -164,19 +95,20 @@ def render_model(
       RendererError: nothing here can draw.
       ConfigError: a size, a body or a camera that cannot be.
     """
-    _check_size(width, height, samples)
-    model, is_drawn = _prepare(model, hulls, show)
+    check_size(width, height, samples)
+    model, is_drawn = prepared(model, hulls, show)
     data = mujoco.MjData(model)
     if qpos is not None:
         data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
-    view = camera if isinstance(camera, View) else _DEFAULT_VIEW
+    view = camera if isinstance(camera, View) else DEFAULT_VIEW
     content = drawn_points(model, data, is_drawn)
     if len(content) == 0:
         raise ConfigError("a model with nothing to draw", "geoms of group 2, or of group 3 with hulls=True")
-    reach = _set_range(model, content, view, width, height)
+    reach = set_range(model, content, view, width, height)
     if isinstance(camera, View):
         eye = placed_camera(content if focus is None else focus, view, width / height)
     else:
         eye = _named_camera(model, camera)
-    return _averaged(model, data, eye, width, height, samples, reach)
+    with open_studio(model, width, height) as studio:
+        return studio.average(data, eye, samples, reach)

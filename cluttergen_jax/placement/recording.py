@@ -1,0 +1,107 @@
+"""An episode as it happened, on the host: every attempt with its trajectory. What viewers and films show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.types import Verdict
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """One attempt at placing one object. K objects in the world; poses are metres and wxyz, world frame.
+
+    Attributes:
+      object_index: which object.
+      ordinal: its first attempt is 1.
+      action: f32[4], what was proposed (contract.md).
+      verdict: how it was judged.
+      trajectory: f32[T + 1, 13], the object at release and after each of T steps (`types.Settling`).
+      poses: f32[K, 7] and is_placed: bool[K], the scene before the attempt.
+      settled: f32[K, 7], the scene's poses when the attempt ended, committed or not.
+    """
+
+    object_index: int
+    ordinal: int
+    action: np.ndarray
+    verdict: Verdict
+    trajectory: np.ndarray
+    poses: np.ndarray
+    is_placed: np.ndarray
+    settled: np.ndarray
+
+    @property
+    def is_stable(self) -> bool:
+        """The object stayed where it came to rest."""
+        return self.verdict == Verdict.STABLE
+
+    @property
+    def num_steps(self) -> int:
+        """T."""
+        return len(self.trajectory) - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A scene and, where it is known, how it came about.
+
+    Attributes:
+      title: what to call it.
+      objects, names: the world's K objects.
+      support: what carries them.
+      region: the queried region; keep_out: boxes that objects stayed out of.
+      attempts: in the order in which they were made; empty if nobody knows.
+      poses: f32[K, 7], how the scene ended; is_placed: bool[K].
+      is_success: every slot is filled and the scene stands; verdict: the last word on it.
+      drift: metres, the largest movement in the last check.
+    """
+
+    title: str
+    objects: tuple[ObjectAsset, ...]
+    names: tuple[str, ...]
+    support: SupportAsset
+    region: Rectangle
+    attempts: tuple[Attempt, ...]
+    poses: np.ndarray
+    is_placed: np.ndarray
+    is_success: bool
+    verdict: str
+    drift: float = 0.0
+    keep_out: tuple[Rectangle, ...] = ()
+
+    @property
+    def placed(self) -> np.ndarray:
+        """i64[N]: the objects that stand there in the end."""
+        return np.flatnonzero(self.is_placed)
+
+    @property
+    def failures(self) -> tuple[Attempt, ...]:
+        """The attempts that failed."""
+        return tuple(attempt for attempt in self.attempts if not attempt.is_stable)
+
+    def attempts_at(self, object_index: int) -> tuple[Attempt, ...]:
+        """The attempts at one object, in order."""
+        return tuple(each for each in self.attempts if each.object_index == object_index)
+
+
+def still(
+    title: str,
+    objects: Sequence[ObjectAsset],
+    names: Sequence[str],
+    poses: np.ndarray,
+    support: SupportAsset,
+    region: Rectangle,
+    is_success: bool = True,
+    verdict: str = "",
+) -> Recording:
+    """A scene of which only the end is known: all `objects` at `poses` f32[K, 7]."""
+    poses = np.asarray(poses, np.float32).reshape(-1, 7)
+    is_placed = np.ones(len(poses), bool)
+    return Recording(
+        title, tuple(objects), tuple(names), support, region, (), poses, is_placed, is_success, verdict
+    )

@@ -1,0 +1,127 @@
+"""Point clouds of whole scenes, in the world frame, as arrays and as PLY files. Needs no OpenGL."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+
+_DENSE = 8
+"""Surface samples per cloud point from which a point's colour is taken."""
+_PER_SQUARE_METRE = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points of a scene.
+
+    Attributes:
+      points: f32[P, 3], metres, world frame.
+      colours: uint8[P, 3].
+      labels: i32[P]: 1 for the support's top, 2 + k for object k (as in `sensors`).
+    """
+
+    points: np.ndarray
+    colours: np.ndarray
+    labels: np.ndarray
+
+
+def posed(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """f64[P, 3]: points of an object's frame at `pose` f[7], world frame, metres."""
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, np.asarray(pose[3:], np.float64))
+    return np.asarray(points, np.float64) @ matrix.reshape(3, 3).T + np.asarray(pose[:3], np.float64)
+
+
+def cloud_colours(asset: ObjectAsset) -> np.ndarray:
+    """uint8[1024, 3]: the colour of the surface next to each point of the asset's cloud."""
+    if not asset.pieces:
+        return np.full((len(asset.cloud), 3), 180, np.uint8)
+    rng = np.random.default_rng(0)
+    spots, owner = [], []
+    areas = [_areas(piece.mesh.vertices, piece.mesh.faces) for piece in asset.pieces]
+    total = sum(area.sum() for area in areas) or 1.0
+    for number, (piece, area) in enumerate(zip(asset.pieces, areas, strict=True)):
+        count = int(np.ceil(_DENSE * len(asset.cloud) * area.sum() / total)) if area.sum() > 0 else 0
+        spots.append(_surface_points(piece.mesh.vertices, piece.mesh.faces, area, count, rng))
+        owner.append(np.full(count, number))
+    nearest = cKDTree(np.concatenate(spots)).query(asset.cloud)[1]
+    rgb = np.array([piece.rgba[:3] for piece in asset.pieces])
+    return np.round(255 * np.clip(rgb[np.concatenate(owner)[nearest]], 0, 1)).astype(np.uint8)
+
+
+def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+
+
+def _surface_points(
+    vertices: np.ndarray, faces: np.ndarray, areas: np.ndarray, count: int, rng: np.random.Generator
+) -> np.ndarray:
+    """f64[count, 3], even over the area."""
+    if count == 0:
+        return np.zeros((0, 3))
+    face = faces[rng.choice(len(faces), count, p=areas / areas.sum())]
+    u, v = rng.random((2, count, 1))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    a, b, c = (vertices[face[:, k]] for k in range(3))
+    return a + u * (b - a) + v * (c - a)
+
+
+def scene_points(objects: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None) -> Cloud:
+    """The surface points of all objects (1,024 each) and of the support's region (4,000 per square metre).
+
+    These are whole surfaces, hidden sides included; what one camera sees follows from `sensors.Sensed`.
+    """
+    points, colours, labels = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)], [np.zeros(0, np.int32)]
+    if support is not None:
+        top = top_points(support)
+        rgba = support.pieces[0].rgba if support.pieces else support.boxes[0].rgba
+        points.append(top)
+        colours.append(np.tile(np.round(255 * np.array(rgba[:3])).astype(np.uint8), (len(top), 1)))
+        labels.append(np.full(len(top), 1, np.int32))
+    known: dict[int, np.ndarray] = {}
+    for number, (asset, pose) in enumerate(zip(objects, poses, strict=True)):
+        if id(asset) not in known:
+            known[id(asset)] = cloud_colours(asset)
+        points.append(posed(asset.cloud, pose))
+        colours.append(known[id(asset)])
+        labels.append(np.full(len(asset.cloud), 2 + number, np.int32))
+    return Cloud(np.concatenate(points).astype(np.float32), np.concatenate(colours), np.concatenate(labels))
+
+
+def top_points(support: SupportAsset) -> np.ndarray:
+    """f64[P, 3]: an even grid over the support's default region, at its top, world frame."""
+    region = support.region
+    half = np.array(region.half_extents)
+    counts = np.maximum(np.round(2 * half * np.sqrt(_PER_SQUARE_METRE)), 2).astype(int)
+    x, y = (np.linspace(-h, h, n) for h, n in zip(half, counts, strict=True))
+    flat = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+    along = np.array([np.cos(region.yaw), np.sin(region.yaw)])
+    turned = flat @ np.stack([along, [-along[1], along[0]]]) + region.center
+    return np.column_stack([turned, np.full(len(turned), support.top)])
+
+
+def ply_of(cloud: Cloud) -> bytes:
+    """A binary PLY file: x, y, z in metres (float), red, green, blue (uchar), label (int)."""
+    kind = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3), ("label", "<i4")])
+    rows = np.empty(len(cloud.points), kind)
+    rows["xyz"], rows["rgb"], rows["label"] = cloud.points, cloud.colours, cloud.labels
+    properties = [f"property float {axis}" for axis in "xyz"]
+    properties += [f"property uchar {colour}" for colour in ("red", "green", "blue")]
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment metres, world frame, z up; label 1 is the support's top, 2 + k is object k",
+        f"element vertex {len(rows)}",
+        *properties,
+        "property int label",
+        "end_header",
+    ]
+    return "\n".join(lines).encode() + b"\n" + rows.tobytes()

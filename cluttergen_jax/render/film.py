@@ -1,0 +1,185 @@
+"""What happens when in a film: who stands where in each of its frames. Needs no OpenGL until it is shot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.recording import Attempt, Recording
+from cluttergen_jax.render.figure import GREEN, trails_of
+from cluttergen_jax.render.overlay import with_caption
+from cluttergen_jax.render.stage import RED, Look, Shooting, open_stage, places, swept
+from cluttergen_jax.render.studio import Trail
+
+_STEPS_PER_SECOND = 240
+_TINT = 0.72
+MAX_FRAMES = 5000
+
+
+@dataclass(frozen=True)
+class FilmConfig:
+    """How fast a film runs.
+
+    Attributes:
+      fps: frames per second.
+      seconds: the longest that it takes; what would last longer is shown faster.
+      slowdown: how many times slower than in reality objects settle, where there is time.
+      lift: metres above its release from which an object is let down (for the eye: that was not simulated).
+      captions: write into the picture what is tried and how it ends.
+    """
+
+    fps: float = 20.0
+    seconds: float = 12.0
+    slowdown: float = 4.0
+    lift: float = 0.12
+    captions: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("fps", "seconds", "slowdown"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ConfigError(f"{name} = {getattr(self, name)}", "a finite number above zero")
+        if self.fps * self.seconds > MAX_FRAMES:
+            raise ConfigError(
+                f"a film of {self.fps * self.seconds:.0f} frames", f"{MAX_FRAMES} at most", "fewer --seconds"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One picture of a film: a look per object of the world (None: not there), lines, and words."""
+
+    looks: tuple[Look | None, ...]
+    trails: tuple[Trail, ...] = ()
+    caption: str = ""
+    dot: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class _Beat:
+    """A stretch of an attempt: its kind and how long it lasts, in seconds."""
+
+    kind: str
+    seconds: float
+
+
+def _beats(attempt: Attempt, config: FilmConfig) -> list[_Beat]:
+    settling = config.slowdown * attempt.num_steps / _STEPS_PER_SECOND
+    beats = [_Beat("approach", 0.3), _Beat("settle", settling)]
+    return [
+        *beats,
+        *([_Beat("rest", 0.15)] if attempt.is_stable else [_Beat("shown", 0.3), _Beat("fade", 0.35)]),
+    ]
+
+
+def replay_frames(recording: Recording, config: FilmConfig | None = None) -> list[Frame]:
+    """The placement as it happened: each attempt in turn, failed ones turning red and fading away.
+
+    From release to the attempt's end the frames show the simulator's own trajectory.
+
+    Raises:
+      ConfigError: nobody knows the recording's attempts.
+    """
+    config = config or FilmConfig()
+    if not recording.attempts:
+        raise ConfigError(
+            f"{recording.title}: how its objects were placed is not known",
+            "a scene of a bank whose recipe is whole",
+            "the bank's folder instead of a single file",
+        )
+    natural = sum(beat.seconds for each in recording.attempts for beat in _beats(each, config))
+    hold = min(1.5, 0.2 * config.seconds)
+    hurry = max(1.0, natural / max(config.seconds - hold, 1e-6))
+    frames: list[Frame] = []
+    clock = 0.0
+    for attempt in recording.attempts:
+        for beat in _beats(attempt, config):
+            # Rounding the clock, not each beat, keeps the film as long as it was meant to be.
+            first, clock = round(clock * config.fps), clock + beat.seconds / hurry
+            count = round(clock * config.fps) - first
+            for number in range(count):
+                frames.append(_frame(recording, attempt, beat.kind, (number + 1) / count, config))
+    last = _standing(recording, recording.poses, recording.is_placed)
+    end = Frame(last, (), *(_ending(recording) if config.captions else ("", None)))
+    return [*frames, *[end] * max(1, round(hold * config.fps))]
+
+
+def _standing(recording: Recording, poses: np.ndarray, is_placed: np.ndarray) -> tuple[Look | None, ...]:
+    return tuple(Look(poses[i]) if is_placed[i] else None for i in range(len(recording.objects)))
+
+
+def _frame(recording: Recording, attempt: Attempt, kind: str, progress: float, config: FilmConfig) -> Frame:
+    looks = list(_standing(recording, attempt.poses, attempt.is_placed))
+    row = {"approach": 0, "settle": round(progress * attempt.num_steps)}.get(kind, attempt.num_steps)
+    pose = attempt.trajectory[row, :7].astype(np.float64)
+    alpha, strength, trails = 1.0, 0.0, ()
+    if kind == "approach":
+        pose[2] += config.lift * (1.0 - progress) ** 2
+        alpha = min(1.0, 2 * progress)
+    elif not attempt.is_stable:
+        alpha = 1.0 - progress if kind == "fade" else 1.0
+        strength = _TINT * (progress if kind == "settle" else 1.0)
+        trails = trails_of(attempt, row, alpha)
+    elif kind == "rest":
+        looks = list(_standing(recording, attempt.settled, attempt.is_placed))
+        pose = attempt.settled[attempt.object_index]
+    looks[attempt.object_index] = Look(pose, alpha, RED, strength)
+    words = _words(recording, attempt, kind) if config.captions else ("", None)
+    return Frame(tuple(looks), trails, *words)
+
+
+def _words(
+    recording: Recording, attempt: Attempt, kind: str
+) -> tuple[str, tuple[float, float, float] | None]:
+    asset = recording.objects[attempt.object_index]
+    text = f"{asset.label or asset.name}, attempt {attempt.ordinal}"
+    if kind in ("approach", "settle"):
+        return text, None
+    return f"{text}: {attempt.verdict.sentence}", GREEN if attempt.is_stable else RED
+
+
+def _ending(recording: Recording) -> tuple[str, tuple[float, float, float]]:
+    placed, tried = len(recording.placed), len(recording.attempts)
+    text = f"{placed} objects, {tried} attempts"
+    if recording.is_success:
+        return f"{text}: the scene stands", GREEN
+    return f"{text}: {recording.verdict}", RED
+
+
+def replay(
+    recording: Recording, config: FilmConfig | None = None, shooting: Shooting | None = None
+) -> Iterator[np.ndarray]:
+    """The pictures of `replay_frames`, uint8[height, width, 3] each, drawn as they are asked for."""
+    shooting = shooting or Shooting(samples=8)
+    frames = replay_frames(recording, config)
+    poses = recording.poses[recording.placed]
+    placed = [recording.objects[i] for i in recording.placed]
+    points = places(placed, poses, recording.support)
+    with open_stage(recording.objects, recording.support, points, shooting) as stage:
+        image, shown = None, None
+        for frame in frames:
+            # The end stands still: it is drawn once.
+            if image is None or frame is not shown:
+                image = with_caption(stage.picture(frame.looks, frame.trails), frame.caption, frame.dot)
+                shown = frame
+            yield image
+
+
+def turntable(
+    recording: Recording, config: FilmConfig | None = None, shooting: Shooting | None = None
+) -> Iterator[np.ndarray]:
+    """Once around the finished scene, uint8[height, width, 3] each; the last picture leads to the first."""
+    config, shooting = config or FilmConfig(seconds=6.0), shooting or Shooting(samples=8)
+    count = max(2, round(config.fps * config.seconds))
+    looks = _standing(recording, recording.poses, recording.is_placed)
+    placed = [recording.objects[i] for i in recording.placed]
+    points = places(placed, recording.poses[recording.placed], recording.support)
+    with open_stage(recording.objects, recording.support, points, shooting) as stage:
+        around = swept(stage.content if shooting.whole else points)
+        for number in range(count):
+            azimuth = shooting.view.azimuth + 360.0 * number / count
+            stage.aim(around, replace(shooting.view, azimuth=azimuth))
+            yield stage.picture(looks)

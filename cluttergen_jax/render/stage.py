@@ -1,0 +1,191 @@
+"""Objects as actors: each picture says where each of them stands, how opaque it is, and in which tint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.render.assets import close_points, scene_spec
+from cluttergen_jax.render.camera import View, axes, corners, drawn_points, placed_camera
+from cluttergen_jax.render.picture import DEFAULT_VIEW, prepared
+from cluttergen_jax.render.studio import HIDDEN_GROUP, Studio, Trail, check_size, open_studio, set_range
+
+RED = (0.86, 0.10, 0.12)
+"""Of what failed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """An actor in one picture.
+
+    Attributes:
+      pose: f[7], metres and wxyz, world frame.
+      alpha: 1 is opaque, 0 unseen.
+      tint: the colour that it is mixed with; strength: how much of it, in [0, 1].
+    """
+
+    pose: np.ndarray
+    alpha: float = 1.0
+    tint: tuple[float, float, float] = RED
+    strength: float = 0.0
+
+
+@dataclass(frozen=True)
+class Shooting:
+    """How pictures are taken.
+
+    Attributes:
+      width, height: pixels.
+      samples: pictures averaged into one; time is proportional to it.
+      view: from which side.
+      whole: show the whole support instead of the objects and the region alone.
+      hulls: draw the collision parts instead of the surfaces.
+    """
+
+    width: int = 640
+    height: int = 480
+    samples: int = 32
+    view: View = DEFAULT_VIEW
+    whole: bool = False
+    hulls: bool = False
+
+    def __post_init__(self) -> None:
+        check_size(self.width, self.height, self.samples)
+
+
+class Stage:
+    """See `open_stage`. `content` f64[P, 3] is all that the whole view shows."""
+
+    def __init__(
+        self, studio: Studio, data: mujoco.MjData, shooting: Shooting, reach: float, content: np.ndarray
+    ) -> None:
+        self.studio, self.data, self.shooting, self.reach = studio, data, shooting, reach
+        self.content = content
+        self.camera = mujoco.MjvCamera()
+        model = studio.model
+        self._colours = model.geom_rgba.copy()
+        self._joint_body = model.jnt_bodyid.copy()
+        self._home = model.qpos0.reshape(-1, 7).copy()
+
+    def aim(self, points: np.ndarray, view: View | None = None) -> mujoco.MjvCamera:
+        """Puts the camera as near as `points` f64[P, 3] allow."""
+        aspect = self.shooting.width / self.shooting.height
+        self.camera = placed_camera(points, view or self.shooting.view, aspect)
+        return self.camera
+
+    def picture(self, looks: Sequence[Look | None], trails: Sequence[Trail] = ()) -> np.ndarray:
+        """uint8[height, width, 3]: one look per actor; None leaves it out.
+
+        Raises:
+          ConfigError: not one look per actor.
+        """
+        alpha = self._dress(looks)
+        return self.studio.average(
+            self.data, self.camera, self.shooting.samples, self.reach, alpha, tuple(trails)
+        )
+
+    def measure(self, looks: Sequence[Look | None]) -> tuple[np.ndarray, np.ndarray]:
+        """Metres and actor of each pixel: see `Studio.measure`.
+
+        Returns:
+          f32[height, width], inf where there is nothing; i32[height, width]: the actor's index, -1 for the
+          support, -2 for the floor and nothing.
+        """
+        alpha = self._dress(looks)
+        model = self.studio.model
+        groups = model.geom_group.copy()
+        model.geom_group[:] = np.where(alpha[model.geom_bodyid] > 0, groups, HIDDEN_GROUP)
+        depth, geom = self.studio.measure(self.data, self.camera)
+        model.geom_group[:] = groups
+        actor_of_body = np.full(model.nbody, -1, np.int32)
+        actor_of_body[0] = -2
+        actor_of_body[self._joint_body] = np.arange(len(self._joint_body))
+        return depth, np.where(geom >= 0, actor_of_body[model.geom_bodyid[geom]], -2).astype(np.int32)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Pixels f64[P, 2] (x to the right, y down, from the upper left corner) of world points f[P, 3]."""
+        turn = axes(self.camera.azimuth, self.camera.elevation)
+        seen = (np.asarray(points, np.float64) - self.eye) @ turn.T
+        flat = seen[:, :2] / seen[:, 2:] * self.focal
+        return flat * [1, -1] + np.array([self.shooting.width, self.shooting.height]) / 2
+
+    @property
+    def eye(self) -> np.ndarray:
+        """f64[3]: where the camera is, world frame, metres."""
+        turn = axes(self.camera.azimuth, self.camera.elevation)
+        return np.array(self.camera.lookat) - self.camera.distance * turn[2]
+
+    @property
+    def focal(self) -> float:
+        """The focal length in pixels."""
+        return self.shooting.height / 2 / np.tan(np.radians(self.studio.model.vis.global_.fovy) / 2)
+
+    def _dress(self, looks: Sequence[Look | None]) -> np.ndarray:
+        """Poses and colours for one picture; f64[nbody], the opacity of each body."""
+        model, bodies = self.studio.model, self._joint_body
+        if len(looks) != len(bodies):
+            raise ConfigError(f"{len(looks)} looks for {len(bodies)} objects", f"{len(bodies)}")
+        alpha = np.ones(model.nbody)
+        qpos, colours = self._home.copy(), self._colours.copy()
+        for body, row, look in zip(bodies, qpos, looks, strict=True):
+            alpha[body] = 0.0 if look is None else look.alpha
+            if look is not None:
+                row[:] = look.pose
+                mine = model.geom_bodyid == body
+                colours[mine, :3] += look.strength * (np.array(look.tint) - colours[mine, :3])
+                # Glass that is tinted is seen as what failed, not through.
+                colours[mine, 3] += look.strength * (1 - colours[mine, 3])
+        model.geom_rgba[:] = colours
+        self.data.qpos[:] = qpos.ravel()
+        mujoco.mj_kinematics(model, self.data)
+        return alpha
+
+
+@contextmanager
+def open_stage(
+    actors: Sequence[ObjectAsset], support: SupportAsset | None, points: np.ndarray, shooting: Shooting
+) -> Iterator[Stage]:
+    """A stage for as many pictures as are wanted.
+
+    Args:
+      actors: the same asset may come several times.
+      points: f64[P, 3], all places that something will be drawn at; the camera is aimed at them.
+
+    Raises:
+      RendererError: nothing here can draw.
+    """
+    home = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(actors), 1))
+    spec, _ = scene_spec(actors, home, support)
+    model, is_drawn = prepared(spec.compile(), shooting.hulls, None)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    is_fixed = is_drawn & (model.body_weldid[model.geom_bodyid] == 0)
+    content = np.concatenate([drawn_points(model, data, is_fixed), points])
+    width, height = shooting.width, shooting.height
+    reach = set_range(model, content, shooting.view, width, height)
+    with open_studio(model, width, height) as studio:
+        stage = Stage(studio, data, shooting, reach, content)
+        stage.aim(content if shooting.whole else points)
+        yield stage
+
+
+def swept(points: np.ndarray, num_turns: int = 36) -> np.ndarray:
+    """f64[P', 3]: a box that holds `points` at every turn about the vertical axis through their middle."""
+    center = (points.min(0) + points.max(0)) / 2
+    radius = np.linalg.norm(points[:, :2] - center[:2], axis=1).max()
+    turn = 2 * np.pi * np.arange(num_turns) / num_turns
+    ring = center[:2] + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    heights = corners(points.min(0), points.max(0))[:, 2]
+    return np.concatenate([np.column_stack([ring, np.full(num_turns, z)]) for z in np.unique(heights)])
+
+
+def places(actors: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None) -> np.ndarray:
+    """f64[P, 3]: what a close view has to show of actors at `poses` f[N, 7] and of the support's region."""
+    return close_points(actors, poses, support)
