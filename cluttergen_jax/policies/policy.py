@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from cluttergen_jax.agent.checkpoint import read_policy, read_record
 from cluttergen_jax.agent.learner import Learner
@@ -84,4 +85,8 @@ def load_policy(path: Path, rules: Rules, is_sampled: bool = True) -> Policy:
     learner = Learner(NetworkConfig(**record["network"]), geometry.cloud, geometry.half_extents, most)
     key = jax.random.key(0)
     seen = jax.eval_shape(lambda: observe(rules, rules.begin(key), ObservationConfig()))
-    return Policy(rules, learner, read_policy(path, learner.init(key, seen)), is_sampled)
+    # Only the parameters' shapes are needed: drawing them would take longer to compile than acting does.
+    like = jax.tree.map(
+        lambda leaf: np.zeros(leaf.shape, leaf.dtype), jax.eval_shape(learner.init, key, seen)
+    )
+    return Policy(rules, learner, read_policy(path, like), is_sampled)
