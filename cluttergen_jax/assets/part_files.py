@@ -30,7 +30,11 @@ def write_parts(folder: Path, asset: ObjectAsset) -> None:
     """Writes every part of an asset into `folder`, which is made if need be."""
     folder.mkdir(parents=True, exist_ok=True)
     for index, part in enumerate(asset.parts):
-        mesh = hull_of(part)
-        lines = [f"v {x:.8g} {y:.8g} {z:.8g}" for x, y, z in mesh.vertices.tolist()]
-        lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
-        (folder / part_name(index)).write_text("\n".join(lines) + "\n", encoding="ascii")
+        (folder / part_name(index)).write_text(obj_text(hull_of(part)), encoding="ascii")
+
+
+def obj_text(mesh: Mesh) -> str:
+    """A mesh as OBJ, vertices to eight digits."""
+    lines = [f"v {x:.8g} {y:.8g} {z:.8g}" for x, y, z in mesh.vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
+    return "\n".join(lines) + "\n"

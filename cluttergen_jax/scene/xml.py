@@ -30,6 +30,7 @@ def scene_xml(
     stability: StabilityConfig,
     contact: ContactConfig,
     assets_path: str = "../assets",
+    names: Sequence[str] | None = None,
 ) -> bytes:
     """MJCF text of a scene.
 
@@ -37,6 +38,7 @@ def scene_xml(
       objects: N assets in the order of placement.
       poses: f32[N, 7], world, metres, wxyz.
       assets_path: the bank's `assets` folder, relative to where the text will be saved.
+      names: of the bodies, unique; None makes them from the assets' names.
     """
     root = ET.Element("mujoco", model="cluttergen scene")
     ET.SubElement(root, "compiler", angle="radian", meshdir=assets_path)
@@ -47,7 +49,8 @@ def scene_xml(
     ET.SubElement(world, "geom", name="floor", type="plane", size="4 4 0.1", rgba="0.86 0.86 0.88 1")
     _add_support(assets, world, support)
     stored: set[str] = set()
-    for name, asset, pose in zip(unique_names([o.name for o in objects]), objects, poses, strict=True):
+    names = names or unique_names([asset.name for asset in objects])
+    for name, asset, pose in zip(names, objects, poses, strict=True):
         if asset.name not in stored:
             stored.add(asset.name)
             _add_meshes(assets, asset)

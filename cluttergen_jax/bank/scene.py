@@ -1,0 +1,90 @@
+"""A scene of a bank as a value that exports, viewers and models take."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.bank.bank import Bank, SceneRecord
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.scene import Origin, Scene
+from cluttergen_jax.world import base_name
+
+_Config = TypeVar("_Config", StabilityConfig, ContactConfig)
+
+
+def chosen_records(bank: Bank, indices: Sequence[int] | None = None) -> list[SceneRecord]:
+    """The records of these scenes, or of all that succeeded.
+
+    Raises:
+      BankError: one of them is not there or failed, or none succeeded.
+    """
+    records = list(bank.scenes())
+    if indices is None:
+        good = [record for record in records if record.is_success]
+        if not good:
+            raise BankError(f"{bank.path}: none of its {len(records)} scenes succeeded", hint="more scenes")
+        return good
+    by_index = {record.index: record for record in records}
+    missing = [index for index in indices if index not in by_index]
+    failed = [index for index in indices if index in by_index and not by_index[index].is_success]
+    if missing or failed:
+        said = [f"no scene {index}" for index in missing]
+        said += [f"scene {index} failed ({by_index[index].verdict})" for index in failed]
+        raise BankError(f"{bank.path}: {', '.join(said)}", "scenes that stand", "leaving those out")
+    return [by_index[index] for index in indices]
+
+
+def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Scene]:
+    """These scenes, or all that succeeded, one by one; each asset is read once.
+
+    Raises:
+      BankError: one of them is not there or failed, none succeeded, or the bank's record is damaged.
+      PoolError: an asset of the bank is damaged.
+    """
+    records = chosen_records(bank, indices)
+    asset_of = lru_cache(maxsize=None)(bank.object)
+    for record in records:
+        yield _scene(bank, record, [asset_of(base_name(name)) for name in record.objects])
+
+
+def _scene(bank: Bank, record: SceneRecord, objects: Sequence[ObjectAsset]) -> Scene:
+    recipe = bank.record.get("recipe", {})
+    return Scene(
+        names=tuple(str(name) for name in record.objects),
+        objects=tuple(objects),
+        poses=record.poses,
+        support=bank.support,
+        stability=_config(StabilityConfig, recipe.get("stability", {}), bank.path),
+        contact=_config(ContactConfig, recipe.get("contact", {}), bank.path),
+        origin=Origin(
+            bank=bank.path.resolve().name,
+            index=record.index,
+            pool=_named(recipe.get("pool", "")),
+            method=recipe.get("method", ""),
+            checkpoint=None if recipe.get("checkpoint") is None else _named(recipe["checkpoint"]),
+            seed=recipe.get("seed"),
+            verdict=record.verdict,
+            is_success=bool(record.is_success),
+            versions=recipe.get("versions", {}),
+        ),
+    )
+
+
+def _named(path: str) -> str:
+    """The last part of a path: where somebody's files lie is nobody else's business."""
+    return Path(path).name
+
+
+def _config(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Config:
+    known = {field.name for field in fields(kind)}
+    try:
+        plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items() if key in known}
+        return kind(**plain)
+    except (TypeError, AttributeError) as error:
+        raise BankError(f"{path}: the record of how it was made is damaged ({error})") from error
