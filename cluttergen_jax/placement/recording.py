@@ -58,7 +58,7 @@ class Recording:
       attempts: in the order in which they were made; empty if nobody knows.
       poses: f32[K, 7], how the scene ended; is_placed: bool[K].
       is_success: every slot is filled and the scene stands; verdict: the last word on it.
-      drift: metres, the largest movement in the last check.
+      drift: metres, the largest movement in the last check; 0 if there was none.
     """
 
     title: str
@@ -98,10 +98,11 @@ def still(
     region: Rectangle,
     is_success: bool = True,
     verdict: str = "",
+    drift: float = 0.0,
 ) -> Recording:
     """A scene of which only the end is known: all `objects` at `poses` f32[K, 7]."""
     poses = np.asarray(poses, np.float32).reshape(-1, 7)
     is_placed = np.ones(len(poses), bool)
     return Recording(
-        title, tuple(objects), tuple(names), support, region, (), poses, is_placed, is_success, verdict
+        title, tuple(objects), tuple(names), support, region, (), poses, is_placed, is_success, verdict, drift
     )

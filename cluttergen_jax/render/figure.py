@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from cluttergen_jax.assets.scene_cloud import posed
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.recording import Attempt, Recording
-from cluttergen_jax.render.cloud import posed
 from cluttergen_jax.render.overlay import Ring, ring_around, with_rings
 from cluttergen_jax.render.stage import RED, Look, Shooting, Stage, open_stage, places
 from cluttergen_jax.render.studio import Trail

@@ -138,7 +138,7 @@ def _words(
     text = f"{asset.label or asset.name}, attempt {attempt.ordinal}"
     if kind in ("approach", "settle"):
         return text, None
-    return f"{text}: {attempt.verdict.sentence}", GREEN if attempt.is_stable else RED
+    return (f"{text}: stands", GREEN) if attempt.is_stable else (f"{text}: {attempt.verdict.sentence}", RED)
 
 
 def _ending(recording: Recording) -> tuple[str, tuple[float, float, float]]:
@@ -180,6 +180,7 @@ def turntable(
     with open_stage(recording.objects, recording.support, points, shooting) as stage:
         around = swept(stage.content if shooting.whole else points)
         for number in range(count):
-            azimuth = shooting.view.azimuth + 360.0 * number / count
-            stage.aim(around, replace(shooting.view, azimuth=azimuth))
-            yield stage.picture(looks)
+            turn = 360.0 * number / count
+            stage.aim(around, replace(shooting.view, azimuth=shooting.view.azimuth + turn))
+            # The lights go with the camera: it is the table that turns.
+            yield stage.picture(looks, light_yaw=math.radians(turn))

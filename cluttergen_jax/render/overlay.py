@@ -82,21 +82,24 @@ def with_caption(image: np.ndarray, text: str, rgb: tuple[float, float, float] |
     """uint8[H, W, 3]: the picture with a line of text at its lower left; `rgb` colours a dot before it."""
     if not text:
         return image
-    height = image.shape[0]
-    picture = Image.fromarray(image)
-    draw = ImageDraw.Draw(picture, "RGBA")
-    size = max(11.0, height / 30)
+    height, width, _ = image.shape
+    size = max(11.0, height / 30) * _FINE
     font = ImageFont.load_default(size=size)
-    left, middle, room = size, height - 1.6 * size, 0.5 * size
+    strip = Image.new("RGBA", (width * _FINE, round(3.2 * size)), (255, 255, 255, 0))
+    draw = ImageDraw.Draw(strip)
+    left, middle, room = size, strip.height / 2, 0.55 * size
     dot = 0.36 * size if rgb is not None else 0.0
-    start = left + room + (2.6 * dot)
+    start = left + room + 2.8 * dot
     end = start + draw.textlength(text, font=font) + room
     box = (left, middle - 0.95 * size, end, middle + 0.95 * size)
-    draw.rounded_rectangle(box, 0.95 * size, fill=(255, 255, 255, 215))
+    draw.rounded_rectangle(box, 0.95 * size, fill=(255, 255, 255, 225))
     if rgb is not None:
         x = left + room + dot
         draw.ellipse((x - dot, middle - dot, x + dot, middle + dot), fill=(*_bytes(rgb), 255))
     draw.text((start, middle), text, fill=_INK, font=font, anchor="lm")
+    small = strip.resize((width, strip.height // _FINE), Image.Resampling.BOX)
+    picture = Image.fromarray(image).convert("RGBA")
+    picture.alpha_composite(small, (0, height - small.height))
     return np.asarray(picture.convert("RGB"))
 
 

@@ -36,10 +36,21 @@ def _around(direction: np.ndarray, u: float, v: float, spread: float) -> np.ndar
 
 
 def shift_lights(
-    scene: mujoco.MjvScene, names: dict[int, str], u: np.ndarray, center: np.ndarray, reach: float
+    scene: mujoco.MjvScene,
+    names: dict[int, str],
+    u: np.ndarray,
+    center: np.ndarray,
+    reach: float,
+    yaw: float = 0.0,
 ) -> None:
-    """Turns the dressed lights a little: averaged over many pictures, small lights become soft ones."""
-    key = np.array(KEY_DIRECTION) / np.linalg.norm(KEY_DIRECTION)
+    """Turns the dressed lights a little: averaged over many pictures, small lights become soft ones.
+
+    Args:
+      yaw: radians by which all of them are turned about the vertical besides, to follow a camera.
+    """
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    key = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ KEY_DIRECTION
+    key /= np.linalg.norm(key)
     directions = {
         KEY_LIGHT: _around(key, u[0], u[1], _KEY_SPREAD),
         SKY_LIGHT: _hemisphere(u[2], u[3]),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.render.files import written_whole
 
 _GAP = 8
 _CAPTION_HEIGHT = 24
@@ -70,18 +70,6 @@ def contact_sheet(
 
 def save_png(image: np.ndarray, path: str | os.PathLike[str]) -> Path:
     """Writes uint8[H, W, 3] as a PNG; the file appears whole or not at all. Folders are made as needed."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            Image.fromarray(np.ascontiguousarray(image)).save(file, format="PNG")
-        # mkstemp makes files that only their owner may read; a picture gets what open() would give.
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(name, 0o666 & ~umask)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-    return path
+    with written_whole(path) as fresh:
+        Image.fromarray(np.ascontiguousarray(image)).save(fresh, format="PNG")
+    return Path(path)

@@ -80,15 +80,20 @@ class Stage:
         self.camera = placed_camera(points, view or self.shooting.view, aspect)
         return self.camera
 
-    def picture(self, looks: Sequence[Look | None], trails: Sequence[Trail] = ()) -> np.ndarray:
+    def picture(
+        self, looks: Sequence[Look | None], trails: Sequence[Trail] = (), light_yaw: float = 0.0
+    ) -> np.ndarray:
         """uint8[height, width, 3]: one look per actor; None leaves it out.
+
+        Args:
+          light_yaw: radians by which the lights are turned about the vertical.
 
         Raises:
           ConfigError: not one look per actor.
         """
         alpha = self._dress(looks)
         return self.studio.average(
-            self.data, self.camera, self.shooting.samples, self.reach, alpha, tuple(trails)
+            self.data, self.camera, self.shooting.samples, self.reach, alpha, tuple(trails), light_yaw
         )
 
     def measure(self, looks: Sequence[Look | None]) -> tuple[np.ndarray, np.ndarray]:

@@ -84,6 +84,7 @@ class Studio:
         reach: float,
         alpha: np.ndarray | None = None,
         trails: Sequence[Trail] = (),
+        light_yaw: float = 0.0,
     ) -> np.ndarray:
         """The mean of `samples` pictures with the lights and the pixel grid moved a little between them.
 
@@ -91,6 +92,7 @@ class Studio:
           reach: the content's radius, metres.
           alpha: f[nbody], the opacity of each body; None draws all.
           trails: lines to draw as well.
+          light_yaw: radians by which the lights are turned about the vertical.
 
         Returns:
           uint8[height, width, 3].
@@ -109,7 +111,8 @@ class Studio:
                         self._add(trail)
                 u = low_discrepancy(index)
                 if samples > 1:
-                    shift_lights(self._scene, self._lights, u, self.model.stat.center, reach)
+                    center = self.model.stat.center
+                    shift_lights(self._scene, self._lights, u, center, reach, light_yaw)
                     shift_pixel(self._scene, u[4], u[5], self.width, self.height)
                 mujoco.mjr_render(self._rect, self._scene, self._context)
                 mujoco.mjr_readPixels(pixels, None, self._rect, self._context)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -11,6 +9,7 @@ import numpy as np
 from PIL import Image
 
 from cluttergen_jax.errors import ClutterGenError, ConfigError, MissingExtraError
+from cluttergen_jax.render.files import written_whole
 
 FORMATS = ("gif", "mp4")
 
@@ -41,18 +40,8 @@ def save_film(frames: Iterable[np.ndarray], path: Path, fps: float) -> Path:
     name = path.suffix.removeprefix(".")
     check_format(name)
     write: Callable[[Iterable[np.ndarray], Path, float], None] = _write_gif if name == "gif" else _write_mp4
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, fresh = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
-    os.close(handle)
-    try:
-        write(frames, Path(fresh), fps)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(fresh, 0o666 & ~umask)
-        os.replace(fresh, path)
-    except BaseException:
-        Path(fresh).unlink(missing_ok=True)
-        raise
+    with written_whole(path) as fresh:
+        write(frames, fresh, fps)
     return path
 
 

@@ -39,13 +39,13 @@ def read_mjcf(path: Path, body: str = "") -> tuple[list[Piece], tuple[Mesh, ...]
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     root = _root(model, path, body)
-    solid = [i for i in range(model.ngeom) if _belongs(model, i, root) and _is_solid(model, i)]
+    solid = [i for i in range(model.ngeom) if _belongs(model, i, root) and is_solid(model, i)]
     if not solid:
         raise AssetError(f"{path}: body {body or root!r} has no geoms that are solid")
     is_colliding = {i: bool(model.geom_contype[i] or model.geom_conaffinity[i]) for i in solid}
     visual = [i for i in solid if not is_colliding[i]] or solid
-    pieces = [Piece(_geom_mesh(model, data, i), _colour(model, i)) for i in visual]
-    parts = tuple(Mesh.points(_geom_mesh(model, data, i, 16).vertices) for i in solid if is_colliding[i])
+    pieces = [Piece(geom_mesh(model, data, i), geom_colour(model, i)) for i in visual]
+    parts = tuple(Mesh.points(geom_mesh(model, data, i, 16).vertices) for i in solid if is_colliding[i])
     mass = float(model.body_subtreemass[root]) if root else float(model.body_mass.sum())
     return pieces, parts if 0 < len(parts) <= MAX_PARTS else None, mass
 
@@ -70,17 +70,19 @@ def _belongs(model: mujoco.MjModel, geom: int, root: int) -> bool:
     return body == root
 
 
-def _is_solid(model: mujoco.MjModel, geom: int) -> bool:
+def is_solid(model: mujoco.MjModel, geom: int) -> bool:
+    """Whether a geom has an inside that a mesh can show: all but planes, height fields and SDFs."""
     return model.geom_type[geom] not in (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_HFIELD, _GEOM.mjGEOM_SDF)
 
 
-def _colour(model: mujoco.MjModel, geom: int) -> tuple[float, float, float, float]:
+def geom_colour(model: mujoco.MjModel, geom: int) -> tuple[float, float, float, float]:
+    """The colour of a geom's material, or its own."""
     material = int(model.geom_matid[geom])
     r, g, b, a = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
     return (float(r), float(g), float(b), float(a))
 
 
-def _geom_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int, sections: int = 32) -> Mesh:
+def geom_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int, sections: int = 32) -> Mesh:
     """The geom's surface in the world frame of the reference configuration."""
     size = model.geom_size[geom]
     kind = model.geom_type[geom]
