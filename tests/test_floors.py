@@ -27,6 +27,7 @@ FLOORS = {
     "bank": 3,
     "export": 3,
     "render": 3,
+    "viewer": 3,
     "importing": 3,
     "methods": 3.2,
     "sampler": 3.5,
