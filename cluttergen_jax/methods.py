@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from pathlib import Path
 
 from cluttergen_jax.agent.checkpoint import read_record
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.baselines import make_proposer
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.proposer import Proposer
 from cluttergen_jax.placement.rules import Rules
@@ -42,6 +43,22 @@ def checkpoint_of(method: str, pool: str, checkpoint: str | None = None) -> Path
             raise ConfigError(f"--checkpoint with method {method!r}, which has none", ", ".join(VARIANTS))
         return None
     return Path(checkpoint) if checkpoint is not None else find_policy(method, pool)
+
+
+def checkpoint_hash(checkpoint: Path) -> str:
+    """Hex digest of a policy's weights and record.
+
+    Raises:
+      PoolError: there is no policy in that folder.
+    """
+    read_record(checkpoint)
+    try:
+        files = [(checkpoint / name).read_bytes() for name in ("record.json", "weights.npz")]
+    except OSError as error:
+        raise PoolError(
+            f"{checkpoint} holds no policy ({error})", hint="the folder `policy` of a run"
+        ) from error
+    return hashlib.sha256(b"".join(hashlib.sha256(data).digest() for data in files)).hexdigest()
 
 
 def suited(placement: PlacementConfig, checkpoint: Path | None) -> PlacementConfig:

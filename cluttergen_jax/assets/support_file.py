@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import tempfile
@@ -73,6 +74,12 @@ def read_support(folder: str | Path) -> SupportAsset:
         raise PoolError(f"{path} cannot be understood: {error!r}", hint=_REWRITE) from error
     except OSError as error:
         raise PoolError(f"{error.filename} cannot be read ({error.strerror})", hint=_REWRITE) from error
+
+
+def support_hash(support: SupportAsset) -> str:
+    """Hex digest of everything that `write_support` would store: the same before and after disk."""
+    texts = [json.dumps(_record(support), sort_keys=True), *(_obj_text(p.mesh) for p in support.pieces)]
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
 def list_supports() -> dict[str, Path]:

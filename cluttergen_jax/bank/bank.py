@@ -1,19 +1,20 @@
 """A bank on disk: `bank.json`, `scenes-*.parquet`, `assets/`, and a file per scene if wanted.
 
     bank.json               how it was made; what makes another run the same bank
-    scenes-000000.parquet   block 0: scenes 0 to 255, a row each, failures included
+    scenes-000000.parquet   block 0: scenes 0 to 255, a row each, failures included; and bank.json once more
     assets/objects/NAME/    each object once; assets/support/ the table
     scenes/000000.xml .png  successful scenes as MJCF, meshes by relative path, and their pictures
 
-A block is written as a whole or not at all, so an interrupted bank is continued where it stopped.
+A block is written as a whole or not at all, so an interrupted bank is continued where it stopped
+(`bank.writer`). Whatever is damaged is named when it is read, with what mends it.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
-import os
-import shutil
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,17 +22,21 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.object_files import read_object, write_object
-from cluttergen_jax.assets.part_files import write_parts
+from cluttergen_jax.assets.object_files import object_hash, read_object
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.assets.support_file import read_support, write_support
+from cluttergen_jax.assets.support_file import read_support, support_hash
+from cluttergen_jax.bank.table import BLOCK_ROWS, SCHEMA
 from cluttergen_jax.errors import BankError
 
 FORMAT = 1
-_INDEX = "bank.json"
+INDEX = "bank.json"
+_BLOCK = re.compile(r"scenes-(\d{6,9})\.parquet")
+_AGAIN = "the same `cluttergen generate` again, which mends what is damaged and makes what is missing"
+_METADATA = b"cluttergen"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,17 +72,16 @@ class Bank:
 
     @cached_property
     def table(self) -> pa.Table:
-        """All rows that are there, in order."""
-        paths = [block_path(self.path, block) for block in _blocks(self.path)]
-        if not paths:
-            raise BankError(f"{self.path} holds no scenes yet", hint="running `cluttergen generate` again")
-        try:
-            return pa.concat_tables([pq.read_table(path) for path in paths])
-        except (pa.ArrowException, OSError) as error:
-            raise BankError(
-                f"{self.path}: a block of scenes is damaged ({error})",
-                hint="deleting that file and running the same `cluttergen generate` again",
-            ) from error
+        """All rows that are there, in order.
+
+        Raises:
+          BankError: there are none, or a block is damaged; the message names its file.
+        """
+        blocks = block_numbers(self.path)
+        if not blocks:
+            raise BankError(f"{self.path} holds no scenes yet", hint=_AGAIN)
+        rows = [read_block(self.path, block).select(SCHEMA.names) for block in blocks]
+        return pa.concat_tables([each.replace_schema_metadata(None) for each in rows])
 
     def scenes(self) -> Iterator[SceneRecord]:
         """Every scene, failures included."""
@@ -92,13 +96,32 @@ class Bank:
             )
 
     def object(self, name: str) -> ObjectAsset:
-        """The asset called `name`, from the bank's own copy."""
-        return read_object(self.path / "assets" / "objects" / name)
+        """The asset called `name`, from the bank's own copy.
+
+        Raises:
+          PoolError: its files are missing or damaged. BankError: it is not the one that the scenes were made
+            with.
+        """
+        asset = read_object(self.path / "assets" / "objects" / name)
+        self._check_asset(name, object_hash(asset), self._hashes["objects"].get(name))
+        return asset
 
     @cached_property
     def support(self) -> SupportAsset:
-        """The table, from the bank's own copy."""
-        return read_support(self.path / "assets" / "support")
+        """The table, from the bank's own copy; raises as `object` does."""
+        support = read_support(self.path / "assets" / "support")
+        self._check_asset("support", support_hash(support), self._hashes["support"])
+        return support
+
+    @property
+    def _hashes(self) -> dict[str, Any]:
+        return self.record.get("assets", {"objects": {}, "support": None})
+
+    def _check_asset(self, name: str, digest: str, wanted: str | None) -> None:
+        if wanted is not None and digest != wanted:
+            raise BankError(
+                f"{self.path}: asset {name!r} is not the one that the scenes were made with", hint=_AGAIN
+            )
 
 
 def block_path(path: Path, block: int) -> Path:
@@ -106,8 +129,42 @@ def block_path(path: Path, block: int) -> Path:
     return path / f"scenes-{block:06d}.parquet"
 
 
-def _blocks(path: Path) -> list[int]:
-    return sorted(int(each.stem.split("-")[1]) for each in path.glob("scenes-*.parquet"))
+def block_numbers(path: Path) -> list[int]:
+    """The blocks that a bank's folder holds, in order."""
+    names = [_BLOCK.fullmatch(each.name) for each in path.iterdir()] if path.is_dir() else []
+    return sorted(int(name[1]) for name in names if name)
+
+
+def read_block(path: Path, block: int) -> pa.Table:
+    """The rows of one block of the bank at `path`, every value looked at.
+
+    Raises:
+      BankError: the file cannot be read, is damaged, or does not hold what its name says.
+    """
+    file = block_path(path, block)
+    try:
+        table = pq.read_table(file, page_checksum_verification=True)
+        table.validate(full=True)
+        _check_rows(table, block)
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+        raise BankError(f"{file} is damaged ({error})", hint=_AGAIN) from error
+    return table
+
+
+def _check_rows(table: pa.Table, block: int) -> None:
+    """ValueError if these are not the rows of block number `block`."""
+    for field in SCHEMA:
+        if field.name not in table.schema.names or table.schema.field(field.name).type != field.type:
+            raise ValueError(f"its column {field.name!r} is missing or of another type")
+        if table[field.name].null_count:
+            raise ValueError(f"its column {field.name!r} has gaps")
+    first = block * BLOCK_ROWS
+    if table["index"].to_pylist() != list(range(first, first + table.num_rows)):
+        raise ValueError(f"its scenes are not those from {first} on")
+    lists = [table[field.name].combine_chunks() for field in SCHEMA if pa.types.is_list(field.type)]
+    lengths = [pc.list_value_length(each).to_pylist() for each in lists]
+    if any(each != lengths[0] for each in lengths) or any(pc.list_flatten(each).null_count for each in lists):
+        raise ValueError("its lists of objects are of different lengths, or have gaps")
 
 
 def read_bank(path: str | Path) -> Bank:
@@ -116,111 +173,58 @@ def read_bank(path: str | Path) -> Bank:
     Raises:
       BankError: there is none, or `bank.json` is damaged or of another format.
     """
-    index = Path(path) / _INDEX
+    index = Path(path) / INDEX
     try:
-        record = json.loads(index.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
+        record = json.loads(index.read_bytes())
+    except (FileNotFoundError, NotADirectoryError) as error:
         raise BankError(
-            f"{path} is not a bank: it has no {_INDEX}", "a folder that `generate` made"
+            f"{path} is not a bank: it has no {INDEX}", "a folder that `generate` made"
         ) from error
-    except (OSError, ValueError) as error:
-        raise BankError(f"{index} cannot be read ({error})") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise BankError(f"{index} cannot be read ({error})", hint=_AGAIN) from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
-        raise BankError(f"{index} is not a bank of format {FORMAT}")
+        raise BankError(f"{index} is not the record of a bank of format {FORMAT}", hint=_AGAIN)
+    digest = record.pop("hash", None)
+    wrong = _wrong_part(record) if digest in (None, _digest(record)) else "it does not match its own digest"
+    if wrong is not None:
+        raise BankError(f"{index} is damaged: {wrong}", hint=_AGAIN)
     return Bank(Path(path), record)
 
 
-class BankWriter:
-    """Creates a bank, or continues one that was made with the same settings.
+def index_bytes(record: dict[str, Any]) -> bytes:
+    """The content of `bank.json`: the record, and its digest, so that damage is noticed."""
+    return (json.dumps({**record, "hash": _digest(record)}, indent=1) + "\n").encode()
 
-    Args:
-      path: the bank's folder.
-      recipe: JSON values that decide what the scenes are: two banks of equal recipes hold equal scenes.
-      num_scenes: how many; a bank may be continued to a larger number.
-      objects, support: stored once.
-      overwrite: begin anew if the folder holds another bank.
 
-    Raises:
-      BankError: the folder holds something else, or a bank of another recipe.
-    """
+def _digest(record: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
-    def __init__(
-        self,
-        path: str | Path,
-        recipe: dict[str, Any],
-        num_scenes: int,
-        objects: dict[str, ObjectAsset],
-        support: SupportAsset,
-        overwrite: bool = False,
-    ) -> None:
-        self.path = Path(path)
-        recipe = json.loads(json.dumps(recipe))
-        if overwrite and (self.path / _INDEX).exists():
-            _remove_bank(self.path)
-        else:
-            self._check_place(recipe)
-        self.path.mkdir(parents=True, exist_ok=True)
-        for name, asset in objects.items():
-            folder = self.path / "assets" / "objects" / name
-            if not (folder / "object.json").exists():
-                write_parts(folder, asset)
-                write_object(folder, asset)
-        if not (self.path / "assets" / "support").exists():
-            write_support(self.path / "assets" / "support", support)
-        kept = max(num_scenes, self._stored_number())
-        record = {"format": FORMAT, "num_scenes": kept, "recipe": recipe}
-        write_atomically(self.path / _INDEX, (json.dumps(record, indent=1) + "\n").encode())
 
-    def _stored_number(self) -> int:
-        return read_bank(self.path).num_scenes if (self.path / _INDEX).exists() else 0
+def with_record(table: pa.Table, record: dict[str, Any]) -> pa.Table:
+    """The rows of a block with the bank's record in them, so that any block can stand in for `bank.json`."""
+    return table.replace_schema_metadata({_METADATA: json.dumps(record).encode()})
 
-    def _check_place(self, recipe: dict[str, Any]) -> None:
-        if (self.path / _INDEX).exists():
-            theirs = read_bank(self.path).record["recipe"]
-            changed = sorted(k for k in {*recipe, *theirs} if recipe.get(k) != theirs.get(k))
-            if changed:
-                raise BankError(
-                    f"{self.path} holds a bank made with another {', '.join(changed)}",
-                    "the same settings, which continue it",
-                    "another --out, or --overwrite to begin anew",
-                )
-        elif self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
-            raise BankError(f"{self.path} exists and is not a bank", "a new or empty folder", "another --out")
 
-    def has_block(self, block: int, num_rows: int) -> bool:
-        """Whether block number `block` is there with at least `num_rows` rows."""
-        path = block_path(self.path, block)
+def recovered_record(path: Path) -> dict[str, Any] | None:
+    """The bank's record as its first sound block has it, without `num_scenes`; None if no block has it."""
+    for block in block_numbers(path):
         try:
-            return path.exists() and pq.read_metadata(path).num_rows >= num_rows
-        except (pa.ArrowException, OSError):
-            return False
-
-    def write_block(self, block: int, table: pa.Table) -> None:
-        """Stores the rows of a block as a whole."""
-        path = block_path(self.path, block)
-        fresh = path.with_suffix(".partial")
-        pq.write_table(table, fresh)
-        os.replace(fresh, path)
+            record = json.loads((read_block(path, block).schema.metadata or {})[_METADATA])
+        except (BankError, KeyError, ValueError, RecursionError):
+            continue
+        if isinstance(record, dict) and _wrong_part(record | {"num_scenes": 1}) is None:
+            return record
+    return None
 
 
-def write_atomically(path: Path, data: bytes) -> None:
-    """Writes a file so that it is there whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    fresh = path.with_name(f".{path.name}.partial")
-    fresh.write_bytes(data)
-    os.replace(fresh, path)
-
-
-def _remove_bank(path: Path) -> None:
-    """Removes what a bank consists of, and nothing else that may lie in the folder."""
-    for block in _blocks(path):
-        block_path(path, block).unlink()
-    for folder in ("assets", "scenes"):
-        shutil.rmtree(path / folder, ignore_errors=True)
-    (path / "overview.png").unlink(missing_ok=True)
-    (path / _INDEX).unlink()
-
-
-def names_of(objects: Sequence[ObjectAsset]) -> dict[str, ObjectAsset]:
-    """Assets by their own name: an asset that stands in a world more than once is stored once."""
-    return {asset.name: asset for asset in objects}
+def _wrong_part(record: dict[str, Any]) -> str | None:
+    """What is wrong with the record of a bank, in words; None if it is sound."""
+    number = record.get("num_scenes")
+    if isinstance(number, bool) or not isinstance(number, int) or number < 1:
+        return f"num_scenes is {number!r}"
+    if not isinstance(record.get("recipe"), dict):
+        return "it has no recipe"
+    assets = record.get("assets", {"objects": {}, "support": None})
+    if not isinstance(assets, dict) or not isinstance(assets.get("objects"), dict) or "support" not in assets:
+        return "its digests of assets are not understood"
+    return None

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.bank.bank import write_atomically
+from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.methods import checkpoint_of, proposer_of, suited

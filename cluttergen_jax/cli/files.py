@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from cluttergen_jax.bank.bank import Bank, SceneRecord, write_atomically
+from cluttergen_jax.bank.bank import Bank, SceneRecord
+from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.problem import ProblemConfig
 from cluttergen_jax.render.assets import render_scene
 from cluttergen_jax.render.gl import renderer_status

@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
+from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
@@ -14,14 +15,17 @@ import tyro
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.bank.bank import BankWriter, names_of, read_bank
+from cluttergen_jax.bank import BankWriter, read_bank
+from cluttergen_jax.bank.card import write_card
+from cluttergen_jax.bank.disk import writing
 from cluttergen_jax.bank.start import read_start, start_of
 from cluttergen_jax.bank.summary import summary_of
 from cluttergen_jax.bank.table import table_of
+from cluttergen_jax.bank.writer import names_of
 from cluttergen_jax.cli.files import write_files
 from cluttergen_jax.cli.parse import parse_keep_out, parse_region
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.methods import checkpoint_of, default_method, proposer_of, suited
+from cluttergen_jax.methods import checkpoint_hash, checkpoint_of, default_method, proposer_of, suited
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.problem import Problem, ProblemConfig, keep_out_of, make_problem
 from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
@@ -105,20 +109,22 @@ def _generate(args: Generate) -> int:
     )
     sampler = BlockSampler(problem.rules, proposer_of(method, checkpoint, problem.rules), begin)
     _warn_of_flags(problem)
-    writer = BankWriter(
+    with BankWriter(
         args.out,
-        recipe_of(args, problem),
+        recipe_of(args, problem, checkpoint),
         args.num_scenes,
         names_of(problem.world.objects),
         problem.world.support,
         args.overwrite,
-    )
-    started = time.perf_counter()
-    num_new = run_blocks(sampler, problem, writer, args.num_scenes, args.seed)
-    print(summary_of(read_bank(args.out).table, args.num_scenes, num_new, time.perf_counter() - started))
-    num_files = min(args.num_scenes, args.max_files)
-    if num_files > 0:
-        write_files(read_bank(args.out), num_files, problem.config, args.render)
+    ) as writer:
+        started = time.perf_counter()
+        num_new = run_blocks(sampler, problem, writer, args.num_scenes, args.seed)
+        bank = read_bank(args.out)
+        print(summary_of(bank.table, args.num_scenes, num_new, time.perf_counter() - started))
+        with writing(bank.path):
+            write_card(bank)
+            if (num_files := min(args.num_scenes, args.max_files)) > 0:
+                write_files(bank, num_files, problem.config, args.render)
     return 0
 
 
@@ -146,7 +152,7 @@ def problem_config(args: Generate) -> ProblemConfig:
     )
 
 
-def recipe_of(args: Generate, problem: Problem) -> dict[str, Any]:
+def recipe_of(args: Generate, problem: Problem, checkpoint: Path | None) -> dict[str, Any]:
     """What decides the scenes of a bank; two equal recipes make equal scenes on one machine."""
     config = dataclasses.asdict(problem.config)
     config.pop("num_threads")
@@ -157,6 +163,7 @@ def recipe_of(args: Generate, problem: Problem) -> dict[str, Any]:
         "keep_out": args.keep_out,
         "method": args.method,
         "checkpoint": args.checkpoint,
+        "checkpoint_hash": None if checkpoint is None else checkpoint_hash(checkpoint),
         "seed": args.seed,
         "block_size": BLOCK_SIZE,
         "names": problem.world.names,

@@ -12,7 +12,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from cluttergen_jax.bank.bank import write_atomically
+from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.bank.verify import Verification, VerifyConfig, scene_files, verify_scene
 
 

@@ -1,0 +1,184 @@
+"""The dataset card: a README in the bank's folder, so that whoever finds the folder knows what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.bank.bank import Bank
+from cluttergen_jax.bank.disk import write_atomically
+from cluttergen_jax.bank.stats import BankStats, stats_of
+from cluttergen_jax.bank.table import COUNTED, SCHEMA
+from cluttergen_jax.types import Verdict
+
+CARD = "README.md"
+_MARK = "<!-- written by cluttergen; remove this line to keep your own changes -->"
+
+_COLUMNS = {
+    "index": "the scene's number; its random key is fold_in(key(seed), index)",
+    "is_success": "every object placed, and all stand together in the last check",
+    "is_filled": "every object placed",
+    "verdict": "the last word on the scene",
+    "drift": "metres, the largest movement in the last check",
+    "num_placed": "objects placed",
+    "object_index": "slot by slot, the number of the object in the compiled world",
+    "objects": "slot by slot, its name; mug#2 is the second mug",
+    "is_placed": "slot by slot, whether it was placed",
+    "poses": "slot by slot, position (metres) and quaternion wxyz in the world: z up, origin on the floor "
+    "below the support's centre",
+    "attempts": "slot by slot, attempts used",
+    "steps": "slot by slot, steps of all its attempts",
+    "rest_steps": "slot by slot, steps of the attempt that succeeded",
+    "simulated_steps": "steps simulated for the scene",
+} | {f"num_{v.label.replace('-', '_')}": f"attempts that ended {v.label}: {v.sentence}" for v in COUNTED}
+
+
+def write_card(bank: Bank) -> Path | None:
+    """Writes the card, unless the user has a README of their own there; returns its path if written.
+
+    Raises:
+      BankError: the bank holds no scenes yet, or is damaged. PoolError: one of its assets is.
+    """
+    path = bank.path / CARD
+    if path.exists() and _MARK not in path.read_text(encoding="utf-8", errors="replace"):
+        return None
+    write_atomically(path, card_text(bank, stats_of(bank)).encode())
+    return path
+
+
+def card_text(bank: Bank, stats: BankStats) -> str:
+    """The card of a bank as Markdown."""
+    names = sorted(bank.record.get("assets", {}).get("objects", {})) or [each.name for each in stats.objects]
+    assets = [bank.object(name) for name in names]
+    sections = [
+        _head(assets),
+        _about(bank, stats),
+        _figures(stats),
+        _files(),
+        _made(bank.record["recipe"]),
+        _stability(bank.record["recipe"]),
+        _assets(assets, bank),
+    ]
+    return "\n\n".join(sections) + "\n"
+
+
+def _head(assets: Sequence[ObjectAsset]) -> str:
+    licences = sorted({asset.provenance.licence for asset in assets})
+    lines = ["---", "license: other", f"license_name: {' and '.join(licences)!r}"]
+    lines += [
+        "tags: [robotics, simulation, mujoco, tabletop, scenes]",
+        "pretty_name: cluttered tabletop scenes",
+    ]
+    return "\n".join([*lines, "---", _MARK])
+
+
+def _about(bank: Bank, stats: BankStats) -> str:
+    return (
+        f"# {bank.path.resolve().name}\n\n"
+        f"{stats.scenes} cluttered tabletop scenes, of which {stats.success} stand: objects placed one after "
+        "another on a support until all lie still together, checked in physics. Failures are kept in the "
+        "record, so that success rates can be computed from it."
+    )
+
+
+def _figures(stats: BankStats) -> str:
+    rows = [
+        ("scenes asked for", stats.asked),
+        ("scenes here", stats.scenes),
+        ("succeed", f"{stats.success} ({stats.success_rate:.1%})"),
+        ("objects placed", stats.placed),
+        ("attempts", stats.attempts),
+        ("steps simulated", stats.simulated_steps),
+        ("median movement in the last check", f"{stats.drift_median * 1000:.4f} mm"),
+        ("most", f"{stats.drift_most * 1000:.3f} mm"),
+        ("scenes that repeat another", sum(len(group) - 1 for group in stats.duplicates)),
+    ]
+    rows += [(f"verdict {name}", number) for name, number in stats.verdicts.items()]
+    lines = ["## Figures", "", "| | |", "|---|---|"]
+    return "\n".join([*lines, *(f"| {name} | {value} |" for name, value in rows)])
+
+
+def _files() -> str:
+    lines = [
+        "## Files",
+        "",
+        "- `bank.json`: how the bank was made: every setting, versions, digests of the assets.",
+        "- `scenes-*.parquet`: 256 scenes each, a row per scene, failures included.",
+        "- `assets/`: every object once (surface, convex collision parts, mass, inertia), and the support.",
+        "- `scenes/`: if present, an MJCF file (and a picture) for each scene that stands; poses are in "
+        "the bodies and in the keyframe `scene`.",
+        "",
+        "```python",
+        "import jax, cluttergen_jax as cg",
+        'bank = cg.load_bank("this folder")',
+        "scene = jax.jit(bank.reset)(jax.random.key(0))  # a scene that stands, for an environment's reset",
+        "```",
+        "",
+        "| column | type | meaning |",
+        "|---|---|---|",
+    ]
+    return "\n".join(lines + [f"| `{f.name}` | `{f.type}` | {_COLUMNS[f.name]} |" for f in SCHEMA])
+
+
+def _made(recipe: dict[str, Any]) -> str:
+    placement = recipe.get("placement", {})
+    rows = {
+        "pool": _named(recipe.get("pool")),
+        "support": _named(recipe.get("support")),
+        "objects per scene": placement.get("num_objects"),
+        "attempts per object": placement.get("max_attempts"),
+        "method": recipe.get("method"),
+        "checkpoint": recipe.get("checkpoint_hash") or "none",
+        "seed": recipe.get("seed"),
+        "engine": recipe.get("engine"),
+        "queried region": recipe.get("region"),
+        "containment": placement.get("containment"),
+        "versions": ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items()),
+    }
+    return "\n".join(["## How it was made", "", *(f"- {name}: {value}" for name, value in rows.items())])
+
+
+def _named(value: object) -> object:
+    """A path's last part: where somebody's files lie is nobody else's business."""
+    return Path(value).name if isinstance(value, str) else value
+
+
+def _stability(recipe: dict[str, Any]) -> str:
+    limits = {
+        **recipe.get("stability", {}),
+        **{f"contact {k}": v for k, v in recipe.get("contact", {}).items()},
+    }
+    lines = [
+        "## What stable means here",
+        "",
+        "An attempt lets the object go at rest; it counts if the object comes to rest in time, no other "
+        "object is disturbed and nothing overlaps too much. A scene counts if, in addition, all its objects "
+        "stand together when simulated from the saved poses with everything awake. Thresholds (SI units, "
+        "radians; steps of `timestep`):",
+        "",
+        ", ".join(f"{name} = {value}" for name, value in limits.items()) + ".",
+        "",
+        f"Verdicts: {'; '.join(f'{v.label}: {v.sentence}' for v in Verdict if v >= 0)}.",
+    ]
+    return "\n".join(lines)
+
+
+def _assets(assets: Sequence[ObjectAsset], bank: Bank) -> str:
+    lines = [
+        "## Assets and licences",
+        "",
+        "| asset | mass | source | licence | notes |",
+        "|---|---|---|---|---|",
+    ]
+    for asset in assets:
+        origin = asset.provenance
+        lines.append(
+            f"| {asset.label} (`{asset.name}`) | {asset.mass:.3g} kg | {origin.source} | {origin.licence} "
+            f"| {'; '.join(asset.flags)} |"
+        )
+    table = bank.support
+    lines.append(f"| {table.label} (support) | | {table.provenance.source} | {table.provenance.licence} | |")
+    credits = sorted({asset.provenance.attribution for asset in assets} - {""})
+    return "\n".join([*lines, *(["", *credits] if credits else [])])

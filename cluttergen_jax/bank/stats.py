@@ -1,0 +1,163 @@
+"""What a bank amounts to, in numbers: for `cluttergen stats` and the dataset card."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from cluttergen_jax.bank.bank import Bank
+from cluttergen_jax.bank.summary import summary_of
+from cluttergen_jax.world import base_name
+
+_SHOWN_GROUPS = 5
+
+
+@dataclass(frozen=True)
+class ObjectStats:
+    """One object over all scenes of a bank.
+
+    Attributes:
+      name: the asset's; copies of it in one scene count each.
+      drawn: slots that it was drawn for and that were reached.
+      placed: how many of those it was placed in.
+      attempts: that it took.
+    """
+
+    name: str
+    drawn: int
+    placed: int
+    attempts: int
+
+
+@dataclass(frozen=True)
+class BankStats:
+    """A bank in numbers.
+
+    Attributes:
+      asked: scenes that the bank was asked for.
+      scenes: scenes that are there, failures included; missing: indices below `asked` that are not, as first
+        and last of each run.
+      success: scenes that stand; filled: scenes whose every slot was filled.
+      verdicts: scenes by their last word.
+      placed: placed objects; attempts, simulated_steps: of all scenes.
+      objects: by asset.
+      drift_median, drift_most: metres, movement in the last check of the scenes that stand.
+      duplicates: indices of scenes that stand and are equal to the bit, objects and poses, group by group.
+    """
+
+    asked: int
+    scenes: int
+    missing: tuple[tuple[int, int], ...]
+    success: int
+    filled: int
+    verdicts: dict[str, int]
+    placed: int
+    attempts: int
+    simulated_steps: int
+    objects: tuple[ObjectStats, ...]
+    drift_median: float
+    drift_most: float
+    duplicates: tuple[tuple[int, ...], ...]
+
+    @property
+    def success_rate(self) -> float:
+        """Share of the scenes that stand."""
+        return self.success / max(self.scenes, 1)
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON values."""
+        return asdict(self)
+
+
+def stats_of(bank: Bank) -> BankStats:
+    """The numbers of a bank.
+
+    Raises:
+      BankError: it holds no scenes yet, or a block is damaged.
+    """
+    table = bank.table
+    success = np.array(table["is_success"])
+    drift = np.array(table["drift"])[success]
+    return BankStats(
+        asked=bank.num_scenes,
+        scenes=table.num_rows,
+        missing=_missing(np.array(table["index"]), bank.num_scenes),
+        success=int(success.sum()),
+        filled=int(np.array(table["is_filled"]).sum()),
+        verdicts=dict(Counter(table["verdict"].to_pylist()).most_common()),
+        placed=int(np.array(table["num_placed"]).sum()),
+        attempts=sum(sum(each) for each in table["attempts"].to_pylist()),
+        simulated_steps=int(np.array(table["simulated_steps"], np.int64).sum()),
+        objects=_objects(table),
+        drift_median=float(np.median(drift)) if len(drift) else 0.0,
+        drift_most=float(drift.max(initial=0.0)),
+        duplicates=_duplicates(table),
+    )
+
+
+def _missing(index: np.ndarray, asked: int) -> tuple[tuple[int, int], ...]:
+    """Runs of indices that are asked for and not there."""
+    absent = np.setdiff1d(np.arange(asked), index)
+    runs = np.split(absent, np.flatnonzero(np.diff(absent) > 1) + 1) if len(absent) else []
+    return tuple((int(run[0]), int(run[-1])) for run in runs)
+
+
+def _objects(table: pa.Table) -> tuple[ObjectStats, ...]:
+    drawn: Counter[str] = Counter()
+    placed: Counter[str] = Counter()
+    attempts: Counter[str] = Counter()
+    columns = (table[name].to_pylist() for name in ("objects", "is_placed", "attempts"))
+    for names, is_placed, tries in zip(*columns, strict=True):
+        for name, stands, number in zip(names, is_placed, tries, strict=True):
+            asset = base_name(name)
+            drawn[asset] += bool(stands or number)
+            placed[asset] += stands
+            attempts[asset] += number
+    return tuple(ObjectStats(name, drawn[name], placed[name], attempts[name]) for name in sorted(drawn))
+
+
+def _duplicates(table: pa.Table) -> tuple[tuple[int, ...], ...]:
+    """Groups of successful scenes with the same objects at the same poses, in whatever order."""
+    groups: dict[tuple[tuple[str, bytes], ...], list[int]] = defaultdict(list)
+    columns = (table[name].to_pylist() for name in ("index", "is_success", "objects", "poses"))
+    for index, is_success, names, poses in zip(*columns, strict=True):
+        if is_success:
+            stored = [np.array(pose, np.float32).tobytes() for pose in poses]
+            groups[tuple(sorted(zip(map(base_name, names), stored, strict=True)))].append(index)
+    return tuple(tuple(group) for group in groups.values() if len(group) > 1)
+
+
+def stats_text(bank: Bank, stats: BankStats) -> str:
+    """The same for people."""
+    lines = [f"bank       {bank.path}, {_made_by(bank)}", summary_of(bank.table, stats.scenes)]
+    lines.append(f"verdicts   {', '.join(f'{number} {name}' for name, number in stats.verdicts.items())}")
+    lines.append(
+        f"movement   in the last check of scenes that stand: median {stats.drift_median * 1000:.4f} mm, "
+        f"most {stats.drift_most * 1000:.3f} mm"
+    )
+    runs = ", ".join(f"{first} to {last}" if first < last else f"{first}" for first, last in stats.missing)
+    lines.append(f"missing    {runs or 'nothing'} of the {stats.asked} scenes asked for")
+    lines.append(f"duplicates {_duplicates_text(stats)}")
+    width = max(len(each.name) for each in stats.objects)
+    lines.append(f"objects    {'name':{width}}  drawn  placed  attempts each")
+    for each in stats.objects:
+        mean = each.attempts / max(each.drawn, 1)
+        lines.append(f"           {each.name:{width}}  {each.drawn:5d}  {each.placed:6d}  {mean:13.2f}")
+    return "\n".join(lines)
+
+
+def _duplicates_text(stats: BankStats) -> str:
+    if not stats.duplicates:
+        return "no two scenes that stand are equal"
+    shown = "; ".join(" = ".join(map(str, group)) for group in stats.duplicates[:_SHOWN_GROUPS])
+    more = ", and others" if len(stats.duplicates) > _SHOWN_GROUPS else ""
+    return f"{sum(len(group) - 1 for group in stats.duplicates)} scenes repeat another: {shown}{more}"
+
+
+def _made_by(bank: Bank) -> str:
+    recipe = bank.record["recipe"]
+    return f"made by {recipe.get('method')} with seed {recipe.get('seed')} of pool {recipe.get('pool')}"

@@ -1,0 +1,227 @@
+"""Writing a bank, block by block; an interrupted one is continued."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.object_files import object_hash, read_object, write_object
+from cluttergen_jax.assets.part_files import part_name, write_parts
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
+from cluttergen_jax.bank.bank import (
+    FORMAT,
+    INDEX,
+    block_numbers,
+    block_path,
+    index_bytes,
+    read_bank,
+    read_block,
+    recovered_record,
+    with_record,
+)
+from cluttergen_jax.bank.disk import PARTIAL, fill_atomically, remove_partial, write_atomically, writing
+from cluttergen_jax.bank.lock import LOCK, BankLock
+from cluttergen_jax.bank.table import BLOCK_ROWS
+from cluttergen_jax.errors import BankError, ClutterGenError
+
+
+class BankWriter:
+    """Creates a bank, or continues one that was made with the same settings and assets.
+
+    A context manager: it holds the bank's lock until it is closed.
+
+    Args:
+      path: the bank's folder.
+      recipe: JSON values that decide what the scenes are: two banks of equal recipes hold equal scenes.
+      num_scenes: how many; a bank may be continued to a larger number.
+      objects, support: stored once; damaged copies in the bank are mended.
+      overwrite: begin anew if the folder holds another bank.
+
+    Raises:
+      BankError: the folder holds something else, or a bank of another recipe or of other assets; somebody
+        else is writing to it; or it cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        recipe: dict[str, Any],
+        num_scenes: int,
+        objects: dict[str, ObjectAsset],
+        support: SupportAsset,
+        overwrite: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        hashes = {
+            "objects": {name: object_hash(asset) for name, asset in objects.items()},
+            "support": support_hash(support),
+        }
+        self._record = json.loads(json.dumps({"format": FORMAT, "recipe": recipe, "assets": hashes}))
+        with writing(self.path):
+            self._check_place()
+            self.path.mkdir(parents=True, exist_ok=True)
+            self._lock = BankLock(self.path)
+        try:
+            with writing(self.path):
+                self._begin(num_scenes, overwrite)
+                self._store_assets(objects, support)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> BankWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Lets others write. The writer cannot be used after that."""
+        self._lock.release()
+
+    def has_block(self, block: int, num_rows: int) -> bool:
+        """Whether block number `block` is there, sound, with at least `num_rows` rows."""
+        try:
+            return block_path(self.path, block).exists() and read_block(self.path, block).num_rows >= num_rows
+        except BankError:
+            return False
+
+    def write_block(self, block: int, table: pa.Table) -> None:
+        """Stores the rows of a block as a whole.
+
+        Raises:
+          BankError: it cannot be written, for instance because the disk is full.
+        """
+        buffer = io.BytesIO()
+        pq.write_table(with_record(table, self._record), buffer, write_page_checksum=True)
+        path = block_path(self.path, block)
+        with writing(path):
+            write_atomically(path, buffer.getvalue(), is_durable=True)
+
+    def _check_place(self) -> None:
+        """Refuses a place that holds something which is not a bank."""
+        if not self.path.exists() or (self.path / INDEX).exists() or block_numbers(self.path):
+            return
+        # A writer that was killed before anything was finished leaves no more than these.
+        ours = (LOCK, f".{INDEX}{PARTIAL}")
+        if not self.path.is_dir() or any(each.name not in ours for each in self.path.iterdir()):
+            raise BankError(f"{self.path} exists and is not a bank", "a new or empty folder", "another --out")
+
+    def _begin(self, num_scenes: int, overwrite: bool) -> None:
+        remove_partial(self.path)
+        if overwrite:
+            _remove_bank(self.path)
+        theirs = self._stored_record()
+        if theirs is not None:
+            _check_same(self.path, self._record, theirs)
+            num_scenes = max(num_scenes, theirs["num_scenes"])
+        record = {"num_scenes": num_scenes, **self._record}
+        write_atomically(self.path / INDEX, index_bytes(record), is_durable=True)
+
+    def _stored_record(self) -> dict[str, Any] | None:
+        """What the folder says it holds: `bank.json`, or a block in its stead if that is damaged or lost."""
+        try:
+            return read_bank(self.path).record
+        except BankError as error:
+            blocks, record = block_numbers(self.path), recovered_record(self.path)
+            if record is not None:
+                return {"num_scenes": blocks[-1] * BLOCK_ROWS + 1, **record}
+            if blocks or _is_json(self.path / INDEX):
+                raise BankError(
+                    f"{self.path} holds a bank of which nothing tells how it was made ({error.given})",
+                    "a bank that this version wrote",
+                    "another --out, or --overwrite to begin anew",
+                ) from error
+            return None
+
+    def _store_assets(self, objects: dict[str, ObjectAsset], support: SupportAsset) -> None:
+        root, hashes = self.path / "assets", self._record["assets"]
+        for name, asset in objects.items():
+            folder = root / "objects" / name
+            if not _is_sound(folder, asset, hashes["objects"][name]):
+                fill_atomically(folder, lambda path, asset=asset: _write_object(path, asset))
+        if _stored_support(root / "support") != hashes["support"]:
+            fill_atomically(root / "support", lambda path: write_support(path, support))
+
+
+def _is_json(path: Path) -> bool:
+    try:
+        return isinstance(json.loads(path.read_bytes()), dict)
+    except (OSError, ValueError, RecursionError):
+        return False
+
+
+def _check_same(path: Path, ours: dict[str, Any], theirs: dict[str, Any]) -> None:
+    """Refuses to continue a bank of another recipe, or of other assets."""
+    changed = sorted(
+        name
+        for name in {*ours["recipe"], *theirs["recipe"]}
+        if ours["recipe"].get(name) != theirs["recipe"].get(name)
+    )
+    if changed:
+        raise BankError(
+            f"{path} holds a bank made with another {', '.join(changed)}",
+            "the same settings, which continue it",
+            "another --out, or --overwrite to begin anew",
+        )
+    known = theirs.get("assets", ours["assets"])
+    other = sorted(n for n, digest in ours["assets"]["objects"].items() if known["objects"].get(n) != digest)
+    other += ["its support"] * (known["support"] != ours["assets"]["support"])
+    if other:
+        raise BankError(
+            f"{path} holds a bank made with other assets of the same name: {', '.join(other)}",
+            "the assets that it was made with",
+            "another --out, or --overwrite to begin anew; the bank's own copies are in its folder `assets`",
+        )
+
+
+def _write_object(folder: Path, asset: ObjectAsset) -> None:
+    write_parts(folder, asset)
+    write_object(folder, asset)
+
+
+def _is_sound(folder: Path, asset: ObjectAsset, digest: str) -> bool:
+    """Whether the bank has this very object, with all of its files."""
+    names = [*(part_name(index) for index in range(len(asset.parts))), "object.json", "object.xml"]
+    try:
+        return all((folder / name).is_file() for name in names) and object_hash(read_object(folder)) == digest
+    except ClutterGenError:
+        return False
+
+
+def _stored_support(folder: Path) -> str:
+    """The digest of the bank's own table; empty if there is none or it is damaged."""
+    try:
+        return support_hash(read_support(folder))
+    except ClutterGenError:
+        return ""
+
+
+def _remove_bank(path: Path) -> None:
+    """Removes what a bank consists of, and nothing else that may lie in the folder."""
+    for block in block_numbers(path):
+        block_path(path, block).unlink()
+    for folder in ("assets", "scenes"):
+        shutil.rmtree(path / folder, ignore_errors=True)
+    for name in ("overview.png", "verification.json", INDEX):
+        (path / name).unlink(missing_ok=True)
+
+
+def names_of(objects: Sequence[ObjectAsset]) -> dict[str, ObjectAsset]:
+    """Assets by their own name: an asset that stands in a world more than once is stored once."""
+    return {asset.name: asset for asset in objects}

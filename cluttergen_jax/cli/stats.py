@@ -1,0 +1,40 @@
+"""`cluttergen stats`: what a bank amounts to, and its dataset card."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import tyro
+
+from cluttergen_jax.bank import read_bank
+from cluttergen_jax.bank.card import CARD, write_card
+from cluttergen_jax.bank.disk import writing
+from cluttergen_jax.bank.stats import stats_of, stats_text
+
+
+@dataclass(frozen=True)
+class Stats:
+    """Show what a bank holds: successes, verdicts, objects, attempts, duplicates, what is missing.
+
+    Attributes:
+      path: a bank.
+      card: write the dataset card, README.md, into the bank's folder again (`generate` writes it too).
+      json: print JSON.
+    """
+
+    path: tyro.conf.Positional[str]
+    card: bool = False
+    json: bool = False
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        bank = read_bank(self.path)
+        stats = stats_of(bank)
+        print(json.dumps(stats.as_json(), indent=1) if self.json else stats_text(bank, stats))
+        if self.card:
+            with writing(bank.path):
+                written = write_card(bank)
+            if not self.json:
+                print(f"card       {written or f'left alone: {bank.path / CARD} is your own'}")
+        return 0

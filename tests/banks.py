@@ -1,0 +1,65 @@
+"""Made-up banks for tests: rows without any physics, written by the real writer in no time."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pyarrow as pa
+
+from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.bank.table import BLOCK_ROWS, COUNTED, SCHEMA
+from cluttergen_jax.bank.writer import BankWriter
+from tests.worlds import trio
+
+RECIPE = {"seed": 3, "method": "made up", "pool": "trio", "versions": {"cluttergen_jax": "0"}}
+NAMES = tuple(asset.name for asset in trio())
+
+
+def rows(block: int, num_rows: int = BLOCK_ROWS) -> pa.Table:
+    """A block of scenes that depend on nothing but their number; every fourth one fails."""
+    return pa.Table.from_pylist(
+        [_row(block * BLOCK_ROWS + place) for place in range(num_rows)], schema=SCHEMA
+    )
+
+
+def _row(index: int) -> dict:
+    draw = np.random.default_rng(index)
+    fails = index % 4 == 3
+    placed = [True, True, not fails]
+    poses = np.c_[draw.uniform(-0.2, 0.2, (3, 2)), np.full(3, 0.75), np.tile([1.0, 0, 0, 0], (3, 1))]
+    return {
+        "index": index,
+        "is_success": not fails,
+        "is_filled": not fails,
+        "verdict": "displaced" if fails else "stable",
+        "drift": float(draw.uniform(0, 1e-4)),
+        "num_placed": sum(placed),
+        "object_index": [0, 1, 2],
+        "objects": list(NAMES),
+        "is_placed": placed,
+        "poses": poses.astype(np.float32).tolist(),
+        "attempts": [1, 2, 5 if fails else 1],
+        "steps": [30, 60, 60],
+        "rest_steps": [30, 30, 0 if fails else 60],
+        "simulated_steps": 150,
+        **{f"num_{v.label.replace('-', '_')}": 0 for v in COUNTED},
+    }
+
+
+def writer(path, num_scenes: int, recipe=None, objects=None, **kwargs) -> BankWriter:
+    """The real writer of a made-up bank of the trio."""
+    objects = {asset.name: asset for asset in trio()} if objects is None else objects
+    return BankWriter(path, recipe or RECIPE, num_scenes, objects, cuboid_table(), **kwargs)
+
+
+def write(path, num_blocks: int = 2) -> None:
+    """Writes what is missing of a bank of whole blocks."""
+    with writer(path, num_blocks * BLOCK_ROWS) as bank:
+        for block in range(num_blocks):
+            if not bank.has_block(block, BLOCK_ROWS):
+                bank.write_block(block, rows(block))
+
+
+if __name__ == "__main__":
+    write(sys.argv[1], int(sys.argv[2]))
