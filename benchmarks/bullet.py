@@ -10,19 +10,21 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.measures.bullet_world import (
+    BodyFrames,
+    add_object,
+    add_support,
+    body_friction,
+    write_compound,
+)
 from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing
-from cluttergen_jax.physics.rotation import rotate
 from cluttergen_jax.physics.stability import moved
 from cluttergen_jax.types import Settling, Standing, Verdict
 from cluttergen_jax.world import World
@@ -34,44 +36,6 @@ except ImportError:
 
 _PARKING = 20.0
 _Place = tuple[tuple[float, ...], tuple[float, ...]]
-
-
-@dataclass(frozen=True, eq=False)
-class _Frames:
-    """Where each object's principal axes lie in its object frame: PyBullet takes a diagonal inertia only.
-
-    Attributes:
-      center: f64[K, 3]; turn: f64[K, 4] wxyz, the principal frames in the object frames.
-      inertia: f64[K, 3], about the principal axes.
-    """
-
-    center: np.ndarray
-    turn: np.ndarray
-    inertia: np.ndarray
-
-    @staticmethod
-    def of(objects: Sequence[ObjectAsset]) -> _Frames:
-        inertia, axes = np.linalg.eigh(np.stack([asset.inertia for asset in objects]))
-        axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
-        turn = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
-        return _Frames(np.stack([asset.center_of_mass for asset in objects]), turn, inertia)
-
-    def body_poses(self, objects: list[int], poses: np.ndarray) -> np.ndarray:
-        """f64[n, 7], position and quaternion xyzw of bodies, from the objects' poses f[n, 7] (wxyz)."""
-        position = poses[:, :3] + rotate(np, poses[:, 3:], self.center[objects])
-        turn = _product(poses[:, 3:], self.turn[objects])
-        return np.c_[position, turn[:, 1:], turn[:, 0]]
-
-    def object_poses(self, objects: list[int], bodies: np.ndarray) -> np.ndarray:
-        """The inverse of `body_poses`."""
-        turn = _product(bodies[:, [6, 3, 4, 5]], self.turn[objects] * [1, -1, -1, -1])
-        return np.c_[bodies[:, :3] - rotate(np, turn, self.center[objects]), turn]
-
-
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Quaternion products, f[n, 4] wxyz each."""
-    w, v, u, x = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
-    return np.c_[w * u - (v * x).sum(1, keepdims=True), w * x + u * v + np.cross(v, x)]
 
 
 @dataclass(eq=False)
@@ -98,7 +62,7 @@ class BulletPhysics:
     def __init__(self, world: World, config: StabilityConfig, contact: ContactConfig, tuned: bool) -> None:
         self.config, self._contact, self._tuned = config, contact, tuned
         self._world = world
-        self._frames = _Frames.of(world.objects)
+        self._frames = BodyFrames.of(world.objects)
         self._parked = np.tile(np.array([0, 0, 1, 1, 0, 0, 0], np.float32), (world.num_objects, 1))
         self._parked[:, 0] = _PARKING + np.arange(world.num_objects)
         self._clients: list[_Client] = []
@@ -273,61 +237,24 @@ class BulletPhysics:
         client = pybullet.connect(pybullet.DIRECT)
         pybullet.setGravity(0, 0, -self._contact.gravity, physicsClientId=client)
         pybullet.setTimeStep(self.config.timestep, physicsClientId=client)
-        self._add_support(client, self._world.support)
-        bodies = [self._add_object(client, k) for k in range(self._world.num_objects)]
+        friction = body_friction(self._contact)
+        add_support(pybullet, client, self._world.support, friction)
+        bodies = [
+            add_object(pybullet, client, mesh, asset.mass, inertia, friction, is_rigid=self._tuned)
+            for asset, mesh, inertia in zip(
+                self._world.objects, self._meshes, self._frames.inertia, strict=True
+            )
+        ]
         result = _Client(client, bodies, self._parked.copy())
         everyone = list(range(len(bodies)))
         self._put(result, everyone, self._parked)
         self._activate(result, everyone, pybullet.ACTIVATION_STATE_SLEEP)
         return result
 
-    def _add_support(self, client: int, support: SupportAsset) -> None:
-        for box in support.boxes:
-            shape = pybullet.createCollisionShape(
-                pybullet.GEOM_BOX, halfExtents=box.half_extents, physicsClientId=client
-            )
-            turn = pybullet.getQuaternionFromEuler((0, 0, box.yaw))
-            body = pybullet.createMultiBody(0, shape, -1, box.center, turn, physicsClientId=client)
-            pybullet.changeDynamics(body, -1, lateralFriction=self._friction, physicsClientId=client)
-
-    def _add_object(self, client: int, k: int) -> int:
-        asset = self._world.objects[k]
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_MESH, fileName=self._meshes[k], physicsClientId=client
-        )
-        body = pybullet.createMultiBody(
-            asset.mass, shape, useMaximalCoordinates=self._tuned, physicsClientId=client
-        )
-        # Without the mass beside it, the inertia of a rigid body becomes not-a-number.
-        pybullet.changeDynamics(
-            body,
-            -1,
-            mass=asset.mass,
-            localInertiaDiagonal=self._frames.inertia[k].tolist(),
-            lateralFriction=self._friction,
-            physicsClientId=client,
-        )
-        return body
-
-    @property
-    def _friction(self) -> float:
-        """PyBullet multiplies the coefficients of two bodies, MuJoCo takes the larger."""
-        return math.sqrt(self._contact.friction[0])
-
-    def _write(self, index: int, asset: ObjectAsset) -> str:
-        """An OBJ of the object's hulls in its principal frame; PyBullet makes a compound of its groups."""
-        lines: list[str] = []
-        first, back = 1, self._frames.turn[index] * [1, -1, -1, -1]
-        for part in asset.parts:
-            vertices = rotate(np, back, part.vertices - self._frames.center[index])
-            faces = ConvexHull(vertices).simplices + first
-            lines.append(f"o part-{first}")
-            lines += ["v {:.9g} {:.9g} {:.9g}".format(*vertex) for vertex in vertices]
-            lines += ["f {} {} {}".format(*face) for face in faces]
-            first += len(vertices)
+    def _write(self, index: int, asset: ObjectAsset) -> Path:
         path = Path(self._files.name) / f"{index}.obj"
-        path.write_text("\n".join(lines) + "\n")
-        return str(path)
+        write_compound(path, asset, self._frames, index)
+        return path
 
 
 def _places(client: int, bodies: list[int]) -> list[_Place]:
