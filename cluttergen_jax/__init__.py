@@ -1,7 +1,7 @@
 """Cluttered, physically stable, diverse tabletop scenes on JAX and MuJoCo.
 
     sample = cluttergen_jax.make_sampler(pool="dining", num_objects=10)    # sample(key) -> SampledScene
-    bank = cluttergen_jax.load_bank("out")                                 # bank.reset(key) -> SampledScene
+    bank = cluttergen_jax.load_bank("out")                                 # bank.reset(key) -> StoredScene
 
 sampler: both of these. methods: baselines and policies by name.
 problem: from names to a compiled world, its physics and its rules (`make_problem`).
@@ -14,9 +14,16 @@ Below them: world, agent; assets, physics, networks; types, config, errors.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cluttergen_jax.sampler import SampledScene, Sampler, load_bank, make_sampler
+    from cluttergen_jax.sampler import (
+        SampledScene,
+        Sampler,
+        SceneBank,
+        StoredScene,
+        load_bank,
+        make_sampler,
+    )
 
-__all__ = ["SampledScene", "Sampler", "load_bank", "make_sampler"]
+__all__ = ["SampledScene", "Sampler", "SceneBank", "StoredScene", "load_bank", "make_sampler"]
 
 
 def __getattr__(name: str) -> Any:

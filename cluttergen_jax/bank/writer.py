@@ -6,6 +6,7 @@ import io
 import json
 import shutil
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -154,9 +155,9 @@ class BankWriter:
         for name, asset in objects.items():
             folder = root / "objects" / name
             if not _is_sound(folder, asset, hashes["objects"][name]):
-                fill_atomically(folder, lambda path, asset=asset: _write_object(path, asset))
+                fill_atomically(folder, partial(_write_object, asset))
         if _stored_support(root / "support") != hashes["support"]:
-            fill_atomically(root / "support", lambda path: write_support(path, support))
+            fill_atomically(root / "support", partial(write_support, support=support))
 
 
 def _is_json(path: Path) -> bool:
@@ -190,7 +191,7 @@ def _check_same(path: Path, ours: dict[str, Any], theirs: dict[str, Any]) -> Non
         )
 
 
-def _write_object(folder: Path, asset: ObjectAsset) -> None:
+def _write_object(asset: ObjectAsset, folder: Path) -> None:
     write_parts(folder, asset)
     write_object(folder, asset)
 

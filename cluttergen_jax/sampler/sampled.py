@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import jax
+import jax.numpy as jnp
 import jaxlie
 from flax import struct
 
@@ -82,4 +83,5 @@ def sampled_scene(rules: Rules, episode: Episode, num_draws: Array, num_points: 
 def _cloud(rules: Rules, episode: Episode, num_points: int) -> tuple[Array, Array]:
     """f32[N, 3], world frame, and bool[N]."""
     seen = observe(rules, episode, ObservationConfig(num_scene_points=num_points))
-    return jax.vmap(episode.region.T_world_region.apply)(seen["scene_cloud"]), seen["scene_mask"]
+    cloud = jax.vmap(episode.region.T_world_region.apply)(jnp.asarray(seen["scene_cloud"]))
+    return cloud, jnp.asarray(seen["scene_mask"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -11,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.bank import SceneRecord
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.types import Episode, Start
 from cluttergen_jax.problem import Problem
 from cluttergen_jax.sampler.sampled import SampledScene, sampled_scene
 from cluttergen_jax.sampling import BlockSampler
+from cluttergen_jax.scene import Origin, Scene
 from cluttergen_jax.types import Array, Verdict
 
 
@@ -96,22 +97,31 @@ class Sampler:
         """The compiled world's objects, in the order of `SampledScene.object_index`."""
         return self.problem.world.names
 
-    def record(self, scene: SampledScene, index: int = 0) -> SceneRecord:
-        """One scene on the host, as banks, pictures and exports take it.
+    def scene(self, sampled: SampledScene, index: int = 0) -> Scene:
+        """One scene on the host, as pictures, exports and models (`Scene.to_mjspec`) take it.
 
         Args:
-          scene: a scene without leading axes, or a batch of which `index` is taken.
+          sampled: a scene without leading axes, or a batch with one, of which number `index` is taken.
         """
-        if np.ndim(scene.is_success):
-            scene = jax.tree.map(lambda leaf: leaf[index], scene)
-        placed = np.asarray(scene.is_placed)
-        chosen = np.asarray(scene.object_index)[placed]
-        return SceneRecord(
-            index=index,
-            objects=tuple(self.names[each] for each in chosen),
-            poses=np.asarray(scene.poses)[placed],
-            is_success=bool(scene.is_success),
-            verdict=Verdict(int(scene.verdict)).label,
+        if np.ndim(sampled.is_success):
+            sampled = jax.tree.map(lambda leaf: leaf[index], sampled)
+        world, config = self.problem.world, self.problem.config
+        placed = np.asarray(sampled.is_placed)
+        chosen = [int(each) for each in np.asarray(sampled.object_index)[placed]]
+        return Scene(
+            names=tuple(world.names[each] for each in chosen),
+            objects=tuple(world.objects[each] for each in chosen),
+            poses=np.asarray(sampled.poses)[placed],
+            support=world.support,
+            stability=config.stability,
+            contact=config.contact,
+            origin=Origin(
+                index=index,
+                pool=Path(config.pool).name,
+                verdict=Verdict(int(sampled.verdict)).label,
+                is_success=bool(sampled.is_success),
+                drift=float(sampled.drift),
+            ),
         )
 
 
