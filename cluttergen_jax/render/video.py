@@ -1,7 +1,10 @@
-"""Films on disk: GIF always, MP4 with the extra `video`. Files appear whole or not at all."""
+"""Films on disk, whole or not at all: GIF always, MP4 with the extra `video` or the system's ffmpeg."""
 
 from __future__ import annotations
 
+import itertools
+import shutil
+import subprocess
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -19,15 +22,28 @@ def check_format(name: str) -> None:
 
     Raises:
       ConfigError: there is no such format.
-      MissingExtraError: "mp4" without the extra `video`.
+      MissingExtraError: "mp4" without an encoder.
     """
     if name not in FORMATS:
         raise ConfigError(f"film format {name!r}", ", ".join(FORMATS), "gif")
     if name == "mp4":
-        try:
-            import imageio_ffmpeg  # noqa: F401
-        except ImportError as error:
+        find_ffmpeg()
+
+
+def find_ffmpeg() -> str:
+    """The encoder that the extra `video` brings, or the system's own.
+
+    Raises:
+      MissingExtraError: there is neither.
+    """
+    try:
+        import imageio_ffmpeg
+    except ImportError as error:
+        found = shutil.which("ffmpeg")
+        if found is None:
             raise MissingExtraError("video", "writing MP4 (GIF needs no extra)") from error
+        return found
+    return imageio_ffmpeg.get_ffmpeg_exe()
 
 
 def save_film(frames: Iterable[np.ndarray], path: Path, fps: float) -> Path:
@@ -35,7 +51,7 @@ def save_film(frames: Iterable[np.ndarray], path: Path, fps: float) -> Path:
 
     Raises:
       ConfigError: another ending, no frames, or a rate that the format cannot hold.
-      MissingExtraError: .mp4 without the extra `video`.
+      MissingExtraError: .mp4 without an encoder.
     """
     name = path.suffix.removeprefix(".")
     check_format(name)
@@ -71,32 +87,30 @@ def _common_palette(images: list[Image.Image]) -> Image.Image:
 
 
 def _write_mp4(frames: Iterable[np.ndarray], path: Path, fps: float) -> None:
-    import imageio_ffmpeg
-
-    writer = None
-    try:
-        for frame in frames:
-            # H.264 stores colours for blocks of two by two pixels.
-            even = np.ascontiguousarray(frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2])
-            if writer is None:
-                height, width, _ = even.shape
-                writer = imageio_ffmpeg.write_frames(
-                    str(path),
-                    (width, height),
-                    fps=fps,
-                    codec="libx264",
-                    quality=None,
-                    bitrate=None,
-                    macro_block_size=2,
-                    output_params=["-crf", "18", "-movflags", "+faststart"],
-                    ffmpeg_log_level="error",
-                )
-                writer.send(None)
-            writer.send(even)
-    except OSError as error:
-        raise ClutterGenError(f"{path.name} could not be encoded ({error})", hint="--format gif") from error
-    finally:
-        if writer is not None:
-            writer.close()
-    if writer is None:
+    """Feeds raw pictures to ffmpeg: H.264 that every player and every paper's supplement can show."""
+    pictures = iter(frames)
+    first = next(pictures, None)
+    if first is None:
         raise ConfigError("a film without frames", "at least one")
+    # H.264 stores colours for blocks of two by two pixels.
+    height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
+    command = [find_ffmpeg(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
+    command += ["-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "-", "-an", "-c:v", "libx264"]
+    command += ["-crf", "18", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as encoder:
+        assert encoder.stdin is not None
+        assert encoder.stderr is not None
+        try:
+            for frame in itertools.chain([first], pictures):
+                encoder.stdin.write(np.ascontiguousarray(frame[:height, :width]).tobytes())
+            encoder.stdin.close()
+        except BrokenPipeError:
+            # It has said why on its own; that is read below.
+            pass
+        except BaseException:
+            encoder.kill()
+            raise
+        said = encoder.stderr.read().decode(errors="replace").strip()
+    if encoder.returncode:
+        reason = said.splitlines()[-1] if said else f"code {encoder.returncode}"
+        raise ClutterGenError(f"{path.name} could not be encoded: {reason}", hint="--film gif")
