@@ -1,138 +1,231 @@
-"""`cluttergen evaluate`: methods side by side, the same problem and the same budget of attempts for all."""
+"""`cluttergen evaluate`: methods side by side, or a whole suite of tables and figures."""
 
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
-import json
-import math
-import time
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.bank.disk import write_atomically
-from cluttergen_jax.baselines import METHODS as BASELINES
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.methods import checkpoint_of, proposer_of, suited
-from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.problem import ProblemConfig, make_problem
-from cluttergen_jax.sampling import BlockSampler, blocks_of, sample_blocks
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.evaluation.checkpoints import Checkpoints
+from cluttergen_jax.evaluation.document import document
+from cluttergen_jax.evaluation.lab import Lab
+from cluttergen_jax.evaluation.progress import Progress
+from cluttergen_jax.evaluation.report import markdown as study_markdown
+from cluttergen_jax.evaluation.report import write_report
+from cluttergen_jax.evaluation.store import Store, json_bytes
+from cluttergen_jax.evaluation.studies import run_study
+from cluttergen_jax.evaluation.suites import Scale, Study, find_suite
+from cluttergen_jax.evaluation.tables import Table, interval, missing, number, share
+from cluttergen_jax.evaluation.trial import Trial
 
-_Z95 = 1.959964
+_DEFAULT_TRIALS = 1000
 
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Compare methods on pools and supports. Writes table.md, table.csv and results.json.
+    """Compare methods on pools and supports, or make a suite of tables and figures (`--suite`).
+
+    A comparison writes table.md, table.csv, table.tex and results.json; a suite writes Markdown, CSV, LaTeX,
+    JSON and pictures for each of its studies. Every row is kept under `results` in that folder: the same
+    command takes an interrupted one up again.
 
     Attributes:
       methods: random, clear, drop, and trained policies: policy, open_loop, short_memory, normal.
-      checkpoint: the policy's folder, for a single learned method; else the embedded ones are taken.
-      pools: names or folders.
+      checkpoint: the policy's folder, for learned methods; else the embedded ones are taken.
+      checkpoints: a folder of training runs, POOL-VARIANT[-attemptsA][-SEED], instead of the embedded ones.
+      pools: names or folders; dining if not given, and what each study asks for in a suite.
       supports: names or folders; table-0.40x0.50 is a cuboid of that size, all of it the queried region.
       num_objects: objects per scene.
-      trials: scenes per row.
+      trials: scenes per row; 1000 if not given, and what each study asks for in a suite.
       seed: of the scenes.
       attempts: per object.
       repeat: let objects stand there more than once.
-      out: where the tables go.
+      change: how the queried region is changed at random in every episode: none, translation, rotation,
+        shrinkage, expansion or all.
+      suite: paper (its tables and figures) or honest (what it does not ask); methods, supports, num_objects,
+        attempts, repeat and change are then the studies' own.
+      only: names of studies of the suite; all of them if not given.
+      quick: a few trials a row: the whole paper suite in minutes.
+      seeds: training seeds where a table asks for several; those without a checkpoint are left out.
+      engine: auto, native, warp or jax.
+      threads: simulation threads; 0 takes every core.
+      fresh: make rows again that are at hand.
+      out: where everything goes; out/evaluation, or out/SUITE, if not given.
     """
 
     methods: tuple[str, ...] = ("random", "clear", "drop")
     checkpoint: str | None = None
-    pools: tuple[str, ...] = ("dining",)
+    checkpoints: str | None = None
+    pools: tuple[str, ...] = ()
     supports: tuple[str, ...] = ("table",)
     num_objects: int = 10
-    trials: int = 1000
+    trials: int | None = None
     seed: int = 0
     attempts: int = 5
     repeat: bool = False
-    out: str = "out/evaluation"
+    change: str = "none"
+    suite: str | None = None
+    only: tuple[str, ...] = ()
+    quick: bool = False
+    seeds: int = 3
+    engine: str = "auto"
+    threads: int = 0
+    fresh: bool = False
+    out: str | None = None
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        if not 1 <= self.trials <= 1_000_000:
+        if self.trials is not None and not 1 <= self.trials <= 1_000_000:
             raise ConfigError(f"--trials {self.trials}", "1 to 1000000")
-        for pool in self.pools:
-            find_pool(pool)
-        rows = [
-            row_of(self, pool, support, method)
-            for pool in self.pools
-            for support in self.supports
-            for method in self.methods
-        ]
-        print(markdown(rows))
-        out = Path(self.out)
-        write_atomically(out / "table.md", (markdown(rows) + "\n").encode())
-        write_atomically(out / "table.csv", csv_text(rows).encode())
-        write_atomically(out / "results.json", (json.dumps(rows, indent=1) + "\n").encode())
-        return 0
+        if not 1 <= self.seeds <= 100:
+            raise ConfigError(f"--seeds {self.seeds}", "1 to 100")
+        if self.suite is None and (self.only or self.quick):
+            raise ConfigError("--only or --quick without a suite", "--suite paper or --suite honest")
+        return _compare(self) if self.suite is None else _run_suite(self, self.suite)
 
 
-def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """The 95 % interval of a proportion (Wilson, 1927)."""
-    rate, z2 = successes / trials, _Z95**2
-    centre = rate + z2 / (2 * trials)
-    half = _Z95 * math.sqrt(rate * (1 - rate) / trials + z2 / (4 * trials**2))
-    return (centre - half) / (1 + z2 / trials), (centre + half) / (1 + z2 / trials)
+def _lab(args: Evaluate, out: Path, trials: tuple[Trial, ...]) -> Lab:
+    """A lab that knows how much is left to do; what cannot be found is said before anything runs."""
+    checkpoints = Checkpoints(
+        folder=None if args.checkpoints is None else Path(args.checkpoints),
+        path=None if args.checkpoint is None else Path(args.checkpoint),
+    )
+    progress = Progress(0)
+    lab = Lab(
+        Store(out / "results", progress.say), checkpoints, args.engine, args.threads, args.fresh, progress
+    )
+    lab.check(trials)
+    progress.total = sum(trial.num_episodes for trial in dict.fromkeys(trials) if lab.at_hand(trial) is None)
+    return lab
 
 
-def row_of(args: Evaluate, pool: str, support: str, method: str) -> dict[str, Any]:
-    """One row: `args.trials` scenes of one method on one pool and support."""
-    checkpoint = checkpoint_of(method, pool, args.checkpoint if method not in BASELINES else None)
-    placement = suited(PlacementConfig(num_objects=args.num_objects, max_attempts=args.attempts), checkpoint)
-    problem = make_problem(ProblemConfig(pool=pool, support=support, repeat=args.repeat, placement=placement))
-    sampler = BlockSampler(problem.rules, proposer_of(method, checkpoint, problem.rules))
-    started, cpu = time.perf_counter(), time.process_time()
-    title = f"{method} {support}"
-    done = [scenes for _, _, scenes in sample_blocks(sampler, blocks_of(args.trials), args.seed, title)]
-    success = np.concatenate([scenes.is_success for scenes in done])
-    placed = np.concatenate([scenes.is_placed for scenes in done])
-    attempts = np.concatenate([scenes.counts.attempts for scenes in done])
-    simulated = np.concatenate([scenes.counts.simulated_steps for scenes in done])
-    low, high = wilson(int(success.sum()), len(success))
-    valid = max(int(success.sum()), 1)
-    return {
-        "pool": pool,
-        "support": support,
-        "objects": args.num_objects,
-        "method": method,
-        "trials": len(success),
-        "success": float(success.mean()),
-        "low95": low,
-        "high95": high,
-        "filled": float(np.mean(np.concatenate([scenes.is_filled for scenes in done]))),
-        "placed": float(placed.sum(1).mean()),
-        "attempts_per_valid_scene": float(attempts.sum() / valid),
-        "simulated_steps_per_valid_scene": float(simulated.sum() / valid),
-        "valid_scenes_per_cpu_second": float(success.sum() / (time.process_time() - cpu)),
-        "seconds": time.perf_counter() - started,
-    }
-
-
-def markdown(rows: list[dict[str, Any]]) -> str:
-    """The table for people; speeds include compilation."""
-    lines = [
-        "| pool | support | objects | method | success [95 %] | filled | placed "
-        "| attempts per valid scene | valid scenes per CPU-second |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for row in rows:
-        lines.append(
-            f"| {row['pool']} | {row['support']} | {row['objects']} | {row['method']} "
-            f"| {row['success']:.3f} [{row['low95']:.3f}, {row['high95']:.3f}] | {row['filled']:.3f} "
-            f"| {row['placed']:.2f} | {row['attempts_per_valid_scene']:.1f} "
-            f"| {row['valid_scenes_per_cpu_second']:.1f} |"
+def _compare(args: Evaluate) -> int:
+    out = Path(args.out or "out/evaluation")
+    trials = tuple(
+        Trial(
+            pool=pool,
+            support=support,
+            method=method,
+            num_objects=args.num_objects,
+            attempts=args.attempts,
+            trials=args.trials or _DEFAULT_TRIALS,
+            seed=args.seed,
+            repeat=args.repeat,
+            change=args.change,
         )
-    return "\n".join(lines)
+        for pool in args.pools or ("dining",)
+        for support in args.supports
+        for method in args.methods
+    )
+    lab = _lab(args, out, trials)
+    records = [lab.record(trial) for trial in trials]
+    if all("figures" not in record for record in records):
+        raise PoolError(records[0]["missing"], hint=records[0]["hint"])
+    table = comparison(records)
+    print(table.markdown())
+    write_atomically(out / "table.md", (table.markdown() + "\n").encode())
+    write_atomically(out / "table.csv", csv_text([row_of(record) for record in records]).encode())
+    write_atomically(out / "table.tex", table.latex().encode())
+    write_atomically(out / "results.json", json_bytes([row_of(record) for record in records]))
+    return 0
+
+
+def _run_suite(args: Evaluate, suite: str) -> int:
+    out = Path(args.out or f"out/{suite}{'-quick' if args.quick else ''}")
+    studies = find_suite(suite, Scale(args.quick, args.trials, args.seeds, args.pools, args.seed), args.only)
+    # Times are measured in processes of their own, after everything else.
+    lab = _lab(args, out, tuple(t for s in studies if s.measure != "timing" for t in s.trials))
+    results = []
+    for study in studies:
+        result = run_study(lab, study, out, suite, command_of(args, study), args.quick)
+        write_report(result, out)
+        print(study_markdown(result), flush=True)
+        results.append(result)
+    write_atomically(out / "all.md", document(results, link="").encode())
+    print(f"done       {len(results)} studies in {out}")
+    return 0
+
+
+def command_of(args: Evaluate, study: Study) -> str:
+    """What makes one study again."""
+    words = ["python evaluate.py"]
+    for each in dataclasses.fields(args):
+        value = getattr(args, each.name)
+        if each.name in ("only", "out", "fresh") or value == each.default:
+            continue
+        flag = "--" + each.name.replace("_", "-")
+        values = list(value) if isinstance(value, tuple) else [value]
+        words.append(flag if value is True else " ".join([flag, *(shlex.quote(str(v)) for v in values)]))
+    return " ".join([*words, f"--only {study.name}"])
+
+
+def row_of(record: dict[str, Any]) -> dict[str, Any]:
+    """A record as one flat row."""
+    trial, figures = record["trial"], record.get("figures", {})
+    row = {
+        "pool": trial["pool"],
+        "support": trial["support"],
+        "objects": trial["num_objects"],
+        "method": trial["method"],
+        "trials": trial["trials"],
+    }
+    names = (
+        "success",
+        "low95",
+        "high95",
+        "filled",
+        "placed",
+        "attempts_per_valid_scene",
+        "simulated_steps_per_valid_scene",
+        "valid_scenes_per_cpu_second",
+        "valid_scenes_per_second",
+        "seconds",
+        "compile_seconds",
+    )
+    return row | {name: figures.get(name) for name in names} | {"missing": record.get("missing")}
+
+
+def comparison(records: list[dict[str, Any]]) -> Table:
+    """The table for people; speeds leave compilation out."""
+    columns = (
+        "pool",
+        "support",
+        "objects",
+        "method",
+        "success [95 %]",
+        "filled",
+        "placed",
+        "attempts per valid scene",
+        "valid scenes per CPU-second",
+    )
+    rows = []
+    for record in records:
+        row = row_of(record)
+        head = (row["pool"], row["support"], str(row["objects"]), row["method"])
+        if row["missing"]:
+            rows.append((*head, missing(record), *["-"] * 4))
+            continue
+        rows.append(
+            (
+                *head,
+                interval(row["success"], row["low95"], row["high95"]),
+                share(row["filled"]),
+                number(row["placed"], 2),
+                number(row["attempts_per_valid_scene"]) if row["success"] else "-",
+                number(row["valid_scenes_per_cpu_second"]),
+            )
+        )
+    return Table(f"{records[0]['trial']['trials']} trials a row", columns, tuple(rows))
 
 
 def csv_text(rows: list[dict[str, Any]]) -> str:
-    """The same with all digits."""
+    """Flat rows with all digits."""
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(rows[0]))
     writer.writeheader()

@@ -1,0 +1,109 @@
+"""Where the policy behind a row lies: embedded, in a folder of training runs, or one that was named."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from cluttergen_jax.agent.checkpoint import read_record
+from cluttergen_jax.baselines import METHODS as BASELINES
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.methods import METHODS, checkpoint_of
+from cluttergen_jax.training.presets import VARIANTS
+
+ATTEMPTS = 5
+"""What policies are trained with unless their name says otherwise."""
+
+
+class MissingCheckpointError(PoolError):
+    """A row's policy has not been trained; `hint` is the command that does it."""
+
+
+@dataclass(frozen=True)
+class Checkpoints:
+    """Finds policies.
+
+    Attributes:
+      folder: of training runs, POOL-VARIANT[-attemptsA][-SEED], each with its `policy`; None takes embedded
+        checkpoints.
+      path: the one checkpoint of all learned methods; goes before everything else.
+    """
+
+    folder: Path | None = None
+    path: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.folder is not None and not self.folder.is_dir():
+            raise ConfigError(
+                f"--checkpoints {self.folder}",
+                "a folder of training runs, such as runs",
+                "python train.py, which makes runs/POOL-VARIANT-SEED",
+            )
+
+    def find(self, trial: Trial) -> Path | None:
+        """The folder of the trial's policy; None for a baseline.
+
+        Raises:
+          MissingCheckpointError: there is none, or it was trained with other attempts per object.
+          ConfigError: there is no such method.
+          PoolError: the checkpoint is damaged.
+        """
+        if trial.method not in METHODS or trial.method in BASELINES:
+            return checkpoint_of(trial.method, trial.pool)
+        path = self.path or self._in_folder(trial) or self._embedded(trial)
+        if path is None:
+            raise MissingCheckpointError(
+                f"no checkpoint for method {trial.method!r} on pool {trial.pool!r}", hint=train_command(trial)
+            )
+        trained = read_record(path)["placement"]["max_attempts"]
+        if trained != trial.attempts:
+            raise MissingCheckpointError(
+                f"the checkpoint of {trial.method!r} on {trial.pool!r} was trained with {trained} attempts",
+                hint=train_command(trial),
+            )
+        return path
+
+    def run_folder(self, trial: Trial) -> Path | None:
+        """The training run behind a learned trial, with its progress; None if it is not there."""
+        for name in _names(trial):
+            if self.folder is not None and (self.folder / name / "progress.csv").is_file():
+                return self.folder / name
+        return None
+
+    def _in_folder(self, trial: Trial) -> Path | None:
+        if self.folder is None:
+            return None
+        places = [self.folder / name / inner for name in _names(trial) for inner in ("policy", "")]
+        return next((place for place in places if (place / "weights.npz").is_file()), None)
+
+    def _embedded(self, trial: Trial) -> Path | None:
+        """The embedded ones are of training seed 0; a given folder hides them."""
+        if self.folder is not None or trial.training_seed != 0 or trial.attempts != ATTEMPTS:
+            return None
+        try:
+            return checkpoint_of(trial.method, trial.pool)
+        except PoolError:
+            return None
+
+
+def _names(trial: Trial) -> list[str]:
+    """Run folders that a trial's policy may be in, the likeliest first."""
+    pool = Path(trial.pool).name
+    # Methods that are no variant of the network act with the weights of the full method.
+    variants = dict.fromkeys((trial.method, trial.method if trial.method in VARIANTS else "policy"))
+    attempts = "" if trial.attempts == ATTEMPTS else f"-attempts{trial.attempts}"
+    stems = [f"{pool}-{variant}{attempts}" for variant in variants]
+    names = [f"{stem}-{trial.training_seed}" for stem in stems]
+    return names + (stems if trial.training_seed == 0 else [])
+
+
+def train_command(trial: Trial) -> str:
+    """The command that trains what a row lacks."""
+    variant = trial.method if trial.method in VARIANTS else "policy"
+    words = [f"python train.py --pool {trial.pool} --variant {variant}"]
+    if trial.training_seed:
+        words.append(f"--seed {trial.training_seed}")
+    if trial.attempts != ATTEMPTS:
+        words.append(f"--attempts {trial.attempts} --out runs/{_names(trial)[0]}")
+    return " ".join(words)

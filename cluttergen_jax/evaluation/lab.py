@@ -1,0 +1,238 @@
+"""The place where trials are run: problems, programs, policies and results at hand, each made once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from cluttergen_jax.agent.checkpoint import read_record
+from cluttergen_jax.assets.pool import Pool, find_pool
+from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.evaluation.changes import draw_region, find_change
+from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError
+from cluttergen_jax.evaluation.episodes import Outcome, run_episodes
+from cluttergen_jax.evaluation.machine import versions
+from cluttergen_jax.evaluation.patience import PatientPhysics, PatientRules
+from cluttergen_jax.evaluation.programs import Programs
+from cluttergen_jax.evaluation.progress import Progress
+from cluttergen_jax.evaluation.record import arrays_of, figures_of
+from cluttergen_jax.evaluation.store import Store
+from cluttergen_jax.evaluation.trial import Trial, key_of
+from cluttergen_jax.methods import checkpoint_hash, proposer_of, suited
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.problem import Problem, ProblemConfig, compose
+from cluttergen_jax.sampling import BlockSampler
+from cluttergen_jax.types import Array
+
+Record = dict[str, Any]
+
+
+@dataclass(eq=False)
+class Lab:
+    """Runs trials and remembers them.
+
+    Attributes:
+      store: results on disk.
+      checkpoints: where policies are.
+      engine: "auto", "native", "warp" or "jax"; num_threads: of the native engine, 0 for every core.
+      is_fresh: do not use results at hand.
+      progress: where it is shown.
+    """
+
+    store: Store
+    checkpoints: Checkpoints = field(default_factory=Checkpoints)
+    engine: str = "auto"
+    num_threads: int = 0
+    is_fresh: bool = False
+    progress: Progress = field(default_factory=lambda: Progress(0))
+
+    def __post_init__(self) -> None:
+        self.programs = Programs()
+        self._pools: dict[str, Pool] = {}
+        self._supports: dict[str, SupportAsset] = {}
+        self._made: set[str] = set()
+
+    def check(self, trials: Iterable[Trial]) -> None:
+        """Raises for whatever no trial may name: pools, supports and methods that do not exist."""
+        for trial in trials:
+            self.pool(trial.pool)
+            self.support(trial.support)
+            try:
+                self.checkpoints.find(trial)
+            except MissingCheckpointError:
+                continue
+
+    def pool(self, name: str) -> Pool:
+        """`find_pool`, once."""
+        if name not in self._pools:
+            self._pools[name] = find_pool(name)
+        return self._pools[name]
+
+    def support(self, name: str) -> SupportAsset:
+        """`find_support`, once."""
+        if name not in self._supports:
+            self._supports[name] = find_support(name)
+        return self._supports[name]
+
+    def at_hand(self, trial: Trial) -> Record | None:
+        """The trial's result, if it was made before (or cannot be made for want of a checkpoint)."""
+        try:
+            sources = self.sources(trial)
+        except MissingCheckpointError as error:
+            return {"trial": asdict(trial), "missing": error.given, "hint": error.hint}
+        key = key_of(trial, sources)
+        if self.is_fresh and key not in self._made:
+            return None
+        return self.store.read(trial.title, key)
+
+    def record(self, trial: Trial) -> Record:
+        """The trial's result: from disk, or made now.
+
+        Returns:
+          `trial`, `sources`, `policy` and `figures` (`record.figures_of`; `paper` among them is the looser
+          count); or `trial`, `missing` and `hint` if its checkpoint is missing.
+        """
+        known = self.at_hand(trial)
+        if known is not None:
+            return known
+        self.progress.begin(trial.title)
+        strict = self.run(trial, judge_neighbours=True)
+        figures = figures_of(strict)
+        if trial.paper_count:
+            loose = self.run(trial, judge_neighbours=False)
+            figures["paper"] = figures_of(loose, has_last_check=False)
+        sources = self.sources(trial)
+        key = key_of(trial, sources)
+        record = {
+            "trial": asdict(trial),
+            "sources": sources,
+            "policy": self._policy(trial),
+            "figures": figures,
+        }
+        stored = self.store.write(trial.title, key, record, arrays_of(strict))
+        self._made.add(key)
+        self.progress.finish(f"success {figures['success']:.3f}, {figures['placed']:.2f} objects placed")
+        return stored
+
+    def arrays(self, trial: Trial) -> dict[str, np.ndarray]:
+        """The scenes and attempts of a trial (`record.arrays_of`), made now if they are not there.
+
+        Raises:
+          MissingCheckpointError: its policy has not been trained.
+        """
+        key = key_of(trial, self.sources(trial))
+        self.record(trial)
+        arrays = self.store.read_arrays(trial.title, key)
+        if arrays is None:
+            self.store.path(trial.title, key).unlink(missing_ok=True)
+            self.record(trial)
+            arrays = self.store.read_arrays(trial.title, key)
+        assert arrays is not None, f"{self.store.root}: what was just written cannot be read"
+        return arrays
+
+    def sources(self, trial: Trial) -> dict[str, Any]:
+        """Hashes of what a trial is about, and versions: all that decides its result beside the trial."""
+        checkpoint = self.checkpoints.find(trial)
+        return {
+            "pool": self.pool(trial.pool).hash,
+            "support": _support_hash(self.support(trial.support)),
+            "checkpoint": checkpoint and checkpoint_hash(checkpoint),
+            "engine": self.engine,
+            "versions": versions(),
+        }
+
+    def problem(self, trial: Trial, judge_neighbours: bool = True) -> Problem:
+        """The trial's compiled world and rules, ready for shared programs."""
+        checkpoint = self.checkpoints.find(trial)
+        placement = PlacementConfig(num_objects=trial.num_objects, max_attempts=trial.attempts)
+        is_cut = checkpoint is None or read_record(checkpoint)["stability"]["stop_when_decided"]
+        config = ProblemConfig(
+            pool=trial.pool,
+            repeat=trial.repeat,
+            support=trial.support,
+            region=self._largest_region(trial),
+            engine=self.engine,
+            num_threads=self.num_threads,
+            placement=suited(placement, checkpoint),
+            stability=StabilityConfig(
+                stop_when_decided=is_cut and not trial.whole_attempts, judge_neighbours=judge_neighbours
+            ),
+        )
+        problem = compose(self.pool(trial.pool).objects, self.support(trial.support), config)
+        physics = self.programs.switched(problem.rules.physics)
+        rules = replace(problem.rules, physics=physics)
+        if is_cut and trial.whole_attempts:
+            rules = PatientRules(**vars(rules) | {"physics": PatientPhysics(physics)})
+        return replace(problem, rules=rules)
+
+    def sampler(self, trial: Trial, problem: Problem) -> BlockSampler:
+        """The trial's method in its problem."""
+        propose = proposer_of(trial.method, self.checkpoints.find(trial), problem.rules)
+        return BlockSampler(problem.rules, propose, self._begin(trial, problem.rules))
+
+    def run(self, trial: Trial, judge_neighbours: bool = True) -> Outcome:
+        """The trial's episodes, without a look at results at hand."""
+        problem = self.problem(trial, judge_neighbours)
+        sampler = self.sampler(trial, problem)
+        return run_episodes(self.programs, sampler, trial.trials, trial.seed, self.progress.add)
+
+    def base_region(self, trial: Trial) -> Rectangle:
+        """The trial's region before any change."""
+        own = self.support(trial.support).region
+        if trial.region is None:
+            return own
+        return Rectangle(own.center, (trial.region[0] / 2, trial.region[1] / 2), own.yaw)
+
+    def _policy(self, trial: Trial) -> Record | None:
+        """How the trial's policy was trained; None for a baseline."""
+        checkpoint = self.checkpoints.find(trial)
+        if checkpoint is None:
+            return None
+        names = ("variant", "preset", "seed", "attempts", "pool")
+        return {name: value for name, value in read_record(checkpoint).items() if name in names}
+
+    def _largest_region(self, trial: Trial) -> Rectangle:
+        """The region that the problem is made for: height maps have to hold the largest that is drawn."""
+        base, bounds = self.base_region(trial), self.support(trial.support).region
+        expansion = find_change(trial.change).expansion
+        half = [min(side + expansion, max(bounds.half_extents)) for side in base.half_extents]
+        return replace(base, half_extents=(half[0], half[1])) if expansion else base
+
+    def _begin(self, trial: Trial, rules: Rules) -> partial[Episode] | None:
+        """How an episode begins where the region is changed; None where `rules.begin` does."""
+        if trial.change == "none":
+            return None
+        support = self.support(trial.support)
+        draw = partial(
+            draw_region,
+            change=find_change(trial.change),
+            base=self.base_region(trial),
+            bounds=support.region,
+            top=support.top,
+        )
+        return partial(_begin_changed, rules, draw)
+
+
+def _begin_changed(rules: Rules, draw: Any, key: Array) -> Episode:
+    # The episode's own key stays as it is, so that orders are those of the unchanged region.
+    return rules.begin(key, region=draw(jax.random.fold_in(key, 1)))
+
+
+def _support_hash(support: SupportAsset) -> str:
+    facts = {
+        "boxes": [asdict(box) for box in support.boxes],
+        "top": support.top,
+        "region": asdict(support.region),
+    }
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,69 @@
+"""A study's result as files: JSON, Markdown, CSV and LaTeX."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from cluttergen_jax.bank.disk import write_atomically
+from cluttergen_jax.evaluation.layouts import LAYOUTS
+from cluttergen_jax.evaluation.machine import sentence
+from cluttergen_jax.evaluation.store import json_bytes
+from cluttergen_jax.evaluation.tables import Table
+
+Result = dict[str, Any]
+
+
+def tables_of(result: Result) -> list[Table]:
+    """The study's tables; if it is quick, their titles say so."""
+    tables = LAYOUTS[result["layout"]](result)
+    return [Table(_title(result, table.title), table.columns, table.rows, table.notes) for table in tables]
+
+
+def _title(result: Result, title: str) -> str:
+    if not result["quick"]:
+        return title
+    trials = " or ".join(str(each) for each in result["trials"])
+    return f"{title} (quick: {trials} trials a row instead of {result['size']})"
+
+
+def provenance(result: Result) -> str:
+    """How the figures came about, in one paragraph."""
+    trials = " or ".join(f"{each:,}" for each in result["trials"])
+    return (
+        f"`{result['command']}`, {trials} trials a row, {result['date']}, on {sentence(result['machine'])}."
+    )
+
+
+def markdown(result: Result, level: int = 2, link: str = "") -> str:
+    """The study for people.
+
+    Args:
+      level: of its heading.
+      link: what comes before the names of pictures.
+    """
+    lines = [f"{'#' * level} {_title(result, result['title'])}", ""]
+    tables = tables_of(result)
+    for table in tables:
+        if len(tables) > 1:
+            lines += [f"**{table.title}**", ""]
+        lines += [table.markdown(), ""]
+    measure = result["measure"]
+    notes = [] if tables or not measure else [f"- {note}" for note in measure["notes"]]
+    lines += [*notes, ""] if notes else []
+    for name in result["pictures"]:
+        if name.endswith(".png"):
+            lines += [f"![{result['title']}]({link}{name})", ""]
+    return "\n".join([*lines, provenance(result), ""])
+
+
+def write_report(result: Result, folder: Path) -> None:
+    """NAME.json, NAME.md, and NAME.csv and NAME.tex, numbered where a study has more than one table."""
+    stem = folder / result["name"]
+    write_atomically(stem.with_suffix(".json"), json_bytes(result))
+    write_atomically(stem.with_suffix(".md"), markdown(result, level=1).encode())
+    tables = tables_of(result)
+    for place, table in enumerate(tables):
+        name = result["name"] if len(tables) == 1 else f"{result['name']}-{place + 1}"
+        write_atomically(folder / f"{name}.csv", table.csv().encode())
+        write_atomically(folder / f"{name}.tex", table.latex().encode())

@@ -1,0 +1,86 @@
+"""Results on disk: one JSON file per row, and its scenes beside it; found again by content."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cluttergen_jax.bank.disk import write_atomically
+
+FORMAT = 1
+
+
+class Store:
+    """A folder of results.
+
+    A file that cannot be read is set aside as `NAME.damaged` and its row is made anew.
+
+    Args:
+      root: made when something is written.
+      show: told what is wrong with a file.
+    """
+
+    def __init__(self, root: Path, show: Any = print) -> None:
+        self.root, self._show = root, show
+
+    def path(self, title: str, key: str) -> Path:
+        """Where a result lies; its title is for people, its key decides."""
+        words = re.sub(r"[^a-z0-9.]+", "-", title.lower()).strip("-")
+        return self.root / f"{words}-{key}.json"
+
+    def read(self, title: str, key: str) -> dict[str, Any] | None:
+        """The result, or None if there is none that can be used."""
+        path = self.path(title, key)
+        try:
+            record = json.loads(path.read_text(encoding="utf-8"))
+            if record["format"] == FORMAT and record["key"] == key and "figures" in record:
+                return record
+            problem = "it is not the result that its name says"
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            problem = f"{type(error).__name__}: {error}"
+        self._set_aside(path, problem)
+        return None
+
+    def read_arrays(self, title: str, key: str) -> dict[str, np.ndarray] | None:
+        """The result's scenes, or None if they are not there."""
+        path = self.path(title, key).with_suffix(".npz")
+        try:
+            with np.load(path, allow_pickle=False) as stored:
+                return {name: stored[name] for name in stored.files}
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            self._set_aside(path, f"{type(error).__name__}: {error}")
+            return None
+
+    def write(
+        self, title: str, key: str, record: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
+    ) -> dict[str, Any]:
+        """Stores a result, its scenes first: where the JSON is, they are too. Returns what was stored."""
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
+        path = self.path(title, key)
+        write_atomically(path.with_suffix(".npz"), buffer.getvalue())
+        stored = {"format": FORMAT, "key": key, **record}
+        write_atomically(path, json_bytes(stored))
+        return stored
+
+    def _set_aside(self, path: Path, problem: str) -> None:
+        aside = path.with_name(f"{path.name}.damaged")
+        os.replace(path, aside)
+        self._show(f"note: {path} cannot be used ({problem}); set aside as {aside.name} and made anew")
+
+
+def json_bytes(value: Any) -> bytes:
+    """JSON as it is written everywhere here: one form for one value."""
+    return (json.dumps(value, indent=1, allow_nan=False) + "\n").encode()

@@ -1,0 +1,83 @@
+"""Running a study: its trials, its measure, its plots; the result is plain JSON."""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from cluttergen_jax.bank.disk import write_atomically
+from cluttergen_jax.evaluation.checkpoints import MissingCheckpointError
+from cluttergen_jax.evaluation.lab import Lab
+from cluttergen_jax.evaluation.machine import machine
+from cluttergen_jax.evaluation.measuring import MEASURES
+from cluttergen_jax.evaluation.plots import PLOTS
+from cluttergen_jax.evaluation.store import FORMAT, json_bytes
+from cluttergen_jax.evaluation.suites import Study
+from cluttergen_jax.evaluation.trial import key_of
+
+Result = dict[str, Any]
+
+
+def run_study(lab: Lab, study: Study, folder: Path, suite: str, command: str, quick: bool) -> Result:
+    """Runs what is not at hand.
+
+    Args:
+      folder: where pictures go; results of measures lie in its `results`, beside those of trials.
+      command: what a reader would type to make the study again.
+      quick: fewer trials were made than the study asks for, on purpose.
+    """
+    lab.progress.say(f"{study.name}: {study.title}")
+    needs_records = not study.measure or study.measure == "renders"
+    records = [lab.record(trial) for trial in study.trials] if needs_records else []
+    measured = _measured(lab, study, folder) if study.measure else None
+    layout = study.layout or study.name
+    made = [record for record in records if "figures" in record]
+    pictures = list(measured["pictures"]) if measured else []
+    if made and layout in PLOTS:
+        pictures += PLOTS[layout](made, folder / study.name)
+    return {
+        "format": FORMAT,
+        "suite": suite,
+        "name": study.name,
+        "title": study.title,
+        "layout": layout,
+        "command": command,
+        "quick": quick,
+        "size": study.size,
+        "trials": sorted({trial.trials for trial in study.trials}),
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "machine": machine(),
+        "records": records,
+        "measure": measured,
+        "pictures": pictures,
+    }
+
+
+def _measured(lab: Lab, study: Study, folder: Path) -> dict[str, Any]:
+    """The measure's findings: those at hand if they are of the same trials, else made now."""
+    key, title = _measure_key(lab, study), f"measure {study.name}"
+    path = lab.store.path(title, key)
+    stored = None if lab.is_fresh else lab.store.read(title, key)
+    if stored and all((folder / name).is_file() for name in stored["figures"]["pictures"]):
+        return stored["figures"]
+    lab.progress.begin(f"measuring {study.name}")
+    figures = MEASURES[study.measure](lab, study, folder)
+    write_atomically(path, json_bytes({"format": FORMAT, "key": key, "figures": figures}))
+    return json.loads(json.dumps(figures))
+
+
+def _measure_key(lab: Lab, study: Study) -> str:
+    """Equal for equal trials of equal content, checkpoints that are missing included."""
+    parts: list[Any] = [study.measure]
+    for trial in study.trials:
+        try:
+            parts.append(key_of(trial, lab.sources(trial)))
+        except MissingCheckpointError as error:
+            parts.append([asdict(trial), str(error)])
+        run = lab.checkpoints.run_folder(trial) if study.measure == "learning_curves" else None
+        parts.append(run and (run / "progress.csv").stat().st_mtime_ns)
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]

@@ -1,0 +1,78 @@
+"""What one row of a table asks: a method, objects on a support, judged how, and how often."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation.changes import find_change
+
+MAX_TRIALS = 1_000_000
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One row.
+
+    Attributes:
+      pool, support: names or folders.
+      method: a name of `methods.METHODS`.
+      num_objects: objects per scene; attempts: per object.
+      trials: scenes.
+      seed: of the scenes; training_seed: of the checkpoint, for learned methods.
+      region: the sides of the queried region in metres, at the middle of the support's own; None takes that.
+      change: how the region is changed at random in every episode (`changes.CHANGES`).
+      repeat: let objects stand there more than once.
+      whole_attempts: run attempts to step 240 even when they can no longer succeed, so that stable steps are
+        counted as the paper counts them. Verdicts are the same.
+      paper_count: run it a second time with the paper's looser count (only the object in hand is judged, the
+        others are put back by hand, no last check).
+    """
+
+    pool: str = "dining"
+    support: str = "table"
+    method: str = "random"
+    num_objects: int = 10
+    attempts: int = 5
+    trials: int = 1000
+    seed: int = 0
+    training_seed: int = 0
+    region: tuple[float, float] | None = None
+    change: str = "none"
+    repeat: bool = False
+    whole_attempts: bool = False
+    paper_count: bool = False
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.trials <= MAX_TRIALS:
+            raise ConfigError(f"{self.trials} trials", f"1 to {MAX_TRIALS}", "--trials 1000")
+        if not 0 <= self.seed < 2**32:
+            raise ConfigError(f"seed {self.seed}", "0 to 4294967295")
+        find_change(self.change)
+
+    @property
+    def num_episodes(self) -> int:
+        """Scenes to be made, both counts together."""
+        return self.trials * (2 if self.paper_count else 1)
+
+    @property
+    def title(self) -> str:
+        """For progress and file names."""
+        words = [self.pool.rstrip("/").split("/")[-1], self.support.rstrip("/").split("/")[-1], self.method]
+        words += [f"seed {self.training_seed}"] if self.training_seed else []
+        words += [self.change] if self.change != "none" else []
+        return " ".join([*words, f"{self.num_objects} objects", f"{self.attempts} attempts"])
+
+
+def key_of(trial: Trial, sources: dict[str, Any]) -> str:
+    """A result's name: equal for equal questions about equal content, wherever it lies.
+
+    Args:
+      sources: hashes of what the trial names (pool, support, checkpoint) and versions.
+    """
+    asked = {name: value for name, value in asdict(trial).items() if name not in ("pool", "support")}
+    text = json.dumps({"trial": asked, "sources": sources}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:20]
