@@ -15,7 +15,7 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.scene import Origin, Scene
 from cluttergen_jax.world import base_name
 
-_Config = TypeVar("_Config", StabilityConfig, ContactConfig)
+_Config = TypeVar("_Config", bound=StabilityConfig | ContactConfig)
 
 
 def chosen_records(bank: Bank, indices: Sequence[int] | None = None) -> list[SceneRecord]:
@@ -84,7 +84,9 @@ def _named(path: str) -> str:
 def _config(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Config:
     known = {field.name for field in fields(kind)}
     try:
-        plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items() if key in known}
+        plain: dict[str, Any] = {
+            key: tuple(v) if isinstance(v, list) else v for key, v in values.items() if key in known
+        }
         return kind(**plain)
     except (TypeError, AttributeError) as error:
         raise BankError(f"{path}: the record of how it was made is damaged ({error})") from error

@@ -66,7 +66,7 @@ def _text(values: Sequence[float] | np.ndarray) -> str:
 
 
 def _add_options(root: ET.Element, stability: StabilityConfig, contact: ContactConfig) -> None:
-    ET.SubElement(
+    option = ET.SubElement(
         root,
         "option",
         timestep=repr(stability.timestep),
@@ -76,6 +76,8 @@ def _add_options(root: ET.Element, stability: StabilityConfig, contact: ContactC
         iterations=str(contact.iterations),
         noslip_iterations=str(contact.noslip_iterations),
     )
+    # Older MuJoCo (3.3) makes one contact of two faces unless it is told otherwise, and scenes creep.
+    ET.SubElement(option, "flag", multiccd="enable")
     ET.SubElement(
         ET.SubElement(root, "default"),
         "geom",

@@ -1,0 +1,179 @@
+"""An export as a folder that stands by itself, written whole or not at all.
+
+README.txt                  how to open it
+MANIFEST.json LICENSES.txt  origin, poses and terms
+assets/objects/NAME/ assets/support/   meshes and models, once
+scenes/000000.ENDING        a file per scene
+"""
+
+from __future__ import annotations
+
+import importlib.resources
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.export.formats import Format, find_format
+from cluttergen_jax.export.manifest import (
+    LICENCES,
+    MANIFEST,
+    licences_text,
+    manifest,
+    scene_record,
+    support_hash,
+)
+from cluttergen_jax.export.meshes import SUPPORT_FOLDER, object_folder
+from cluttergen_jax.scene import Scene
+
+
+def export_scenes(
+    scenes: Iterable[Scene], out: str | Path, format: str = "mjcf", *, overwrite: bool = False
+) -> Path:
+    """Writes scenes as a self-contained folder.
+
+    Args:
+      scenes: at least one; they share support, contact parameters and time step.
+      out: a folder that does not exist yet.
+      format: a key of `FORMATS`.
+      overwrite: replace an earlier export that is there.
+
+    Returns:
+      The folder.
+
+    Raises:
+      ConfigError: no such format, no scenes, scenes that do not go together, or `out` exists.
+      MissingExtraError: the format needs a package that is not installed.
+    """
+    kind, out = find_format(format), Path(out)
+    _check_place(out, overwrite)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    fresh = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    try:
+        _Folder(fresh, kind).write(scenes)
+        fresh.chmod(0o755)
+        _swap(fresh, out)
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+    return out
+
+
+def _check_place(out: Path, overwrite: bool) -> None:
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return
+    if not overwrite:
+        raise ConfigError(
+            f"{out} exists", "a new folder", "another --out, or --overwrite for an earlier export"
+        )
+    if not (out / MANIFEST).is_file():
+        raise ConfigError(
+            f"{out} exists and is no export", "a new folder, or an earlier export", "another --out"
+        )
+
+
+def _swap(fresh: Path, out: Path) -> None:
+    aside = fresh.with_name(fresh.name + "-old")
+    if out.exists():
+        os.rename(out, aside)
+    os.rename(fresh, out)
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+class _Folder:
+    """The folder while it grows."""
+
+    def __init__(self, path: Path, kind: Format) -> None:
+        self._path, self._kind = path, kind
+        self._assets: dict[str, ObjectAsset] = {}
+        self._records: list[dict[str, Any]] = []
+        self._first: Scene | None = None
+
+    def write(self, scenes: Iterable[Scene]) -> None:
+        """Writes everything."""
+        (self._path / "scenes").mkdir()
+        for scene in scenes:
+            self._add(scene)
+        if self._first is None:
+            raise ConfigError("an export of no scenes", "one scene or more")
+        self._add_papers(self._first)
+
+    def _add(self, scene: Scene) -> None:
+        if self._first is None:
+            self._first = scene
+            if self._kind.write_support:
+                folder = self._made(SUPPORT_FOLDER)
+                self._kind.write_support(folder, scene.support, scene.contact)
+        _check_alike(self._first, scene)
+        for asset in scene.assets.values():
+            self._add_asset(asset, scene)
+        file = f"scenes/{self._number(scene):06d}.{self._kind.ending}"
+        self._kind.write_scene(self._path / file, scene)
+        self._records.append(scene_record(scene, file))
+
+    def _number(self, scene: Scene) -> int:
+        taken = {record["file"].split("/")[1].split(".")[0] for record in self._records}
+        if f"{scene.origin.index:06d}" not in taken:
+            return scene.origin.index
+        return max(int(each) for each in taken) + 1
+
+    def _add_asset(self, asset: ObjectAsset, scene: Scene) -> None:
+        known = self._assets.setdefault(asset.name, asset)
+        if known is not asset and object_hash(known) != object_hash(asset):
+            raise ConfigError(f"two different objects called {asset.name!r}", "scenes of one bank")
+        folder = self._path / object_folder(asset.name)
+        if self._kind.write_object and not folder.exists():
+            self._kind.write_object(self._made(object_folder(asset.name)), asset, scene.contact)
+
+    def _made(self, folder: str) -> Path:
+        (self._path / folder).mkdir(parents=True)
+        return self._path / folder
+
+    def _add_papers(self, first: Scene) -> None:
+        assets = list(self._assets.values())
+        record = manifest(self._kind.name, _version(), assets, first, self._records)
+        self._save(MANIFEST, json.dumps(record, indent=1) + "\n")
+        self._save(LICENCES, licences_text(first.support, assets, self._kind.script))
+        self._save("README.txt", _readme(self._kind, len(self._records)))
+        if self._kind.script:
+            scripts = importlib.resources.files("cluttergen_jax.export") / "scripts"
+            self._save(self._kind.script, (scripts / self._kind.script).read_text(encoding="utf-8"))
+
+    def _save(self, name: str, text: str) -> None:
+        (self._path / name).write_text(text, encoding="utf-8")
+
+
+def _check_alike(first: Scene, scene: Scene) -> None:
+    alike = first is scene or (
+        first.contact == scene.contact
+        and first.stability.timestep == scene.stability.timestep
+        and (first.support is scene.support or support_hash(first.support) == support_hash(scene.support))
+    )
+    if not alike:
+        raise ConfigError(
+            "scenes of different supports, contacts or time steps",
+            "scenes of one bank",
+            "one export for each",
+        )
+
+
+def _version() -> str:
+    try:
+        return version("cluttergen_jax")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _readme(kind: Format, num_scenes: int) -> str:
+    return (
+        f"{num_scenes} tabletop scenes, exported by cluttergen_jax as {kind.name}.\n\n"
+        f"Open with {kind.opens_in}\n\n"
+        f"{MANIFEST}: how each scene came about, poses, masses and hashes. {LICENCES}: terms.\n"
+        "Metres, kilograms, z up, origin on the floor below the support.\n"
+    )

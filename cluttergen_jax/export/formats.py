@@ -1,0 +1,195 @@
+"""What scenes can be exported as: for each format who writes objects, the support and scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.export.glb import glb_bytes
+from cluttergen_jax.export.maniskill import maniskill_json
+from cluttergen_jax.export.meshes import write_object_meshes, write_support_meshes
+from cluttergen_jax.export.mjcf import mjcf_text
+from cluttergen_jax.export.placement import placement_json
+from cluttergen_jax.export.robosuite import object_xml, support_xml
+from cluttergen_jax.export.sdf import sdf_text
+from cluttergen_jax.export.urdf import object_urdf, support_urdf
+from cluttergen_jax.scene import Scene
+
+WriteObject = Callable[[Path, ObjectAsset, ContactConfig], None]
+WriteSupport = Callable[[Path, SupportAsset, ContactConfig], None]
+WriteScene = Callable[[Path, Scene], None]
+
+
+def _nothing() -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class Format:
+    """One way to write scenes.
+
+    Attributes:
+      name: as on the command line.
+      opens_in: who reads it, and how, in a sentence for the folder's README.
+      ending: of a scene's file in `scenes/`.
+      write_object, write_support: write what all scenes share into a folder; None where a scene holds all.
+      write_scene: writes a scene's file.
+      script: a stand-alone loader that travels along, in `export/scripts`; "" for none.
+      require: raises MissingExtraError if a package that the format needs is not installed.
+    """
+
+    name: str
+    opens_in: str
+    ending: str
+    write_object: WriteObject | None
+    write_support: WriteSupport | None
+    write_scene: WriteScene
+    script: str = ""
+    require: Callable[[], None] = _nothing
+
+
+def _meshes_only(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
+    write_object_meshes(folder, asset)
+
+
+def _surfaces_only(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
+    write_support_meshes(folder, support)
+
+
+def _urdf_object(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
+    write_object_meshes(folder, asset)
+    (folder / f"{asset.name}.urdf").write_bytes(object_urdf(asset, contact))
+
+
+def _urdf_support(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
+    write_support_meshes(folder, support)
+    (folder / "support.urdf").write_bytes(support_urdf(support, contact))
+
+
+def _robosuite_object(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
+    write_object_meshes(folder, asset)
+    (folder / f"{asset.name}.xml").write_bytes(object_xml(asset, contact))
+
+
+def _robosuite_support(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
+    write_support_meshes(folder, support)
+    (folder / "support.xml").write_bytes(support_xml(support, contact))
+
+
+def _written(make: Callable[[Scene], bytes]) -> WriteScene:
+    def write(path: Path, scene: Scene) -> None:
+        path.write_bytes(make(scene))
+
+    return write
+
+
+# USD's library takes a while to load, so that it is asked for only where USD is wanted.
+def _usd_object(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
+    from cluttergen_jax.export.usd import write_object_usd
+
+    write_object_usd(folder, asset, contact)
+
+
+def _usd_support(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
+    from cluttergen_jax.export.usd import write_support_usd
+
+    write_support_usd(folder, support, contact)
+
+
+def _usd_scene(path: Path, scene: Scene) -> None:
+    from cluttergen_jax.export.usd import write_scene_usd
+
+    write_scene_usd(path, scene)
+
+
+def _require_usd() -> None:
+    from cluttergen_jax.export.usd import require_usd
+
+    require_usd()
+
+
+_ALL = (
+    Format(
+        "mjcf",
+        "MuJoCo: python -m mujoco.viewer --mjcf=scenes/NUMBER.xml; the keyframe `scene` holds the poses too.",
+        "xml",
+        _meshes_only,
+        _surfaces_only,
+        _written(mjcf_text),
+    ),
+    Format(
+        "urdf",
+        "PyBullet: python load_pybullet.py scenes/NUMBER.json (needs pybullet only). Objects and support are "
+        "one URDF each.",
+        "json",
+        _urdf_object,
+        _urdf_support,
+        _written(partial(placement_json, ending="urdf")),
+        script="load_pybullet.py",
+    ),
+    Format(
+        "sdf",
+        "Drake: Parser(plant).AddModels('scenes/NUMBER.sdf'); Gazebo: gz sim scenes/NUMBER.sdf.",
+        "sdf",
+        _meshes_only,
+        _surfaces_only,
+        _written(sdf_text),
+    ),
+    Format(
+        "usd",
+        "Isaac Sim, Omniverse or usdview: open scenes/NUMBER.usda. Physics is UsdPhysics.",
+        "usda",
+        _usd_object,
+        _usd_support,
+        _usd_scene,
+        require=_require_usd,
+    ),
+    Format(
+        "glb",
+        "any glTF viewer; the second glTF scene shows the collision parts.",
+        "glb",
+        None,
+        None,
+        _written(glb_bytes),
+    ),
+    Format(
+        "maniskill",
+        "ManiSkill 3: import cluttergen_maniskill, then gymnasium.make('ClutterGenScene-v1', scene='N').",
+        "json",
+        _meshes_only,
+        _surfaces_only,
+        _written(maniskill_json),
+        script="cluttergen_maniskill.py",
+    ),
+    Format(
+        "robosuite",
+        "robosuite 1.5: import cluttergen_robosuite, then robosuite.make('ClutterGenScene', robots='Panda', "
+        "scene='N').",
+        "json",
+        _robosuite_object,
+        _robosuite_support,
+        _written(partial(placement_json, ending="xml")),
+        script="cluttergen_robosuite.py",
+    ),
+)
+FORMATS = {each.name: each for each in _ALL}
+"""Every format by name."""
+
+
+def find_format(name: str) -> Format:
+    """The format of that name.
+
+    Raises:
+      ConfigError: there is none.
+      MissingExtraError: it needs a package that is not installed.
+    """
+    if name not in FORMATS:
+        raise ConfigError(f"format {name!r}", ", ".join(FORMATS), "--format mjcf")
+    FORMATS[name].require()
+    return FORMATS[name]

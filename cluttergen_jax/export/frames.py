@@ -1,0 +1,65 @@
+"""Frames, inertia and colours in the forms that other programs ask for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
+
+from cluttergen_jax.assets.object import ObjectAsset
+
+
+@dataclass(frozen=True, eq=False)
+class Principal:
+    """A body's inertia along its principal axes.
+
+    Attributes:
+      center: f64[3], the centre of mass in the object frame, metres.
+      turn: f64[4], the principal frame in the object frame, wxyz.
+      moments: f64[3], kg m^2.
+    """
+
+    center: np.ndarray
+    turn: np.ndarray
+    moments: np.ndarray
+
+
+def principal_of(asset: ObjectAsset) -> Principal:
+    """The principal frame of an asset: of the 24 the one that is turned least from the object frame."""
+    moments, axes = np.linalg.eigh(np.asarray(asset.inertia, np.float64))
+    _, order = linear_sum_assignment(-np.abs(axes))
+    moments, axes = moments[order], axes[:, order]
+    axes *= np.where(np.diag(axes) < 0, -1.0, 1.0)
+    axes[:, np.argmin(np.diag(axes))] *= np.sign(np.linalg.det(axes))
+    x, y, z, w = Rotation.from_matrix(axes).as_quat()
+    return Principal(np.asarray(asset.center_of_mass, np.float64), np.array([w, x, y, z]), moments)
+
+
+def euler_of(quaternion: np.ndarray) -> np.ndarray:
+    """f64[3]: roll, pitch and yaw about fixed axes, radians, of a quaternion wxyz (URDF's `rpy`)."""
+    w, x, y, z = quaternion
+    return Rotation.from_quat([x, y, z, w]).as_euler("xyz")
+
+
+def yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
+    """The quaternion wxyz of a turn about z, radians."""
+    return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+
+
+def linear(rgba: Sequence[float]) -> tuple[float, float, float, float]:
+    """An sRGB colour as shown, in the linear values that glTF and USD store; alpha as it is."""
+    red, green, blue, alpha = (float(value) for value in rgba)
+    return (*(_decoded(value) for value in (red, green, blue)), alpha)  # type: ignore[return-value]
+
+
+def _decoded(value: float) -> float:
+    return value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4
+
+
+def text(values: Sequence[float] | np.ndarray) -> str:
+    """Numbers with the nine digits that a float32 needs, parted by blanks."""
+    return " ".join(f"{value:.9g}" for value in np.asarray(values, np.float64).ravel() + 0.0)

@@ -1,0 +1,62 @@
+"""ManiSkill 3: what its loader needs to build a scene, and the scene's state as ManiSkill keeps it."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.part_files import part_name
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.export.frames import principal_of, yaw_quaternion
+from cluttergen_jax.export.meshes import drawn_pieces, visual_name
+from cluttergen_jax.export.placement import placement_json
+from cluttergen_jax.scene import Scene
+
+
+def maniskill_json(scene: Scene) -> bytes:
+    """A scene's file for `cluttergen_maniskill.py`.
+
+    `env_state` is ManiSkill's state dictionary without the robot: each actor's position, quaternion wxyz,
+    linear and angular velocity.
+    """
+    bodies = {name: _body(asset) for name, asset in scene.assets.items()}
+    record = json.loads(placement_json(scene, more=bodies, support=_support(scene.support)))
+    rest = [0.0] * 6
+    actors = {name: [*pose, *rest] for name, pose in zip(scene.names, scene.poses.tolist(), strict=True)}
+    record["env_state"] = {"actors": actors}
+    return (json.dumps(record, indent=1) + "\n").encode()
+
+
+def _body(asset: ObjectAsset) -> dict[str, Any]:
+    principal = principal_of(asset)
+    return {
+        "mass": float(asset.mass),
+        "center_of_mass": principal.center.tolist(),
+        "principal_quaternion_wxyz": principal.turn.tolist(),
+        "principal_moments": principal.moments.tolist(),
+        "parts": [part_name(index) for index in range(len(asset.parts))],
+        "visuals": [
+            {"file": visual_name(index), "rgba": list(piece.rgba)}
+            for index, piece in enumerate(drawn_pieces(asset))
+        ],
+    }
+
+
+def _support(support: SupportAsset) -> dict[str, Any]:
+    return {
+        "folder": "assets/support",
+        "boxes": [
+            {
+                "center": list(box.center),
+                "quaternion_wxyz": list(yaw_quaternion(box.yaw)),
+                "half_extents": list(box.half_extents),
+                "rgba": list(box.rgba),
+            }
+            for box in support.boxes
+        ],
+        "visuals": [
+            {"file": visual_name(index), "rgba": list(piece.rgba)}
+            for index, piece in enumerate(support.pieces)
+        ],
+    }

@@ -1,0 +1,71 @@
+"""What stands where as JSON: for the stand-alone loaders that travel with an export."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.export.meshes import SUPPORT_FOLDER, object_folder
+from cluttergen_jax.export.shading import box_mesh
+from cluttergen_jax.scene import Scene
+
+
+def support_bounds(support: SupportAsset) -> np.ndarray:
+    """f64[2, 3]: the corners of the box around all of a support's collision, world frame."""
+    vertices = np.concatenate([box_mesh(box).vertices for box in support.boxes])
+    return np.stack([vertices.min(0), vertices.max(0)])
+
+
+def placement_json(
+    scene: Scene, ending: str = "", more: Mapping[str, Any] | None = None, support: Any = None
+) -> bytes:
+    """A scene's file for a loader; paths are relative to the export's folder.
+
+    Args:
+      ending: of the model file that each object and the support have; "" for none.
+      more: more about each asset, by its name.
+      support: more about the support.
+    """
+    contact = scene.contact
+    sliding, torsional, rolling = contact.friction
+    record = {
+        "format": 1,
+        "conventions": "metres, kilograms, seconds; quaternions wxyz; z up; origin on the floor",
+        "timestep": scene.stability.timestep,
+        "gravity": [0.0, 0.0, -contact.gravity],
+        "friction": {"sliding": sliding, "torsional": torsional, "rolling": rolling},
+        "support": {
+            "name": scene.support.name,
+            "top": scene.support.top,
+            "bounds": support_bounds(scene.support).tolist(),
+            "region": {
+                "center": list(scene.support.region.center),
+                "half_extents": list(scene.support.region.half_extents),
+                "yaw": scene.support.region.yaw,
+            },
+            **({"file": f"{SUPPORT_FOLDER}/support.{ending}"} if ending else {}),
+            **(support or {}),
+        },
+        "assets": {
+            name: {
+                "folder": object_folder(name),
+                **({"file": f"{object_folder(name)}/{name}.{ending}"} if ending else {}),
+                **(more or {}).get(name, {}),
+            }
+            for name in scene.assets
+        },
+        "objects": [
+            {
+                "name": name,
+                "asset": asset.name,
+                "position": pose[:3].tolist(),
+                "quaternion_wxyz": pose[3:].tolist(),
+            }
+            for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True)
+        ],
+    }
+    return (json.dumps(record, indent=1) + "\n").encode()

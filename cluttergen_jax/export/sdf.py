@@ -1,0 +1,126 @@
+"""SDFormat 1.9: one world file per scene, for Gazebo and for Drake.
+
+Drake's own element `drake:declare_convex` says that a part is convex; other readers skip it.
+"""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.part_files import part_name
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.export.frames import text, yaw_quaternion
+from cluttergen_jax.export.meshes import SUPPORT_FOLDER, drawn_pieces, object_folder, visual_name
+from cluttergen_jax.scene import Scene
+
+VERSION = "1.9"
+_DRAKE = "http://drake.mit.edu"
+
+
+def sdf_text(scene: Scene) -> bytes:
+    """The scene as an SDFormat world, to be saved in `scenes/`."""
+    root = ET.Element("sdf", {"version": VERSION, "xmlns:drake": _DRAKE})
+    world = ET.SubElement(root, "world", name="scene")
+    physics = ET.SubElement(world, "physics", name="default", type="ignored", default="true")
+    _leaf(physics, "max_step_size", f"{scene.stability.timestep:.9g}")
+    _leaf(physics, "real_time_factor", "1")
+    _leaf(world, "gravity", text([0, 0, -scene.contact.gravity]))
+    _add_light(world)
+    _add_support(world, scene.support, scene.contact)
+    for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
+        _add_object(world, name, asset, pose, scene.contact)
+    ET.indent(root)
+    return b'<?xml version="1.0"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
+
+
+def _leaf(parent: ET.Element, tag: str, content: str, **attributes: str) -> ET.Element:
+    element = ET.SubElement(parent, tag, attributes)
+    element.text = content
+    return element
+
+
+def _add_pose(parent: ET.Element, position: np.ndarray, quaternion: np.ndarray) -> None:
+    w, x, y, z = quaternion
+    _leaf(parent, "pose", text([*position, x, y, z, w]), rotation_format="quat_xyzw")
+
+
+def _add_light(world: ET.Element) -> None:
+    light = ET.SubElement(world, "light", name="sun", type="directional")
+    _leaf(light, "cast_shadows", "true")
+    _leaf(light, "diffuse", "0.8 0.8 0.8 1")
+    _leaf(light, "direction", "-0.3 0.4 -0.9")
+
+
+def _add_support(world: ET.Element, support: SupportAsset, contact: ContactConfig) -> None:
+    model = ET.SubElement(world, "model", name="support")
+    _leaf(model, "static", "true")
+    link = ET.SubElement(model, "link", name="body")
+    for index, piece in enumerate(support.pieces):
+        _add_visual(link, index, f"{SUPPORT_FOLDER}/{visual_name(index)}", piece.rgba)
+    for index, box in enumerate(support.boxes):
+        kinds = ["collision"] if support.pieces else ["collision", "visual"]
+        for kind in kinds:
+            element = ET.SubElement(link, kind, name=f"box-{index}-{kind}")
+            _add_pose(element, np.array(box.center), np.array(yaw_quaternion(box.yaw)))
+            shape = ET.SubElement(ET.SubElement(element, "geometry"), "box")
+            _leaf(shape, "size", text(2 * np.array(box.half_extents)))
+            if kind == "visual":
+                _add_colour(element, box.rgba)
+            else:
+                _add_friction(element, contact)
+
+
+def _add_object(
+    world: ET.Element, name: str, asset: ObjectAsset, pose: np.ndarray, contact: ContactConfig
+) -> None:
+    model = ET.SubElement(world, "model", name=name)
+    _add_pose(model, pose[:3], pose[3:])
+    link = ET.SubElement(model, "link", name="body")
+    inertial = ET.SubElement(link, "inertial")
+    _leaf(inertial, "pose", text([*asset.center_of_mass, 0, 0, 0]))
+    _leaf(inertial, "mass", text([asset.mass]))
+    inertia = ET.SubElement(inertial, "inertia")
+    for row, column in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
+        _leaf(inertia, f"i{'xyz'[row]}{'xyz'[column]}", text([asset.inertia[row][column]]))
+    folder = object_folder(asset.name)
+    for index, piece in enumerate(drawn_pieces(asset)):
+        _add_visual(link, index, f"{folder}/{visual_name(index)}", piece.rgba)
+    for index in range(len(asset.parts)):
+        collision = ET.SubElement(link, "collision", name=f"part-{index}")
+        mesh = _add_mesh(collision, f"{folder}/{part_name(index)}")
+        ET.SubElement(mesh, "drake:declare_convex")
+        _add_friction(collision, contact)
+
+
+def _add_mesh(parent: ET.Element, file: str) -> ET.Element:
+    mesh = ET.SubElement(ET.SubElement(parent, "geometry"), "mesh")
+    _leaf(mesh, "uri", str(PurePosixPath("..") / file))
+    return mesh
+
+
+def _add_visual(link: ET.Element, index: int, file: str, rgba: tuple[float, ...]) -> None:
+    visual = ET.SubElement(link, "visual", name=f"visual-{index}")
+    _add_mesh(visual, file)
+    _add_colour(visual, rgba)
+
+
+def _add_colour(visual: ET.Element, rgba: tuple[float, ...]) -> None:
+    material = ET.SubElement(visual, "material")
+    _leaf(material, "ambient", text(rgba))
+    _leaf(material, "diffuse", text(rgba))
+    if rgba[3] < 1:
+        _leaf(visual, "transparency", text([1 - rgba[3]]))
+
+
+def _add_friction(collision: ET.Element, contact: ContactConfig) -> None:
+    # Torsional friction is left out: SDFormat's depends on a patch radius that nobody has measured here.
+    sliding = contact.friction[0]
+    friction = ET.SubElement(ET.SubElement(collision, "surface"), "friction")
+    ode = ET.SubElement(friction, "ode")
+    _leaf(ode, "mu", text([sliding]))
+    _leaf(ode, "mu2", text([sliding]))

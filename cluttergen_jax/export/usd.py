@@ -1,0 +1,220 @@
+"""USD with UsdPhysics: one file per object and one for the support, referenced by one stage per scene.
+
+Metres, kilograms, z up. An object is a rigid body with a mass; its parts are undrawn meshes whose collider is
+their convex hull, bound to a physics material. This needs the optional extra `usd`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.part_files import hull_of
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.errors import MissingExtraError
+from cluttergen_jax.export.frames import linear, principal_of, yaw_quaternion
+from cluttergen_jax.export.meshes import SUPPORT_FOLDER, drawn_pieces, object_folder
+from cluttergen_jax.export.shading import shaded
+from cluttergen_jax.scene import Scene
+
+try:
+    from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, Vt
+except ImportError:  # pragma: no cover - depends on what is installed
+    Usd = None
+
+
+def require_usd() -> None:
+    """Raises MissingExtraError if usd-core is not installed."""
+    if Usd is None:
+        raise MissingExtraError("usd", "the format usd")
+
+
+def write_object_usd(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
+    """Writes `NAME.usda`: a rigid body in the object frame."""
+    stage, root = _asset_stage(folder / f"{asset.name}.usda", asset.name)
+    prim = root.GetPrim()
+    UsdPhysics.RigidBodyAPI.Apply(prim)
+    principal = principal_of(asset)
+    mass = UsdPhysics.MassAPI.Apply(prim)
+    mass.CreateMassAttr(asset.mass)
+    mass.CreateCenterOfMassAttr(Gf.Vec3f(*principal.center.tolist()))
+    mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*principal.moments.tolist()))
+    mass.CreatePrincipalAxesAttr(Gf.Quatf(*principal.turn.tolist()))
+    _note(prim, asset.label, asset.provenance)
+    _add_visuals(stage, drawn_pieces(asset))
+    material = _add_contact(stage, contact)
+    for index, part in enumerate(asset.parts):
+        mesh = _add_mesh(stage, f"{_collisions(stage)}/part_{index:02d}", hull_of(part))
+        UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr("convexHull")
+        _make_collider(mesh.GetPrim(), material)
+    stage.GetRootLayer().Save()
+
+
+def write_support_usd(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
+    """Writes `support.usda`: static colliders in the world frame, and surfaces where there are any."""
+    stage, root = _asset_stage(folder / "support.usda", "support")
+    _note(root.GetPrim(), support.label, support.provenance)
+    _add_visuals(stage, support.pieces)
+    material = _add_contact(stage, contact)
+    parent = _collisions(stage) if support.pieces else f"{_root(stage)}/boxes"
+    for index, box in enumerate(support.boxes):
+        cube = UsdGeom.Cube.Define(stage, f"{parent}/box_{index:02d}")
+        cube.CreateSizeAttr(2.0)
+        cube.CreateExtentAttr([(-1, -1, -1), (1, 1, 1)])
+        _place(cube, np.array(box.center), np.array(yaw_quaternion(box.yaw)))
+        cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*box.half_extents))
+        cube.CreateDisplayColorAttr([Gf.Vec3f(*linear(box.rgba)[:3])])
+        if not support.pieces:
+            _bind(cube.GetPrim(), _colour(stage, box.rgba))
+        _make_collider(cube.GetPrim(), material)
+    stage.GetRootLayer().Save()
+
+
+def write_scene_usd(path: Path, scene: Scene) -> None:
+    """Writes the stage of a scene into `scenes/`; it refers to the files of its objects."""
+    stage = _new_stage(path)
+    world = UsdGeom.Xform.Define(stage, "/World")
+    stage.SetDefaultPrim(world.GetPrim())
+    physics = UsdPhysics.Scene.Define(stage, "/World/physics")
+    physics.CreateGravityDirectionAttr(Gf.Vec3f(0, 0, -1))
+    physics.CreateGravityMagnitudeAttr(scene.contact.gravity)
+    _add_lights(stage)
+    support = UsdGeom.Xform.Define(stage, "/World/support").GetPrim()
+    support.GetReferences().AddReference(f"../{SUPPORT_FOLDER}/support.usda")
+    UsdGeom.Xform.Define(stage, "/World/objects")
+    names = _identifiers(scene.names)
+    for name, own, asset, pose in zip(scene.names, names, scene.objects, scene.poses, strict=True):
+        body = UsdGeom.Xform.Define(stage, f"/World/objects/{own}")
+        body.GetPrim().SetDisplayName(name)
+        body.GetPrim().GetReferences().AddReference(f"../{object_folder(asset.name)}/{asset.name}.usda")
+        _place(body, pose[:3], pose[3:])
+    stage.GetRootLayer().Save()
+
+
+def _identifiers(names: Sequence[str]) -> list[str]:
+    """Names as USD allows them, still unique."""
+    result: list[str] = []
+    for name in names:
+        own = Tf.MakeValidIdentifier(name)
+        while own in result:
+            own += "_"
+        result.append(own)
+    return result
+
+
+def _new_stage(path: Path) -> Any:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    return stage
+
+
+def _asset_stage(path: Path, name: str) -> tuple[Any, Any]:
+    stage = _new_stage(path)
+    root = UsdGeom.Xform.Define(stage, f"/{Tf.MakeValidIdentifier(name)}")
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root.GetPrim()).SetKind("component")
+    return stage, root
+
+
+def _root(stage: Any) -> str:
+    return str(stage.GetDefaultPrim().GetPath())
+
+
+def _collisions(stage: Any) -> str:
+    """The path below which colliders stand that are not drawn."""
+    path = f"{_root(stage)}/collisions"
+    if not stage.GetPrimAtPath(path):
+        UsdGeom.Xform.Define(stage, path).CreatePurposeAttr(UsdGeom.Tokens.guide)
+    return path
+
+
+def _note(prim: Any, label: str, provenance: Any) -> None:
+    prim.SetDisplayName(label)
+    prim.SetCustomDataByKey("licence", provenance.licence)
+    prim.SetCustomDataByKey("source", provenance.source)
+    prim.SetCustomDataByKey("attribution", provenance.attribution)
+
+
+def _place(xformable: Any, position: np.ndarray, quaternion: np.ndarray) -> None:
+    double = UsdGeom.XformOp.PrecisionDouble
+    xformable.AddTranslateOp(double).Set(Gf.Vec3d(*position.tolist()))
+    xformable.AddOrientOp(double).Set(Gf.Quatd(*quaternion.tolist()))
+
+
+def _add_visuals(stage: Any, pieces: Sequence[Piece]) -> None:
+    for index, piece in enumerate(pieces):
+        mesh = _add_mesh(stage, f"{_root(stage)}/visuals/piece_{index:02d}", piece.mesh)
+        mesh.CreateDisplayColorAttr([Gf.Vec3f(*linear(piece.rgba)[:3])])
+        mesh.CreateDisplayOpacityAttr([piece.rgba[3]])
+        _bind(mesh.GetPrim(), _colour(stage, piece.rgba))
+
+
+def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
+    vertices, normals, faces = shaded(mesh)
+    result = UsdGeom.Mesh.Define(stage, path)
+    result.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(vertices))
+    result.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
+    result.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.ravel().astype(np.int32)))
+    result.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals))
+    result.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    result.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    result.CreateDoubleSidedAttr(True)
+    result.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([vertices.min(0), vertices.max(0)])))
+    return result
+
+
+def _colour(stage: Any, rgba: tuple[float, ...]) -> Any:
+    """A matte material of this colour, made once."""
+    name = "colour_" + "_".join(f"{round(255 * value):03d}" for value in rgba)
+    path = f"{_root(stage)}/materials/{name}"
+    if existing := UsdShade.Material.Get(stage, path):
+        return existing
+    UsdGeom.Scope.Define(stage, f"{_root(stage)}/materials")
+    material = UsdShade.Material.Define(stage, path)
+    shader = UsdShade.Shader.Define(stage, f"{path}/surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    red, green, blue, alpha = linear(rgba)
+    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(Gf.Vec3f(red, green, blue))
+    shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(alpha)
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.65)
+    shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
+    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    return material
+
+
+def _bind(prim: Any, material: Any) -> None:
+    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
+
+
+def _add_contact(stage: Any, contact: ContactConfig) -> Any:
+    UsdGeom.Scope.Define(stage, f"{_root(stage)}/materials")
+    material = UsdShade.Material.Define(stage, f"{_root(stage)}/materials/contact")
+    physics = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
+    physics.CreateStaticFrictionAttr(contact.friction[0])
+    physics.CreateDynamicFrictionAttr(contact.friction[0])
+    physics.CreateRestitutionAttr(0.0)
+    return material
+
+
+def _make_collider(prim: Any, material: Any) -> None:
+    UsdPhysics.CollisionAPI.Apply(prim)
+    binding = UsdShade.MaterialBindingAPI.Apply(prim)
+    binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
+
+
+def _add_lights(stage: Any) -> None:
+    dome = UsdLux.DomeLight.Define(stage, "/World/lights/dome")
+    dome.CreateIntensityAttr(400.0)
+    sun = UsdLux.DistantLight.Define(stage, "/World/lights/sun")
+    sun.CreateIntensityAttr(1500.0)
+    sun.AddRotateXYZOp().Set(Gf.Vec3f(35, 15, 0))
