@@ -47,8 +47,8 @@ def plan_entropy(
     """Entropy of each object's position on a grid over the region, corrected for the number of scenes.
 
     Miller and Madow's correction (1955) adds (m - 1) / (2 n), m the occupied cells and n the scenes; the
-    result is kept between 0 and that of an even spread, and removes most of the bias once n is about the
-    number of cells. Below that, compare at equal counts.
+    result is kept between 0 and that of an even spread. With nearly twice as many scenes as cells it removes
+    two thirds of the bias of an even spread; with fewer, compare at equal counts.
 
     Args:
       poses: f[N, K, 7], world, metres; is_placed: bool[N, K].

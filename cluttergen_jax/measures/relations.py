@@ -108,15 +108,17 @@ def _presses_sideways(contacts: Contacts) -> np.ndarray:
 
 def tilt_from_rest(asset: ObjectAsset, pose: np.ndarray) -> float:
     """Radians between up as the object at pose f[7] sees it and as it sees it in its nearest resting pose."""
-    up = np.array([0.0, 0.0, 1.0])
-    inverse = np.array([1.0, -1.0, -1.0, -1.0])
-    now = rotate(np, np.asarray(pose, np.float64)[3:] * inverse, up)
-    rests = rotate(
-        np,
-        np.array([rest.quaternion for rest in asset.resting]) * inverse,
-        np.tile(up, (len(asset.resting), 1)),
-    )
-    return float(np.arccos(np.clip((rests @ now).max(), -1.0, 1.0)))
+    now = _up(np.asarray(pose, np.float64)[None, 3:])
+    rests = _up(np.array([rest.quaternion for rest in asset.resting], np.float64))
+    # The arc's cosine alone says nothing of small angles.
+    angles = np.arctan2(np.linalg.norm(np.cross(rests, now), axis=1), rests @ now[0])
+    return float(angles.min())
+
+
+def _up(quaternions: np.ndarray) -> np.ndarray:
+    """f64[M, 3]: where up is in the frames of bodies turned by f64[M, 4] wxyz."""
+    unit = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return rotate(np, unit * [1, -1, -1, -1], np.tile([0.0, 0.0, 1.0], (len(unit), 1)))
 
 
 @lru_cache(maxsize=256)

@@ -1,0 +1,108 @@
+"""Acceptance bias: hand arithmetic, identities, and intervals that cover what they should."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.measures.acceptance import acceptance_bias, bias_of, octant_of, zone_of
+
+REGION = Rectangle((0.0, 0.0), (0.3, 0.35), 0.0)
+
+
+def test_lift_by_hand():
+    category = np.array([0] * 6 + [1] * 4)
+    passed = np.array([1, 0, 0, 0, 0, 0, 1, 1, 1, 0], bool)
+    bias = bias_of("kind", category, ("a", "b", "none"), passed, np.arange(10))
+    assert bias.proposed.tolist() == [6, 4, 0]
+    assert bias.passed.tolist() == [1, 3, 0]
+    np.testing.assert_allclose(bias.lift[:2], [(1 / 4) / (6 / 10), (3 / 4) / (4 / 10)])
+    assert np.isnan([bias.lift[2], bias.low[2], bias.high[2]]).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**31))
+def test_lifts_weighted_by_their_shares_are_one(seed):
+    rng = np.random.default_rng(seed)
+    category, scene = rng.integers(0, 4, 200), rng.integers(0, 20, 200)
+    passed = rng.random(200) < 0.3
+    bias = bias_of("kind", category, "abcd", passed, scene, num_draws=200)
+    assert np.nansum(bias.lift * bias.proposed / 200) == pytest.approx(1.0)
+    assert (bias.low <= bias.high).all()
+
+
+def test_what_fails_more_often_is_named_and_what_does_not_is_not():
+    rng = np.random.default_rng(0)
+    category = rng.integers(0, 3, 3000)
+    passed = rng.random(3000) < np.array([0.2, 0.5, 0.5])[category]
+    bias = bias_of("kind", category, ("hard", "easy", "also"), passed, np.arange(3000))
+    assert bias.under_represented == ("hard",)
+    assert bias.low[1] > 1
+
+
+def test_intervals_cover_the_truth():
+    rng = np.random.default_rng(1)
+    covered = 0
+    for seed in range(100):
+        category = rng.integers(0, 2, 300)
+        # Whole scenes pass or fail: thirty scenes of ten candidates each, without any bias.
+        scene = np.arange(300) // 10
+        passed = (rng.random(30) < 0.5)[scene]
+        bias = bias_of("kind", category, "ab", passed, scene, num_draws=200, seed=seed)
+        covered += bias.low[0] <= 1 <= bias.high[0]
+    assert 86 <= covered <= 100
+
+
+def test_candidates_of_one_scene_are_not_counted_as_independent():
+    rng = np.random.default_rng(2)
+    scene_kind, scene_passed = rng.integers(0, 2, 60), rng.random(60) < 0.5
+    scene = np.repeat(np.arange(60), 20)
+    together = bias_of("kind", scene_kind[scene], "ab", scene_passed[scene], scene)
+    apart = bias_of("kind", scene_kind[scene], "ab", scene_passed[scene], np.arange(1200))
+    np.testing.assert_array_equal(together.lift, apart.lift)
+    ratio = (together.high - together.low) / (apart.high - apart.low)
+    assert (ratio > 0.7 * np.sqrt(20)).all()
+
+
+def test_zones_share_the_region_and_octants_the_turn():
+    rng = np.random.default_rng(3)
+    positions = rng.uniform(-1, 1, (100_000, 2)) * REGION.half_extents
+    assert zone_of(positions, REGION).mean() == pytest.approx(0.5, abs=0.01)
+    assert zone_of(np.array([[0.0, 0.0], [0.29, 0.0], [0.0, -0.34]]), REGION).tolist() == [0, 1, 1]
+    assert octant_of(np.radians([0.0, 44.9, 45.1, 359.9, -0.1, 360.0, 720.1])).tolist() == [
+        0,
+        0,
+        1,
+        7,
+        7,
+        0,
+        0,
+    ]
+
+
+def test_four_sortings():
+    rng = np.random.default_rng(4)
+    num = 400
+    slot, index = rng.integers(0, 3, num), rng.integers(0, 2, num)
+    positions = rng.uniform(-1, 1, (num, 2)) * REGION.half_extents
+    passed = zone_of(positions, REGION) == 0
+    found = acceptance_bias(
+        ["mug", "bowl"], index, positions, rng.uniform(0, 6.28, num), slot, passed, np.arange(num), REGION
+    )
+    assert {name: len(bias.labels) for name, bias in found.items()} == {
+        "object": 2, "zone": 2, "yaw": 8, "order": 3
+    }  # fmt: skip
+    assert found["zone"].under_represented == ("edge",)
+    assert found["zone"].lift[1] == 0
+    assert found["object"].under_represented == ()
+    assert found["yaw"].labels[1] == "45-90 deg"
+    assert all(bias.proposed.sum() == num for bias in found.values())
+
+
+def test_nothing_that_passes_has_no_bias():
+    with pytest.raises(ConfigError):
+        bias_of("kind", np.zeros(3, int), "a", np.zeros(3, bool), np.arange(3))
+    with pytest.raises(ConfigError):
+        bias_of("kind", np.zeros(3, int), "a", np.ones(2, bool), np.arange(3))
