@@ -12,7 +12,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.measures.certificate import certificates
 from cluttergen_jax.measures.robustness import CHANGES, Change, ShakeConfig, changed, creep, shake, survives
 from cluttergen_jax.measures.scene_models import SceneModels
-from cluttergen_jax.measures.simulate import movement
+from cluttergen_jax.measures.simulate import movement, shift_and_turn
 from cluttergen_jax.world import make_world
 from tests.worlds import TOP, box
 
@@ -171,3 +171,12 @@ def test_bad_arguments_are_refused(models):
         creep(models, poses[:, :2], is_placed[:, :2])
     with pytest.raises(ConfigError):
         ShakeConfig(rate=0.0)
+
+
+def test_what_diverges_went_infinitely_far():
+    start = np.tile(np.eye(7)[3], (3, 1))
+    now = start.copy()
+    now[1, 0], now[2, 4] = 0.3, np.nan
+    shift, turn = shift_and_turn(now, start)
+    np.testing.assert_allclose(shift, [0, 0.3, np.inf])
+    np.testing.assert_allclose(turn, [0, 0, np.inf])
