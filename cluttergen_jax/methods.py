@@ -8,15 +8,17 @@ from pathlib import Path
 
 from cluttergen_jax.agent.checkpoint import read_record
 from cluttergen_jax.baselines import METHODS as BASELINES
-from cluttergen_jax.baselines import make_proposer
+from cluttergen_jax.baselines import Clear, make_proposer
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.proposer import Proposer
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.policies import find_policy, list_policies, load_policy
+from cluttergen_jax.policies import Policy, Screened, find_policy, list_policies, load_policy
+from cluttergen_jax.search import SearchConfig
 from cluttergen_jax.training.presets import VARIANTS
 
-METHODS = (*BASELINES, *VARIANTS)
+SCREENED = "policy-clear"
+METHODS = (*BASELINES, *VARIANTS, SCREENED)
 DEFAULT_METHOD = "policy"
 """What `generate` and `make_sampler` take where nothing is said, if a checkpoint is embedded for the pool."""
 
@@ -42,7 +44,8 @@ def checkpoint_of(method: str, pool: str, checkpoint: str | None = None) -> Path
         if checkpoint is not None:
             raise ConfigError(f"--checkpoint with method {method!r}, which has none", ", ".join(VARIANTS))
         return None
-    return Path(checkpoint) if checkpoint is not None else find_policy(method, pool)
+    variant = DEFAULT_METHOD if method == SCREENED else method
+    return Path(checkpoint) if checkpoint is not None else find_policy(variant, pool)
 
 
 def checkpoint_hash(checkpoint: Path) -> str:
@@ -68,5 +71,24 @@ def suited(placement: PlacementConfig, checkpoint: Path | None) -> PlacementConf
 
 
 def proposer_of(method: str, checkpoint: Path | None, rules: Rules) -> Proposer:
-    """The method, bound to a world."""
-    return make_proposer(method, rules) if checkpoint is None else load_policy(checkpoint, rules)
+    """The method, bound to a world.
+
+    Raises:
+      ConfigError: the geometric screen is asked for around a policy that ranks candidates already.
+    """
+    if checkpoint is None:
+        return make_proposer(method, rules)
+    policy = load_policy(checkpoint, rules)
+    if method != SCREENED:
+        return policy
+    if not isinstance(policy, Policy):
+        raise ConfigError(
+            f"method {SCREENED!r} with {checkpoint}, which ranks candidates", "a policy of poses"
+        )
+    return make_screened(policy, rules)
+
+
+def make_screened(policy: Policy, rules: Rules) -> Screened:
+    """Draws of a policy, screened by the geometry that `clear` uses."""
+    search = SearchConfig(num_candidates=Screened.num_draws, num_finalists=Screened.num_draws // 2)
+    return Screened(policy, Clear(rules, search))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from cluttergen_jax.networks.distributions import EDGE, HEADS, Beta, TruncatedNormal
+from cluttergen_jax.networks.distributions import EDGE, HEADS, Beta, Categorical, Mixture, TruncatedNormal
 
 RAW = jax.random.normal(jax.random.key(0), (40, 4, 2)) * 2.5
 
@@ -59,6 +59,49 @@ def test_fresh_network_is_nearly_uniform():
         np.testing.assert_allclose(dist.mean(), 0.5, atol=1e-6)
         # The uniform distribution has entropy 0; these are the largest that each head starts from.
         assert -0.7 < float(dist.entropy()) <= 0
+    mixture = Mixture.from_scores(jnp.zeros((5, 5)), jnp.zeros((2, 2)))
+    assert float(mixture.entropy()) == pytest.approx(float(mixture.rest.entropy()), abs=1e-5)
+
+
+SCORES = 1.5 * jax.random.normal(jax.random.key(3), (6, 5, 5))
+
+
+def test_mixture_integrates_to_one_and_its_entropy_is_exact():
+    mixture = Mixture.from_scores(SCORES[0], RAW[0, :2])
+    line = (np.arange(50) + 0.5) / 50
+    x, y = (axis.reshape(-1) for axis in np.meshgrid(line, line, indexing="ij"))
+    rest = jnp.array([0.4, 0.6])
+    actions = jnp.concatenate([jnp.stack([x, y], 1), jnp.broadcast_to(rest, (2500, 2))], 1)
+    log_density = jax.vmap(mixture.log_prob)(actions) - mixture.rest.log_prob(rest)
+    assert float(jnp.mean(jnp.exp(log_density))) == pytest.approx(1, abs=1e-4)
+    entropy = float(mixture.rest.entropy() - jnp.mean(jnp.exp(log_density) * log_density))
+    assert float(mixture.entropy()) == pytest.approx(entropy, abs=1e-3)
+
+
+def test_mixture_draws_follow_its_weights():
+    mixture = Mixture.from_scores(SCORES[1], RAW[1, :2])
+    draws = np.asarray(jax.vmap(mixture.sample)(jax.random.split(jax.random.key(4), 20_000)))
+    counts, _, _ = np.histogram2d(draws[:, 0], draws[:, 1], bins=5, range=[[0, 1], [0, 1]])
+    expected = np.exp(np.asarray(mixture.log_weight, np.float64))
+    assert scipy.stats.chisquare(counts.reshape(-1), expected / expected.sum() * 20_000).pvalue > 1e-4
+    cell = int(np.argmax(mixture.log_weight))
+    np.testing.assert_allclose(mixture.mean()[:2], [(cell // 5 + 0.5) / 5, (cell % 5 + 0.5) / 5], atol=1e-6)
+
+
+def test_mixture_is_finite_at_the_edges():
+    mixture = Mixture.from_scores(SCORES * 100, RAW[:6, :2])
+    for action in (jnp.zeros((6, 4)), jnp.ones((6, 4))):
+        assert np.isfinite(mixture.log_prob(action)).all()
+
+
+def test_categorical_matches_scipy():
+    dist = Categorical(jax.nn.log_softmax(SCORES.reshape(6, 25)))
+    weights = np.exp(np.asarray(dist.logits, np.float64))
+    np.testing.assert_allclose(dist.entropy(), scipy.stats.entropy(weights, axis=-1), atol=1e-5)
+    np.testing.assert_allclose(
+        dist.log_prob(jnp.arange(6)), np.log(weights[np.arange(6), np.arange(6)]), atol=1e-5
+    )
+    assert (dist.mean() == weights.argmax(-1)).all()
 
 
 def test_beta_has_its_mode_inside():

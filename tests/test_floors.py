@@ -19,6 +19,9 @@ FLOORS = {
     "scene": 2,
     "placement": 2,
     "agent": 2,
+    # Geometry for the products that propose poses; the ranking of its candidates stands on it.
+    "search": 2.2,
+    "ranking": 2.4,
     "problem": 3,
     "sampling": 3,
     "training": 3,

@@ -25,16 +25,16 @@ class PPOConfig:
     num_envs: int = 128
     num_steps: int = 16
     num_minibatches: int = 8
-    num_epochs: int = 4
-    learning_rate: float = 5e-4
+    num_epochs: int = 3
+    learning_rate: float = 1e-3
     anneals: bool = True
-    discount: float = 0.97
-    gae_lambda: float = 0.95
+    discount: float = 0.9
+    gae_lambda: float = 0.9
     clip: float = 0.2
-    value_cost: float = 0.5
+    value_cost: float = 0.1
     entropy_cost: float = 0.002
     max_gradient_norm: float = 0.5
-    num_attempts: int = 250_000
+    num_attempts: int = 150_000
 
     def __post_init__(self) -> None:
         for field in fields(self):

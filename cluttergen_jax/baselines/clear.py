@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from cluttergen_jax.baselines.drop import cost_of_lying
-from cluttergen_jax.baselines.search import Look, Search
+from cluttergen_jax.search.lowest import cost_of_lying
+from cluttergen_jax.search.search import Look, Search
 from cluttergen_jax.types import Array
 
 _CLEAR = -10.0

@@ -8,10 +8,8 @@ import jax.numpy as jnp
 from cluttergen_jax.placement.region import action_of_pose
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.search.search import CLEARANCE
 from cluttergen_jax.types import Array
-
-CLEARANCE = 0.001
-"""Metres above its rest at which an object is let go."""
 
 
 class Random:

@@ -9,35 +9,20 @@ from cluttergen_jax.networks.points import LENGTH_SCALE, rotation_features
 from cluttergen_jax.types import Array
 
 
-class AttentionBlock(nn.Module):
-    """Pre-norm self-attention and a two-layer network, both residual."""
-
-    num_heads: int
-    width: int
-
-    @nn.compact
-    def __call__(self, tokens: Array, mask: Array) -> Array:
-        """f32[B, M, W] from tokens f32[B, M, W] and the mask bool[B, M] of those that count."""
-        normed = nn.LayerNorm()(tokens)
-        attend = nn.MultiHeadDotProductAttention(num_heads=self.num_heads, qkv_features=self.width)
-        tokens = tokens + attend(normed, normed, mask=mask[:, None, None, :])
-        hidden = nn.Dense(2 * self.width)(nn.LayerNorm()(tokens))
-        return tokens + nn.Dense(self.width)(nn.gelu(hidden))
-
-
 class SetEncoder(nn.Module):
-    """Objects as tokens (their cloud's features, their size, their pose) plus one for the object in hand.
+    """What stands there, seen from the object in hand: attention over the placed objects.
 
-    The result does not change when the objects are renumbered.
+    Every placed object (its cloud's features, its size, its pose) is read together with the object in hand
+    and the region by a shared network; each head pools its share of the result by additive attention, and
+    the maximum stands beside. The result does not change when the objects are renumbered.
 
     Attributes:
-      width: W, of a token; num_heads, num_blocks: of the attention.
+      width: W, of an object's token; num_heads: of the attention.
       max_tokens: placed objects that can be seen at once.
     """
 
     width: int = 96
     num_heads: int = 4
-    num_blocks: int = 2
     max_tokens: int = 10
 
     @nn.compact
@@ -50,7 +35,7 @@ class SetEncoder(nn.Module):
         focus: Array,
         region: Array,
     ) -> Array:
-        """Scene features seen from the object in hand, f32[B, W].
+        """Scene features seen from the object in hand, f32[B, 3 W].
 
         Args:
           features: f32[K, F], of every object's cloud; half_extents: f32[K, 3], metres.
@@ -62,11 +47,15 @@ class SetEncoder(nn.Module):
         mask = jnp.take_along_axis(is_placed, order, axis=1)
         poses = jnp.take_along_axis(poses, order[..., None], axis=1)
         place = jnp.concatenate([poses[..., :3] * LENGTH_SCALE, rotation_features(poses[..., 3:])], axis=-1)
-        placed = nn.Dense(self.width, name="placed")(jnp.concatenate([size[order], place], axis=-1))
-        asked = jnp.concatenate([size[focus], region * LENGTH_SCALE], axis=-1)
-        query = nn.Dense(self.width, name="in_hand")(asked)
-        tokens = jnp.concatenate([query[:, None], placed], axis=1)
-        mask = jnp.concatenate([jnp.ones_like(mask[:, :1]), mask], axis=1)
-        for _ in range(self.num_blocks):
-            tokens = AttentionBlock(self.num_heads, self.width)(tokens, mask)
-        return nn.LayerNorm()(tokens[:, 0])
+        # A sum of three layers is one layer over the three side by side; the first needs no batch.
+        asked = nn.Dense(self.width, name="in_hand")(
+            jnp.concatenate([size[focus], region * LENGTH_SCALE], axis=-1)
+        )
+        tokens = nn.Dense(self.width, name="object")(size)[order] + nn.Dense(self.width, name="place")(place)
+        tokens = nn.relu(tokens + asked[:, None])
+        tokens = jnp.where(mask[..., None], nn.relu(nn.Dense(self.width)(tokens)), 0.0)
+        score = jnp.where(mask[..., None], nn.Dense(self.num_heads)(tokens), -1e9)
+        shares = tokens.reshape(*tokens.shape[:2], self.num_heads, -1)
+        pooled = jnp.einsum("bmh,bmhw->bhw", nn.softmax(score, axis=1), shares)
+        pooled = pooled.reshape(pooled.shape[0], self.width)
+        return jnp.concatenate([asked, pooled, jnp.max(tokens, axis=1)], axis=-1)

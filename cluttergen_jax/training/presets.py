@@ -8,7 +8,8 @@ from typing import Any
 from cluttergen_jax.agent.config import PPOConfig
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.networks.actor_critic import NetworkConfig
+from cluttergen_jax.networks.config import NetworkConfig
+from cluttergen_jax.networks.ranking import RankerConfig
 from cluttergen_jax.placement.config import PlacementConfig
 
 
@@ -17,9 +18,13 @@ class Settings:
     """What a preset decides."""
 
     ppo: PPOConfig = field(default_factory=PPOConfig)
-    network: NetworkConfig = field(default_factory=NetworkConfig)
+    network: NetworkConfig | RankerConfig = field(default_factory=NetworkConfig)
     placement: PlacementConfig = field(default_factory=PlacementConfig)
     stability: StabilityConfig = field(default_factory=StabilityConfig)
+
+
+_TUNED = NetworkConfig(head="mixture", height_precision=20_000.0)
+"""What the ablation in docs/training.md found best."""
 
 
 def _training_stability(stop_when_decided: bool) -> StabilityConfig:
@@ -31,6 +36,7 @@ def _training_stability(stop_when_decided: bool) -> StabilityConfig:
 def cpu() -> Settings:
     """For two cores: few environments, a small network, every 12th row of the history."""
     return Settings(
+        network=_TUNED,
         placement=PlacementConfig(reward="compressed", history_stride=12),
         stability=_training_stability(True),
     )
@@ -40,6 +46,7 @@ def gpu() -> Settings:
     """For an accelerator: many environments, larger minibatches."""
     return Settings(
         ppo=PPOConfig(num_envs=1024, num_steps=8, num_minibatches=8, num_attempts=2_500_000),
+        network=_TUNED,
         placement=PlacementConfig(reward="compressed", history_stride=12),
         stability=_training_stability(True),
     )
@@ -56,7 +63,9 @@ def paper() -> Settings:
             learning_rate=1e-4,
             anneals=False,
             discount=0.99,
+            gae_lambda=0.95,
             entropy_cost=0.01,
+            value_cost=0.5,
             num_attempts=2_500_000,
         ),
         network=NetworkConfig(object_points=1024),
@@ -66,7 +75,18 @@ def paper() -> Settings:
 
 
 PRESETS = {"cpu": cpu, "gpu": gpu, "paper": paper}
-VARIANTS = ("policy", "open_loop", "short_memory", "normal")
+VARIANTS = ("policy", "beta", "normal", "open_loop", "short_memory", "ranked")
+"""`policy` is the full method with the preset's head (a mixture; in `paper` a Beta a coordinate); `beta`
+and `normal` are the full method with the paper's heads; `open_loop` and `short_memory` look back on nothing
+and on one attempt; `ranked` chooses among poses that geometry has found."""
+
+_CHANGES: dict[str, dict[str, Any]] = {
+    "policy": {},
+    "beta": {"head": "beta"},
+    "normal": {"head": "normal"},
+    "open_loop": {"history_width": 0},
+    "short_memory": {"history_length": 1},
+}
 
 
 def make_settings(preset: str, variant: str) -> Settings:
@@ -77,13 +97,16 @@ def make_settings(preset: str, variant: str) -> Settings:
     """
     if preset not in PRESETS:
         raise ConfigError(f"preset {preset!r}", ", ".join(PRESETS))
-    settings = PRESETS[preset]()
-    changes: dict[str, dict[str, Any]] = {
-        "policy": {},
-        "open_loop": {"history_width": 0},
-        "short_memory": {"history_length": 1},
-        "normal": {"head": "normal"},
-    }
-    if variant not in changes:
+    if variant not in VARIANTS:
         raise ConfigError(f"variant {variant!r}", ", ".join(VARIANTS))
-    return replace(settings, network=replace(settings.network, **changes[variant]))
+    settings = PRESETS[preset]()
+    if variant == "ranked":
+        return _ranked(settings)
+    return replace(settings, network=replace(settings.network, **_CHANGES[variant]))
+
+
+def _ranked(settings: Settings) -> Settings:
+    """A preset for the ranking of candidates: what is left free for later objects counts for more."""
+    ppo = replace(settings.ppo, discount=0.99, learning_rate=5e-4, entropy_cost=0.003, value_cost=0.2)
+    placement = replace(settings.placement, history_stride=60)
+    return replace(settings, ppo=ppo, network=RankerConfig(), placement=placement)

@@ -1,4 +1,4 @@
-"""The search that `clear` and `drop` share: many random poses looked at coarsely, the best closely."""
+"""Many random poses looked at coarsely, the best of them closely."""
 
 from __future__ import annotations
 
@@ -9,17 +9,21 @@ import jax.numpy as jnp
 import jaxlie
 from flax import struct
 
-from cluttergen_jax.baselines.fit import Candidates, Fit, UnderSide, let_down, mean_under, support_share
-from cluttergen_jax.baselines.random import CLEARANCE
 from cluttergen_jax.placement.heightmap import HeightMap, HeightMapper
 from cluttergen_jax.placement.region import Region, action_of_pose, is_inside, is_kept_out, to_pose
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.search.fit import Candidates, Fit, UnderSide, let_down, mean_under, support_share
 from cluttergen_jax.types import Array
+
+CLEARANCE = 0.001
+"""Metres above its rest at which an object is let go."""
+
+FORBIDDEN = 1e6
+"""Added to the cost of poses that would not count."""
 
 _EDGE = 0.002
 _BARE = 0.003
-_FORBIDDEN = 1e6
 _WINDOW_DOUBLINGS = 3
 
 
@@ -56,6 +60,24 @@ class Look(struct.PyTreeNode):
     attempt: Array
 
 
+class Shortlist(struct.PyTreeNode):
+    """The most promising poses of one search, M of them.
+
+    Attributes:
+      candidates: positions and turns, region frame.
+      look: what is known of them, wholly looked at.
+      cost: f32[M], what the search keeps low; at least FORBIDDEN for poses that would not count.
+      action: f32[M, 4], the actions that propose them.
+      heights: the scene that they were let down onto.
+    """
+
+    candidates: Candidates
+    look: Look
+    cost: Array
+    action: Array
+    heights: HeightMap
+
+
 class Search:
     """Proposes the cheapest of many poses, uniform over region and turn; a subclass says what is cheap."""
 
@@ -69,6 +91,15 @@ class Search:
 
     def __call__(self, key: Array, episode: Episode) -> Array:
         """See `placement.proposer.Proposer`."""
+        found = self.shortlist(key, episode)
+        return found.action[jnp.argmin(found.cost)]
+
+    def shortlist(self, key: Array, episode: Episode) -> Shortlist:
+        """The finalists of uniform candidates drawn with `key`."""
+        return self.narrow(draw_candidates(key, episode.region, self.config.num_candidates), episode)
+
+    def narrow(self, candidates: Candidates, episode: Episode) -> Shortlist:
+        """The finalists among given candidates."""
         config = self.config
         focus, height_range = self.rules.focus(episode), self.rules.height_range(episode)
         bare_rest = self.rules.geometry.half_extents[focus, 2]
@@ -77,20 +108,23 @@ class Search:
         under = under_side(self.rules, focus)
         sparse = under.first(config.num_coarse)
 
-        def rank(candidates: Candidates, fit: Fit, support: Array) -> Array:
+        def rank(candidates: Candidates, fit: Fit, support: Array) -> tuple[Look, Array]:
             crowd = mean_under(sparse, crowded, candidates)
-            cost = self.cost(Look(fit, fit.rest - bare_rest, support, crowd, episode.attempt))
+            look = Look(fit, fit.rest - bare_rest, support, crowd, episode.attempt)
             is_allowed = self._is_allowed(episode, focus, candidates) & (fit.rest + CLEARANCE <= height_range)
-            return jnp.where(is_allowed, cost, cost + _FORBIDDEN)
+            cost = self.cost(look)
+            return look, jnp.where(is_allowed, cost, cost + FORBIDDEN)
 
-        candidates = draw_candidates(key, episode.region, config.num_candidates)
         fit = let_down(sparse, heights, candidates)
-        cost = rank(candidates, fit, jnp.ones_like(fit.rest))
+        _, cost = rank(candidates, fit, jnp.ones_like(fit.rest))
         finalists = candidates.take(jax.lax.top_k(-cost, config.num_finalists)[1])
         fit = let_down(under, heights, finalists)
-        best = jnp.argmin(rank(finalists, fit, support_share(under, heights, finalists, fit.rest)))
-        position = jnp.append(finalists.xy[best], fit.rest[best] + CLEARANCE)
-        return action_of_pose(position, finalists.yaw[best], episode.region, height_range)
+        look, cost = rank(finalists, fit, support_share(under, heights, finalists, fit.rest))
+        position = jnp.concatenate([finalists.xy, fit.rest[:, None] + CLEARANCE], axis=1)
+        action = jax.vmap(action_of_pose, in_axes=(0, 0, None, None))(
+            position, finalists.yaw, episode.region, height_range
+        )
+        return Shortlist(finalists, look, cost, action, heights)
 
     def _is_allowed(self, episode: Episode, focus: Array, candidates: Candidates) -> Array:
         """bool[N]: where the object would count as inside and out of every keep-out box."""

@@ -1,0 +1,87 @@
+"""A network that ranks candidate poses, beginning where the search's own order ends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+
+from cluttergen_jax.networks.distributions import Categorical
+from cluttergen_jax.networks.points import LENGTH_SCALE, MLP, PointNet
+from cluttergen_jax.networks.set_encoder import SetEncoder
+from cluttergen_jax.types import Array
+
+_HIGH_COST = 0.2
+
+
+@dataclass(frozen=True)
+class RankerConfig:
+    """Sizes.
+
+    Attributes:
+      object_points, object_features, token_width, num_heads: as in `NetworkConfig`.
+      width: of the layers that judge a candidate; value_width: of those that judge the scene.
+      cost_scale: metres of the search's cost that make a pose e times less likely before any learning.
+    """
+
+    object_points: int = 64
+    object_features: int = 32
+    token_width: int = 64
+    num_heads: int = 4
+
+    width: int = 64
+    value_width: int = 128
+    cost_scale: float = 0.005
+
+
+class Ranker(nn.Module):
+    """The distribution over a menu's poses, and the value of the scene."""
+
+    config: RankerConfig
+    max_objects: int
+
+    @nn.compact
+    def __call__(
+        self, cloud: Array, half_extents: Array, observation: Mapping[str, Any]
+    ) -> tuple[Categorical, Array]:
+        """See `ActorCritic`; the observation holds a menu beside (`ranking.menu.menu_of`)."""
+        config, menu = self.config, observation["menu"]
+        features = PointNet((32,), config.object_features)(cloud[:, : config.object_points])
+        focus = observation["focus"]
+        scene = SetEncoder(config.token_width, config.num_heads, self.max_objects)(
+            features,
+            half_extents,
+            observation["T_region_object"],
+            observation["is_placed"],
+            focus,
+            observation["region"],
+        )
+        remaining = observation["is_placed"].sum(-1, keepdims=True) / self.max_objects
+        state = jnp.concatenate(
+            [
+                scene,
+                features[focus],
+                observation["region"] * LENGTH_SCALE,
+                half_extents[focus] * LENGTH_SCALE,
+                remaining,
+            ],
+            axis=-1,
+        )
+        hidden = nn.Dense(config.width)(menu["features"]) + nn.Dense(config.width)(state)[:, None]
+        for _ in range(2):
+            hidden = nn.Dense(config.width)(nn.gelu(hidden))
+        hidden = nn.gelu(hidden)
+        score = nn.Dense(1, kernel_init=nn.initializers.zeros)(hidden)[..., 0]
+        # Costs of poses that can hardly hold grow without bound; their logarithm keeps the search's order.
+        cost = menu["cost"]
+        cost = jnp.where(
+            cost < _HIGH_COST, cost, _HIGH_COST * (1 + jnp.log(jnp.maximum(cost, _HIGH_COST) / _HIGH_COST))
+        )
+        logits = score - cost / config.cost_scale
+        seen = jnp.concatenate([state, jnp.max(hidden, axis=1), jnp.mean(hidden, axis=1)], axis=-1)
+        value = nn.Dense(1)(MLP([config.value_width] * 2)(seen))[..., 0]
+        return Categorical(jax.nn.log_softmax(logits)), value

@@ -1,0 +1,1 @@
+"""The decision process as a choice among candidate poses that geometry has found."""

@@ -1,0 +1,6 @@
+"""Where an object could go: candidate poses let down onto the scene by geometry alone."""
+
+from cluttergen_jax.search.lowest import LowestFit
+from cluttergen_jax.search.search import Search, SearchConfig, Shortlist
+
+__all__ = ["LowestFit", "Search", "SearchConfig", "Shortlist"]

@@ -1,0 +1,40 @@
+"""What is trained: an environment and the network that acts in it, made for each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from brax.envs.base import Env
+
+from cluttergen_jax.agent.learner import Learner
+from cluttergen_jax.networks.config import NetworkConfig
+from cluttergen_jax.networks.ranking import RankerConfig
+from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.observation import ObservationConfig
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.ranking.env import RankingEnv
+from cluttergen_jax.ranking.learner import RankingLearner
+from cluttergen_jax.search import LowestFit
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """An environment and its learner.
+
+    Attributes:
+      env: whose actions are poses, or numbers of candidate poses.
+      learner: the network, bound to the world's objects.
+    """
+
+    env: Env
+    learner: Learner | RankingLearner
+
+
+def make_task(rules: Rules, network: NetworkConfig | RankerConfig) -> Task:
+    """The task of a policy that proposes poses, or of one that ranks those that geometry proposes."""
+    geometry = rules.geometry
+    bound = (geometry.cloud, geometry.half_extents, min(rules.num_slots, geometry.num_objects))
+    if isinstance(network, RankerConfig):
+        return Task(RankingEnv(PlacementEnv(rules), LowestFit(rules)), RankingLearner(network, *bound))
+    env = PlacementEnv(rules, ObservationConfig(num_cells=network.num_cells_read))
+    return Task(env, Learner(network, *bound))

@@ -1,0 +1,148 @@
+"""Ranking candidates: begins as the search does, reads menus as promised, and learns from its choices."""
+
+from dataclasses import asdict, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cluttergen_jax.agent.checkpoint import save_policy
+from cluttergen_jax.agent.config import PPOConfig
+from cluttergen_jax.agent.ppo import PPO
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.methods import make_screened
+from cluttergen_jax.networks.config import NetworkConfig
+from cluttergen_jax.networks.ranking import RankerConfig
+from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.region import action_scale
+from cluttergen_jax.policies import load_policy
+from cluttergen_jax.policies.policy import Policy
+from cluttergen_jax.policies.ranked import Ranked, seen_by_ranker
+from cluttergen_jax.ranking.env import RankingEnv
+from cluttergen_jax.ranking.menu import NUM_FEATURES
+from cluttergen_jax.search import LowestFit, SearchConfig
+from cluttergen_jax.training.task import make_task
+from tests.problems import trio_problem
+
+SEARCH = SearchConfig(num_candidates=64, num_finalists=8)
+CONFIG = RankerConfig(object_points=16, object_features=8, token_width=16, width=16, value_width=16)
+
+
+@pytest.fixture(scope="module")
+def rules():
+    return trio_problem(history_stride=60).rules
+
+
+@pytest.fixture(scope="module")
+def search(rules):
+    return LowestFit(rules, SEARCH)
+
+
+def with_one_placed(rules, search, key):
+    """An episode in which the search has placed the first object."""
+    episode = rules.begin(key)
+    return rules.attempt(episode, search(key, episode))[0]
+
+
+def test_menu_holds_what_the_search_found(rules, search):
+    episode = jax.jit(lambda key: with_one_placed(rules, search, key))(jax.random.key(1))
+    menu = jax.jit(lambda e: seen_by_ranker(search, e))(episode)["menu"]
+    assert menu["features"].shape == (8, NUM_FEATURES)
+    assert menu["action"].shape == (8, 4)
+    assert bool(menu["is_allowed"].all())
+    assert np.isfinite(menu["features"]).all()
+    # The poses in the menu are those of its actions.
+    lower, size = action_scale(episode.region, rules.height_range(episode))
+    xy = lower[:2] + menu["action"][:, :2] * size[:2]
+    np.testing.assert_allclose(menu["features"][:, 12:14], xy / episode.region.half_extents, atol=1e-5)
+
+
+def test_failed_attempts_are_seen(rules, search):
+    episode = rules.begin(jax.random.key(2))
+    too_high = jnp.array([0.5, 0.5, 0.99, 0.5])
+    failed = jax.jit(rules.attempt)(episode, too_high)[0]
+    assert int(failed.attempt) == 1
+    menu = seen_by_ranker(search, failed)["menu"]
+    xy = menu["features"][:, 12:14] * episode.region.half_extents
+    np.testing.assert_allclose(
+        menu["features"][:, 10], 10 * np.minimum(np.linalg.norm(xy, axis=1), 0.2), atol=1e-4
+    )
+    assert "history" not in seen_by_ranker(search, failed)
+
+
+def test_untrained_ranking_is_the_searchs_own(rules, search):
+    learner = make_task(rules, CONFIG).learner
+    seen = seen_by_ranker(search, rules.begin(jax.random.key(0)))
+    params = learner.init(jax.random.key(3), seen)
+
+    def both(key):
+        episode = with_one_placed(rules, search, key)
+        menu = seen_by_ranker(search, episode)["menu"]
+        mine = Ranked(search, learner, params)(key, episode)
+        return mine, menu["action"][jnp.argmin(menu["cost"])]
+
+    mine, theirs = jax.jit(jax.vmap(both))(jax.random.split(jax.random.key(4), 16))
+    np.testing.assert_array_equal(mine, theirs)
+
+
+def test_env_takes_the_chosen_candidate(rules, search):
+    env = RankingEnv(PlacementEnv(rules), search)
+    state = jax.jit(env.reset)(jax.random.key(5))
+    chosen = 3
+    after = jax.jit(env.step)(state, jnp.int32(chosen))
+    plain = jax.jit(env.env.step)(state, state.obs["menu"]["action"][chosen])
+    np.testing.assert_array_equal(after.pipeline_state.episode.poses, plain.pipeline_state.episode.poses)
+    assert not np.array_equal(after.obs["menu"]["action"], state.obs["menu"]["action"])
+    assert env.observation_size == jax.tree.map(lambda leaf: leaf.shape, state.obs)
+
+
+def test_learning_changes_the_order(rules, search):
+    learner = make_task(rules, CONFIG).learner
+    env = RankingEnv(PlacementEnv(rules), search)
+    config = PPOConfig(num_envs=4, num_steps=4, num_minibatches=2, num_epochs=2, num_attempts=16)
+    ppo = PPO(env, learner.apply, config)
+    params = learner.init(jax.random.key(0), jax.eval_shape(env.reset, jax.random.key(0)).obs)
+    state = jax.jit(ppo.start)(jax.random.key(1), params)
+    after, figures = jax.jit(ppo.update)(state)
+    assert all(np.isfinite(value) for value in jax.device_get(jax.tree.leaves(figures)))
+    before, after = learner.apply(params, state.env.obs)[0], learner.apply(after.params, state.env.obs)[0]
+    assert float(jnp.abs(jnp.exp(before.logits) - jnp.exp(after.logits)).max()) > 1e-5
+
+
+def test_screened_proposals_are_those_of_the_policy_on_free_ground(rules, search):
+    network = NetworkConfig(head="mixture", num_cells=6, history_width=0, width=16, num_layers=2)
+    task = make_task(rules, network)
+    observation = jax.eval_shape(task.env.reset, jax.random.key(0)).obs
+    policy = Policy(rules, task.learner, task.learner.init(jax.random.key(0), observation), True)
+    screened = make_screened(policy, rules)
+    half = rules.geometry.half_extents
+
+    def verdicts(key):
+        key_place, key_draw = jax.random.split(key)
+        episode = with_one_placed(rules, search, key_place)
+        action = screened(key_draw, episode)
+        drawn = policy.draw(key_draw, episode, screened.num_draws)
+        is_drawn = jnp.any(jnp.all(jnp.abs(drawn[:, :2] - action[:2]) < 1e-5, axis=1))
+        height = action[2] * rules.height_range(episode) - half[rules.focus(episode), 2]
+        return is_drawn, height, rules.attempt(episode, action)[0].slot
+
+    is_drawn, height, slot = jax.jit(jax.vmap(verdicts))(jax.random.split(jax.random.key(6), 16))
+    assert bool(is_drawn.all())
+    np.testing.assert_allclose(height, 0.001, atol=1e-4)
+    assert int((slot == 2).sum()) >= 15
+
+
+def test_a_ranker_that_looks_elsewhere_is_refused(rules, tmp_path):
+    task = make_task(rules, CONFIG)
+    observation = jax.eval_shape(task.env.reset, jax.random.key(0)).obs
+    params = task.learner.init(jax.random.key(0), observation)
+    placement = {"max_attempts": 5, "history_stride": 60}
+    save_policy(tmp_path / "p", params, {"network": asdict(CONFIG), "placement": placement})
+    loaded = load_policy(tmp_path / "p", rules)
+    assert isinstance(loaded, Ranked)
+    episode = rules.begin(jax.random.key(9))
+    assert loaded(jax.random.key(1), episode).shape == (4,)
+    other = replace(rules, config=replace(rules.config, max_attempts=3))
+    with pytest.raises(ConfigError, match="max_attempts"):
+        load_policy(tmp_path / "p", other)
