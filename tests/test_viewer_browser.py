@@ -1,0 +1,237 @@
+"""The web viewer in a real browser without a screen: it loads, and its buttons do what they say."""
+
+import shutil
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cluttergen_jax.baselines import make_proposer
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.problem import ProblemConfig, make_problem
+from cluttergen_jax.sampling import BlockSampler
+from cluttergen_jax.sampling.record import Recorder
+
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    # WebGL without a graphics card.
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--window-size=1100,900",
+)
+PATIENCE = 120
+
+
+class Scenes:
+    """Three scenes of three objects on a small table, some attempts failing, made when they are asked for."""
+
+    name, numbers, methods = "test", (0, 1, 2), ("random",)
+
+    def __init__(self):
+        placement = PlacementConfig(num_objects=3, max_attempts=5, history_stride=0)
+        problem = make_problem(
+            ProblemConfig(
+                objects=("dinner_plate", "mug", "bowl"), support="table-0.40x0.40", placement=placement
+            )
+        )
+        sampler = BlockSampler(problem.rules, make_proposer("random", problem.rules))
+        self.recorder = Recorder(sampler, problem.world, width=1)
+        self.failing = next(seed for seed in range(50) if self.recorder.record(seed, 0).failures)
+
+    def recorded(self, number):
+        return self.recorder.record(self.failing + number, 0, f"scene {number}")
+
+    still = recorded
+
+    def sample(self, method, seed):
+        return self.recorder.record(1000 + seed, 0, f"{method}, seed {seed}")
+
+
+@pytest.fixture(scope="module")
+def viewer(tmp_path_factory):
+    pytest.importorskip("viser", reason="the extra viewer is not installed")
+    from cluttergen_jax.viewer.server import open_server
+    from cluttergen_jax.viewer.viewer import Viewer
+
+    server = open_server("127.0.0.1", 0, "test")
+    viewer = Viewer(Scenes(), server, 0, tmp_path_factory.mktemp("shots"))
+    yield viewer
+    viewer.close()
+
+
+@pytest.fixture(scope="module")
+def page(viewer, tmp_path_factory):
+    webdriver = pytest.importorskip("selenium.webdriver", reason="the extra browser is not installed")
+    binary = shutil.which("chromium") or shutil.which("google-chrome")
+    driver = shutil.which("chromedriver")
+    if not (binary and driver):
+        pytest.skip("no Chromium with its driver on this machine")
+    options = webdriver.ChromeOptions()
+    options.binary_location = binary
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+    browser.get(f"http://127.0.0.1:{viewer.server.get_port()}")
+    yield Page(browser, viewer)
+    browser.quit()
+
+
+class Page:
+    """What a person does and sees."""
+
+    def __init__(self, browser, viewer):
+        self.browser, self.viewer = browser, viewer
+        self.until(lambda: "scene 0" in self.text() and "attempt" in self.text())
+
+    def text(self):
+        return self.browser.execute_script("return document.body.innerText")
+
+    def until(self, condition):
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < end, f"in vain; the page says: {self.text()}"
+            time.sleep(0.1)
+
+    def press(self, label):
+        path = f"//button[normalize-space()='{label}']"
+        self._click(self.browser.find_element("xpath", path))
+
+    def tick(self, label):
+        path = f"//label[normalize-space()='{label}']/following::input[@type='checkbox'][1]"
+        self._click(self.browser.find_element("xpath", path))
+
+    def _click(self, element):
+        self.browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", element)
+        self.browser.execute_script("arguments[0].click()", element)
+
+    def enter(self, label, value):
+        path = f"//label[normalize-space()='{label}']/following::input[@type='text'][1]"
+        field = self.browser.find_element("xpath", path)
+        field.send_keys("\ue009a\ue000", str(value), "\ue007")
+
+    def picture(self):
+        """uint8[H, W, 3], what the browser draws of the scene."""
+        client = next(iter(self.viewer.server.get_clients().values()))
+        pixels = client.get_render(height=240, width=320, transport_format="png", timeout=PATIENCE)
+        return np.asarray(Image.fromarray(pixels).convert("RGB"))
+
+    def changes(self, before):
+        """Waits until the picture is clearly another one, and returns it."""
+        latest = before
+
+        def differs():
+            nonlocal latest
+            latest = self.picture()
+            return changed(before, latest)
+
+        self.until(differs)
+        return latest
+
+
+def changed(before, after):
+    return (np.abs(before.astype(int) - after).max(-1) > 40).sum() > 60
+
+
+def num_red(image):
+    image = image.astype(int)
+    return int(((image[..., 0] > 1.6 * image[..., 1]) & (image[..., 0] > 1.6 * image[..., 2])).sum())
+
+
+def test_page_loads_and_draws_the_scene(page):
+    assert "objects placed: 3" in page.text()
+    image = page.picture()
+    assert len(np.unique(image.reshape(-1, 3), axis=0)) > 100
+    errors = [entry for entry in page.browser.get_log("browser") if entry["level"] == "SEVERE"]
+    assert [entry for entry in errors if "favicon" not in entry["message"]] == []
+
+
+def test_next_previous_and_number_change_the_scene(page):
+    first = page.picture()
+    page.press("Next")
+    page.until(lambda: "scene 1" in page.text())
+    second = page.changes(first)
+    page.press("Previous")
+    page.until(lambda: "scene 0" in page.text())
+    page.changes(second)
+    page.press("Previous")
+    page.until(lambda: "scene 2" in page.text())
+    page.enter("Number", 0)
+    page.until(lambda: "scene 0" in page.text())
+    assert page.viewer.number == 0
+
+
+def test_hulls_clouds_and_region_appear_and_go(page):
+    page.until(lambda: page.viewer.number == 0)
+    for label in ("Hulls", "Scene cloud", "Object cloud", "Queried region"):
+        plain = page.picture()
+        page.tick(label)
+        ticked = page.changes(plain)
+        page.tick(label)
+        page.changes(ticked)
+    shown = page.viewer.scenery.shown
+    assert (shown.hulls, shown.region, shown.scene_cloud, shown.object_cloud) == (False, True, False, False)
+
+
+def test_failed_attempts_are_shown_in_red(page):
+    page.until(lambda: page.viewer.number == 0)
+    plain = page.picture()
+    page.tick("All failed attempts")
+    assert num_red(page.changes(plain)) > num_red(plain) + 30
+    page.tick("All failed attempts")
+    page.until(lambda: not page.viewer.scenery.shown.failures)
+
+
+def test_attempts_are_played_to_the_end(page):
+    recording = page.viewer.recording
+    last = len(recording.attempts)
+    page.press("Play")
+    page.until(lambda: f"attempt 1 of {last}" in page.text() or page.viewer._slider.value > 1)
+    page.until(lambda: page.viewer._slider.value == last and "Play" in page.text())
+    page.until(lambda: f"attempt {last} of {last}" in page.text())
+
+
+def test_sample_changes_the_objects(page):
+    before, image = page.viewer.recording, page.picture()
+    page.press("Sample")
+    page.until(lambda: "random, seed 1" in page.text() and "sampling" not in page.text())
+    assert np.abs(page.viewer.recording.poses - before.poses).max() > 0.01
+    page.changes(image)
+
+
+def test_screenshot_is_saved(page):
+    page.press("Screenshot")
+    page.until(lambda: "saved as" in page.text())
+    (path,) = page.viewer.folder.iterdir()
+    image = np.asarray(Image.open(path))
+    assert image.shape[0] > 300
+    assert image.shape[1] > 300
+    assert len(np.unique(image.reshape(-1, 3), axis=0)) > 200
+
+
+def test_reset_brings_the_camera_back(page):
+    client = next(iter(page.viewer.server.get_clients().values()))
+    home, near = np.array(client.camera.position), page.picture()
+    client.camera.position = home * 1.8
+    far = page.changes(near)
+    page.press("Reset")
+    page.until(lambda: np.allclose(client.camera.position, home, atol=1e-3))
+    page.changes(far)
+
+
+def test_what_goes_wrong_is_said(page, monkeypatch):
+    from cluttergen_jax.errors import BankError
+
+    def broken(number):
+        raise BankError("the bank is gone", hint="another")
+
+    monkeypatch.setattr(page.viewer.source, "still", broken)
+    page.press("Next")
+    page.until(lambda: "the bank is gone. Try: another." in page.text())
