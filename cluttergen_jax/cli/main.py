@@ -15,16 +15,24 @@ def commands() -> Any:
     """The union of all commands. They are imported here so that an import that fails can be explained."""
     from cluttergen_jax.cli.doctor import Doctor
     from cluttergen_jax.cli.evaluate import Evaluate
+    from cluttergen_jax.cli.export import Export
     from cluttergen_jax.cli.generate import Generate
     from cluttergen_jax.cli.import_ import Import
     from cluttergen_jax.cli.inspect_ import Inspect
     from cluttergen_jax.cli.list_ import List
+    from cluttergen_jax.cli.render import Render
+    from cluttergen_jax.cli.stats import Stats
     from cluttergen_jax.cli.train import Train
     from cluttergen_jax.cli.verify import Verify
+    from cluttergen_jax.cli.view import View
 
     return (
         Annotated[Generate, tyro.conf.subcommand("generate")]
         | Annotated[Verify, tyro.conf.subcommand("verify")]
+        | Annotated[Export, tyro.conf.subcommand("export")]
+        | Annotated[Stats, tyro.conf.subcommand("stats")]
+        | Annotated[View, tyro.conf.subcommand("view")]
+        | Annotated[Render, tyro.conf.subcommand("render")]
         | Annotated[Train, tyro.conf.subcommand("train")]
         | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
         | Annotated[Import, tyro.conf.subcommand("import")]

@@ -1,0 +1,134 @@
+"""The problem behind a bank, set up once more: to see its attempts again, and to sample new scenes."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.bank.bank import Bank
+from cluttergen_jax.bank.start import read_start, start_of
+from cluttergen_jax.baselines import METHODS as BASELINES
+from cluttergen_jax.cli.parse import parse_keep_out
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.methods import checkpoint_of, proposer_of, suited
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.recording import Recording
+from cluttergen_jax.placement.region import KeepOut
+from cluttergen_jax.placement.types import Start
+from cluttergen_jax.problem import Problem, ProblemConfig, compose, keep_out_of
+from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler
+from cluttergen_jax.sampling.record import Recorder
+from cluttergen_jax.world import base_name
+
+_Config = TypeVar("_Config", StabilityConfig, ContactConfig, PlacementConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class Workshop:
+    """A problem ready to be worked on by any method.
+
+    Attributes:
+      problem: the compiled world and its rules.
+      keep_out, start: as episodes begin.
+      checkpoints: folders of trained methods, by the method's name.
+    """
+
+    problem: Problem
+    keep_out: KeepOut
+    start: Start
+    checkpoints: dict[str, Path] = field(default_factory=dict)
+    _made: dict[tuple[str, int], Recorder] = field(default_factory=dict)
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """What can be asked of it: trained methods first."""
+        return (*self.checkpoints, *BASELINES)
+
+    def recorder(self, method: str, width: int = 1) -> Recorder:
+        """Records episodes of a method; kept, for it is compiled at first use."""
+        if (method, width) not in self._made:
+            checkpoint = self.checkpoints.get(method)
+            rules = self.problem.rules
+            rules = dataclasses.replace(rules, config=suited(rules.config, checkpoint))
+            begin = partial(rules.begin, keep_out=self.keep_out, start=self.start)
+            sampler = BlockSampler(rules, proposer_of(method, checkpoint, rules), begin)
+            self._made[method, width] = Recorder(sampler, self.problem.world, width)
+        return self._made[method, width]
+
+
+def workshop_of(bank: Bank) -> Workshop:
+    """The problem that a bank's scenes solve, from the bank's own assets.
+
+    Raises:
+      BankError: the bank does not say how it was made, or the bank that it started from is gone.
+      PoolError: its checkpoint is gone.
+    """
+    recipe = bank.record.get("recipe") or {}
+    try:
+        names: Sequence[str] = recipe["names"]
+        method, pool, checkpoint = recipe["method"], recipe["pool"], recipe.get("checkpoint")
+        config = _problem_config(recipe)
+        texts = recipe.get("keep_out", ())
+    except (KeyError, TypeError, ValueError) as error:
+        raise BankError(f"{bank.path}: how it was made is not recorded whole ({error})") from error
+    standing, poses = read_start(recipe.get("start"))
+    objects = [bank.object(base_name(name)) for name in names[: len(names) - len(standing)]]
+    problem = compose(objects, bank.support, config, standing)
+    trained = checkpoint_of(method, pool, checkpoint)
+    return Workshop(
+        problem=problem,
+        keep_out=keep_out_of([parse_keep_out(text) for text in texts]),
+        start=start_of(problem.world, standing, poses),
+        checkpoints={} if trained is None else {method: trained},
+    )
+
+
+def remade(bank: Bank, workshop: Workshop, index: int, stored: Recording) -> Recording:
+    """Scene number `index` of a bank with its attempts, made once more.
+
+    Raises:
+      BankError: made again it ends elsewhere: other versions, another machine, changed assets.
+    """
+    recipe = bank.record["recipe"]
+    recorder = workshop.recorder(recipe["method"], int(recipe.get("block_size", BLOCK_SIZE)))
+    recording = recorder.record(int(recipe["seed"]), index, stored.title)
+    if not _equal(recording, stored):
+        made = ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items())
+        raise BankError(
+            f"{stored.title}: made again, it ends elsewhere than the stored scene (made with {made})",
+            "the machine and the versions that made the bank, for banks that are to be replayed",
+            "the stored scene itself, which is unharmed",
+        )
+    return recording
+
+
+def _equal(recording: Recording, stored: Recording) -> bool:
+    ends = {recording.names[i]: recording.poses[i] for i in recording.placed}
+    kept = {stored.names[i]: stored.poses[i] for i in stored.placed}
+    return set(ends) == set(kept) and all(np.array_equal(ends[name], kept[name]) for name in kept)
+
+
+def _problem_config(recipe: dict[str, Any]) -> ProblemConfig:
+    region = recipe["region"]
+    return ProblemConfig(
+        pool=recipe["pool"],
+        repeat=True,
+        region=Rectangle(tuple(region["center"]), tuple(region["half_extents"]), float(region["yaw"])),
+        engine=recipe.get("engine", "auto"),
+        placement=_read(PlacementConfig, recipe["placement"]),
+        stability=_read(StabilityConfig, recipe["stability"]),
+        contact=_read(ContactConfig, recipe["contact"]),
+    )
+
+
+def _read(kind: type[_Config], values: dict[str, Any]) -> _Config:
+    known = {each.name for each in dataclasses.fields(kind)}
+    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items() if k in known})
