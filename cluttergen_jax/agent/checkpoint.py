@@ -22,6 +22,13 @@ _CRITIC = ("params/critic/", "params/value/")
 """What acting does not need; an attention layer has a `value` too, which it does."""
 
 
+def _checkpointer() -> ocp.StandardCheckpointer:
+    """A checkpointer that waits for no other process: where there are several, one alone reads and writes."""
+    here = jax.process_index()
+    alone = ocp.options.MultiprocessingOptions(primary_host=here, active_processes={here})
+    return ocp.StandardCheckpointer(multiprocessing_options=alone)
+
+
 def _is_key(leaf: Any) -> bool:
     return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
@@ -42,11 +49,18 @@ def _restored(stored: dict[str, Any], like: Any) -> Any:
     return jax.tree.unflatten(structure, leaves)
 
 
+def write_whole(path: Path, data: bytes) -> None:
+    """Writes a file so that it is there whole or not at all."""
+    fresh = path.with_name(f".{path.name}.partial")
+    fresh.write_bytes(data)
+    os.replace(fresh, path)
+
+
 def save_state(path: Path, state: Any, record: dict[str, Any]) -> None:
     """Stores a pytree of arrays and a JSON record as one folder, whole or not at all."""
     fresh = path.with_name(f".{path.name}.partial").absolute()
     shutil.rmtree(fresh, ignore_errors=True)
-    with ocp.StandardCheckpointer() as checkpointer:
+    with _checkpointer() as checkpointer:
         checkpointer.save(fresh / "state", _stored(state))
     (fresh / "record.json").write_text(json.dumps({"format": FORMAT, **record}, indent=1) + "\n")
     aside = path.with_name(f".{path.name}.old")
@@ -57,6 +71,14 @@ def save_state(path: Path, state: Any, record: dict[str, Any]) -> None:
     shutil.rmtree(aside, ignore_errors=True)
 
 
+def has_state(path: Path) -> bool:
+    """Whether a state is stored there; one whose replacement was interrupted is put back first."""
+    aside = path.with_name(f".{path.name}.old")
+    if not path.exists() and aside.exists():
+        os.rename(aside, path)
+    return path.exists()
+
+
 def read_record(path: Path) -> dict[str, Any]:
     """The record stored beside a state or a policy.
 
@@ -65,16 +87,16 @@ def read_record(path: Path) -> dict[str, Any]:
     """
     try:
         record = json.loads((path / "record.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise PoolError(f"{path} is not a checkpoint ({error})", hint="python train.py makes one") from error
-    if record.get("format") != FORMAT:
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PoolError(f"{path} is not a checkpoint of format {FORMAT}")
     return record
 
 
 def read_state(path: Path, like: Any) -> Any:
     """The pytree that `save_state` stored; `like` has its structure, shapes and types."""
-    with ocp.StandardCheckpointer() as checkpointer:
+    with _checkpointer() as checkpointer:
         try:
             stored = checkpointer.restore((path / "state").absolute(), _stored(like))
         except (ValueError, OSError, KeyError) as error:
@@ -91,8 +113,8 @@ def save_policy(path: Path, params: Any, record: dict[str, Any]) -> None:
     }
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **weights)  # type: ignore[arg-type]
-    (path / "weights.npz").write_bytes(buffer.getvalue())
-    (path / "record.json").write_text(json.dumps({"format": FORMAT, **record}, indent=1) + "\n")
+    write_whole(path / "weights.npz", buffer.getvalue())
+    write_whole(path / "record.json", (json.dumps({"format": FORMAT, **record}, indent=1) + "\n").encode())
 
 
 def read_policy(path: Path, like: Any) -> Any:
@@ -104,8 +126,11 @@ def read_policy(path: Path, like: Any) -> Any:
     try:
         with np.load(path / "weights.npz", allow_pickle=False) as stored:
             weights = {name: stored[name] for name in stored.files}
-    except (OSError, ValueError, KeyError) as error:
-        raise PoolError(f"{path / 'weights.npz'} cannot be read ({error})") from error
+    except Exception as error:  # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
+        raise PoolError(
+            f"{path / 'weights.npz'} cannot be read ({type(error).__name__}: {error})",
+            hint="a fresh copy of that folder, or training again",
+        ) from error
     flat = flax.traverse_util.flatten_dict(like, sep="/")
     wrong = [name for name, value in weights.items() if name not in flat or flat[name].shape != value.shape]
     if wrong:

@@ -74,7 +74,7 @@ class MjxPhysics:
         num_rows: int | None = None,
     ) -> None:
         self.layout, self.config = layout, config
-        self._scenes = MjxScenes(layout, impl, num_contacts, num_rows)
+        self.scenes = MjxScenes(layout, impl, num_contacts, num_rows)
         self._settle_one, self._stand_one = one_scene(self.settle_batch), one_scene(self.stand_batch)
 
     def settle(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
@@ -94,7 +94,7 @@ class MjxPhysics:
 
     def settle_batch(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
         """`settle` for scenes with one leading axis."""
-        scenes, config = self._scenes, self.config
+        scenes, config = self.scenes, self.config
         start, is_sound = start_poses(self.layout, poses, is_placed, is_active)
         is_focus = jnp.arange(self.layout.num_objects) == focus[:, None]
         is_neighbour = is_placed & ~is_focus
@@ -139,7 +139,7 @@ class MjxPhysics:
         rows = jnp.arange(num_scenes)
         trajectory = jnp.zeros((num_scenes, self.config.max_steps + 1, 13), jnp.float32)
         return _Attempts(
-            data=self._scenes.release(start),
+            data=self.scenes.release(start),
             track=stability.new_track(jnp, (num_scenes,), num_objects, jnp.float32),
             trajectory=trajectory.at[:, 0, :7].set(start[rows, focus]),
             overflowed=jnp.zeros(num_scenes, bool),
@@ -160,11 +160,11 @@ class MjxPhysics:
     ) -> Settling:
         num_scenes, num_objects = is_placed.shape
         track, is_finite, config = run.track, run.is_finite & is_judged, self.config
-        depths = self._scenes.depths(run.data) * track.is_quiet[:, None, None]
+        depths = self.scenes.depths(run.data) * track.is_quiet[:, None, None]
         # A pair of the focus object had no resting overlap before the attempt.
         has_focus = jnp.pad(is_focus, ((0, 0), (0, 1)))
         before = jnp.where(has_focus[:, :, None] | has_focus[:, None, :], 0.0, run.depth_before)
-        final = jnp.where((is_placed & is_finite[:, None])[..., None], self._scenes.poses(run.data), poses)
+        final = jnp.where((is_placed & is_finite[:, None])[..., None], self.scenes.poses(run.data), poses)
         verdict, is_quiet = stability.verdict_of_attempt(
             jnp,
             track,
@@ -195,7 +195,7 @@ class MjxPhysics:
 
     def stand_batch(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
         """`stand` for scenes with one leading axis."""
-        scenes, config = self._scenes, self.config
+        scenes, config = self.scenes, self.config
         start, is_sound = start_poses(self.layout, poses, is_placed, is_active)
         is_judged = is_active & is_sound
 

@@ -25,7 +25,7 @@ from cluttergen_jax.physics.report import below_top, empty_settling, empty_stand
 from cluttergen_jax.physics.simulations import Simulations, sleeping_model
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
-_MAX_BATCHES = 3
+MAX_BATCHES = 3
 
 
 class NativePhysics:
@@ -42,7 +42,7 @@ class NativePhysics:
         self, layout: Layout, config: StabilityConfig, num_threads: int = 0, max_simulations: int = 128
     ) -> None:
         self.layout, self.config = layout, config
-        self._num_threads, self._max_simulations = num_threads, max_simulations
+        self._num_threads, self.max_simulations = num_threads, max_simulations
         self._model = sleeping_model(layout.model)
         self._cache: OrderedDict[int, Simulations] = OrderedDict()
         self._probe = OverlapProbe(layout)
@@ -96,14 +96,14 @@ class NativePhysics:
         return result
 
     def _blocks(self, is_wanted: np.ndarray) -> list[np.ndarray]:
-        indices, size = np.flatnonzero(is_wanted), self._max_simulations
+        indices, size = np.flatnonzero(is_wanted), self.max_simulations
         return [indices[start : start + size] for start in range(0, len(indices), size)]
 
     def simulations(self, num_scenes: int) -> Simulations:
         """A cached batch with room for `num_scenes`; sizes are powers of two, so that a few are enough."""
-        size = min(self._max_simulations, 1 << (num_scenes - 1).bit_length())
+        size = min(self.max_simulations, 1 << (num_scenes - 1).bit_length())
         if size not in self._cache:
-            while len(self._cache) >= _MAX_BATCHES:
+            while len(self._cache) >= MAX_BATCHES:
                 self._cache.popitem(last=False)
             self._cache[size] = Simulations(self._model, self.layout, size, self._num_threads)
         self._cache.move_to_end(size)

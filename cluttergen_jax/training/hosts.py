@@ -1,0 +1,74 @@
+"""Several processes that train one policy together: who writes, and how they agree."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cluttergen_jax.errors import ConfigError
+
+
+def join(coordinator: str | None, num_processes: int | None, process_id: int | None) -> None:
+    """Makes this process one of several; nothing to do if no coordinator is given.
+
+    Call it before anything is computed.
+
+    Args:
+      coordinator: HOST:PORT of process 0; num_processes: how many there are; process_id: which one this is.
+
+    Raises:
+      ConfigError: one of them is missing or out of range, or the others do not answer.
+    """
+    given = (coordinator, num_processes, process_id)
+    if all(value is None for value in given):
+        return
+    if coordinator is None or num_processes is None or process_id is None:
+        raise ConfigError(
+            "some of --coordinator, --num-processes and --process-id",
+            "all three or none",
+            "--coordinator HOST:PORT --num-processes 2 --process-id 0, and the same with --process-id 1",
+        )
+    if not 0 <= process_id < num_processes:
+        raise ConfigError(f"--process-id {process_id} of {num_processes}", f"0 to {num_processes - 1}")
+    jax.config.update("jax_cpu_collectives_implementation", "gloo")
+    try:
+        jax.distributed.initialize(coordinator, num_processes, process_id)
+    except (RuntimeError, ValueError) as error:
+        raise ConfigError(
+            f"no connection by way of {coordinator}: {error}",
+            "a HOST:PORT of process 0 that all can reach",
+            "the same coordinator and number everywhere, started within five minutes of each other",
+        ) from error
+
+
+def is_writer() -> bool:
+    """Whether this process shows figures and writes files: the first one does."""
+    return jax.process_index() == 0
+
+
+def agree(*wishes: float) -> np.ndarray:
+    """What each process wishes, f64[num processes, num wishes], the same on all of them."""
+    mine = np.array(wishes, np.float64)
+    if jax.process_count() == 1:
+        return mine[None]
+    from jax.experimental.multihost_utils import process_allgather
+
+    return np.asarray(process_allgather(mine.astype(np.float32))).astype(np.float64)
+
+
+def gathered(tree: Any) -> Any:
+    """The whole of arrays that are divided among processes, on each of them. With one process, as it is."""
+    if jax.process_count() == 1:
+        return tree
+    from jax.experimental.multihost_utils import process_allgather
+
+    def whole(leaf: Any) -> Any:
+        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        data = jax.random.key_data(leaf) if is_key else leaf
+        data = np.asarray(process_allgather(data, tiled=True))
+        return jax.random.wrap_key_data(data) if is_key else data
+
+    return jax.tree.map(whole, tree)
