@@ -16,7 +16,7 @@ FLOORS = {
     "physics": 1,
     "networks": 1,
     "world": 2,
-    "scene": 2,
+    "scene": 2.5,
     "placement": 2,
     "agent": 2,
     # Geometry for the products that propose poses; the ranking of its candidates stands on it.

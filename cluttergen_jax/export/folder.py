@@ -20,6 +20,7 @@ from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.assets.support_file import support_hash
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.export.formats import Format, find_format
 from cluttergen_jax.export.manifest import (
@@ -28,7 +29,6 @@ from cluttergen_jax.export.manifest import (
     licences_text,
     manifest,
     scene_record,
-    support_hash,
 )
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, object_folder
 from cluttergen_jax.scene import Scene

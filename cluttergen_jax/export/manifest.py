@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
@@ -12,6 +10,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support_file import support_hash
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, object_folder
 from cluttergen_jax.scene import Scene
 
@@ -88,17 +87,6 @@ def _support_record(support: SupportAsset) -> dict[str, Any]:
         "top": support.top,
         "region": asdict(support.region),
     }
-
-
-def support_hash(support: SupportAsset) -> str:
-    """Hex digest of a support's boxes, top, region and surfaces."""
-    digest = hashlib.sha256()
-    plain = [[asdict(box) for box in support.boxes], support.top, asdict(support.region)]
-    digest.update(json.dumps(plain, sort_keys=True).encode())
-    for piece in support.pieces:
-        digest.update(json.dumps(piece.rgba).encode())
-        digest.update(piece.mesh.vertices.round(6).tobytes() + piece.mesh.faces.tobytes())
-    return digest.hexdigest()
 
 
 def licences_text(support: SupportAsset, assets: Sequence[ObjectAsset], script: str) -> str:

@@ -45,8 +45,7 @@ def scene_xml(
     _add_options(root, stability, contact)
     _add_visual(root)
     assets, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
-    ET.SubElement(world, "light", pos="0.6 -0.8 3", dir="-0.2 0.3 -1", directional="true")
-    ET.SubElement(world, "geom", name="floor", type="plane", size="4 4 0.1", rgba="0.86 0.86 0.88 1")
+    _add_surroundings(assets, world)
     _add_support(assets, world, support)
     stored: set[str] = set()
     names = names or unique_names([asset.name for asset in objects])
@@ -91,9 +90,28 @@ def _add_options(root: ET.Element, stability: StabilityConfig, contact: ContactC
 def _add_visual(root: ET.Element) -> None:
     visual = ET.SubElement(root, "visual")
     ET.SubElement(
-        visual, "headlight", ambient="0.35 0.35 0.35", diffuse="0.4 0.4 0.4", specular="0.1 0.1 0.1"
+        visual, "headlight", ambient="0.32 0.32 0.33", diffuse="0.28 0.28 0.28", specular="0.05 0.05 0.05"
     )
     ET.SubElement(visual, "global", offwidth="1280", offheight="960")
+    ET.SubElement(visual, "quality", shadowsize="4096")
+    ET.SubElement(visual, "map", haze="0.6")
+    ET.SubElement(visual, "rgba", haze="0.90 0.905 0.915 1")
+
+
+def _add_surroundings(assets: ET.Element, world: ET.Element) -> None:
+    sky = {"type": "skybox", "builtin": "gradient", "width": "256", "height": "1536"}
+    ET.SubElement(assets, "texture", sky, name="sky", rgb1="0.62 0.69 0.78", rgb2="0.90 0.905 0.915")
+    ET.SubElement(
+        world,
+        "light",
+        name="sun",
+        pos="0.6 -0.8 3",
+        dir="-0.2 0.45 -1",
+        directional="true",
+        diffuse="0.62 0.61 0.59",
+        specular="0.15 0.15 0.15",
+    )
+    ET.SubElement(world, "geom", name="floor", type="plane", size="0 0 0.1", rgba="0.82 0.82 0.83 1")
 
 
 def _add_support(assets: ET.Element, world: ET.Element, support: SupportAsset) -> None:

@@ -1,0 +1,40 @@
+"""Reads an exported SDFormat world in Drake; needs pydrake alone. Prints JSON: see test_export_peers."""
+
+import json
+import sys
+from pathlib import Path
+
+from pydrake.all import AddMultibodyPlantSceneGraph, DiagramBuilder, Parser, Simulator
+
+folder, seconds = Path(sys.argv[1]), float(sys.argv[2])
+own = json.loads((folder / "MANIFEST.json").read_text())["scenes"][0]
+builder = DiagramBuilder()
+plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.001)
+Parser(plant).AddModels(str(folder / own["file"]))
+plant.Finalize()
+simulator = Simulator(builder.Build())
+context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+names = [entry["name"] for entry in own["objects"]]
+bodies = {name: plant.GetBodyByName("body", plant.GetModelInstanceByName(name)) for name in names}
+
+
+def poses():
+    """Position and quaternion wxyz of every object."""
+    frames = {name: plant.EvalBodyPoseInWorld(context, body) for name, body in bodies.items()}
+    return {n: [*X.translation(), *X.rotation().ToQuaternion().wxyz()] for n, X in frames.items()}
+
+
+def inertia(body):
+    """The tensor about the centre of mass, object axes."""
+    about = body.CalcSpatialInertiaInBodyFrame(context)
+    return about.Shift(about.get_com()).CalcRotationalInertia().CopyToFullMatrix3().tolist()
+
+
+report = {
+    "mass": {name: body.get_mass(context) for name, body in bodies.items()},
+    "inertia": {name: inertia(body) for name, body in bodies.items()},
+    "before": poses(),
+}
+simulator.Initialize()
+simulator.AdvanceTo(seconds)
+print(json.dumps(report | {"after": poses()}))

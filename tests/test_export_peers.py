@@ -1,0 +1,53 @@
+"""Exports in programs that cannot be installed beside this one: each is asked in an interpreter of its own.
+
+CLUTTERGEN_DRAKE_PYTHON, CLUTTERGEN_MANISKILL_PYTHON and CLUTTERGEN_ROBOSUITE_PYTHON name the interpreters of
+environments that have pydrake (Python 3.12), mani_skill, and robosuite with h5py and MuJoCo 3.3; without them
+the tests are skipped. `tests/peers` holds what these interpreters run; it prints JSON.
+"""
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.export import export_scenes
+from tests.test_export import NAMES, assert_same_pose, spread
+
+PEERS = Path(__file__).parent / "peers"
+SECONDS = 2.0
+
+
+def asked(peer, format, tmp_path):
+    """The scene, and what a peer reports of its export."""
+    python = os.environ.get(f"CLUTTERGEN_{peer.upper()}_PYTHON")
+    if not python:
+        pytest.skip(f"CLUTTERGEN_{peer.upper()}_PYTHON names no interpreter that has {peer}")
+    pool = find_pool("dining")
+    scene = spread([pool[name.split("#")[0]] for name in NAMES], find_support("round_table"), NAMES)
+    folder = export_scenes([scene], tmp_path / "out", format)
+    command = [python, str(PEERS / f"read_in_{peer}.py"), str(folder), str(SECONDS)]
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    ran = subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=280)
+    assert ran.returncode == 0, ran.stderr[-3000:]
+    return scene, json.loads(ran.stdout.splitlines()[-1])
+
+
+@pytest.mark.parametrize(
+    ("peer", "format"), [("drake", "sdf"), ("maniskill", "maniskill"), ("robosuite",) * 2]
+)
+def test_peers_read_poses_and_masses_and_the_scene_stands(peer, format, tmp_path):
+    scene, report = asked(peer, format, tmp_path)
+    for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
+        for moment in ("before", "restored"):
+            if moment in report:
+                assert_same_pose(report[moment][name][:3], report[moment][name][3:], pose)
+        assert report["mass"][name] == pytest.approx(asset.mass, rel=1e-5)
+        if "inertia" in report:
+            np.testing.assert_allclose(report["inertia"][name], asset.inertia, rtol=1e-5, atol=1e-9)
+        shift = np.linalg.norm(np.array(report["after"][name][:3]) - pose[:3])
+        assert shift < 0.002, (name, shift)
