@@ -18,11 +18,11 @@ from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.region import action_scale
 from cluttergen_jax.policies import load_policy
 from cluttergen_jax.policies.policy import Policy
-from cluttergen_jax.policies.ranked import Ranked, seen_by_ranker
+from cluttergen_jax.policies.ranked import Ranked
 from cluttergen_jax.ranking.env import RankingEnv
 from cluttergen_jax.ranking.menu import NUM_FEATURES
 from cluttergen_jax.search import LowestFit, SearchConfig
-from cluttergen_jax.training.task import make_task
+from cluttergen_jax.task import make_task
 from tests.problems import trio_problem
 
 SEARCH = SearchConfig(num_candidates=64, num_finalists=8)
@@ -39,6 +39,11 @@ def search(rules):
     return LowestFit(rules, SEARCH)
 
 
+def look(search, episode):
+    """What a ranker sees."""
+    return Ranked(search, None, None).look(episode)
+
+
 def with_one_placed(rules, search, key):
     """An episode in which the search has placed the first object."""
     episode = rules.begin(key)
@@ -47,7 +52,7 @@ def with_one_placed(rules, search, key):
 
 def test_menu_holds_what_the_search_found(rules, search):
     episode = jax.jit(lambda key: with_one_placed(rules, search, key))(jax.random.key(1))
-    menu = jax.jit(lambda e: seen_by_ranker(search, e))(episode)["menu"]
+    menu = jax.jit(lambda e: look(search, e))(episode)["menu"]
     assert menu["features"].shape == (8, NUM_FEATURES)
     assert menu["action"].shape == (8, 4)
     assert bool(menu["is_allowed"].all())
@@ -63,22 +68,22 @@ def test_failed_attempts_are_seen(rules, search):
     too_high = jnp.array([0.5, 0.5, 0.99, 0.5])
     failed = jax.jit(rules.attempt)(episode, too_high)[0]
     assert int(failed.attempt) == 1
-    menu = seen_by_ranker(search, failed)["menu"]
+    menu = look(search, failed)["menu"]
     xy = menu["features"][:, 12:14] * episode.region.half_extents
     np.testing.assert_allclose(
         menu["features"][:, 10], 10 * np.minimum(np.linalg.norm(xy, axis=1), 0.2), atol=1e-4
     )
-    assert "history" not in seen_by_ranker(search, failed)
+    assert "history" not in look(search, failed)
 
 
 def test_untrained_ranking_is_the_searchs_own(rules, search):
     learner = make_task(rules, CONFIG).learner
-    seen = seen_by_ranker(search, rules.begin(jax.random.key(0)))
+    seen = look(search, rules.begin(jax.random.key(0)))
     params = learner.init(jax.random.key(3), seen)
 
     def both(key):
         episode = with_one_placed(rules, search, key)
-        menu = seen_by_ranker(search, episode)["menu"]
+        menu = look(search, episode)["menu"]
         mine = Ranked(search, learner, params)(key, episode)
         return mine, menu["action"][jnp.argmin(menu["cost"])]
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,10 @@ from cluttergen_jax.networks.ranking import RankerConfig
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode
-from cluttergen_jax.policies.ranked import Ranked, seen_by_ranker
+from cluttergen_jax.policies.ranked import Ranked
 from cluttergen_jax.ranking.learner import RankingLearner
 from cluttergen_jax.search import LowestFit
+from cluttergen_jax.task import make_task
 from cluttergen_jax.types import Array
 
 
@@ -70,13 +70,13 @@ class Policy:
 
     def distribution(self, episode: Episode) -> ActionDistribution:
         """Over the actions of one attempt."""
-        seen = observe(self.rules, episode, _observation_of(self.learner.config))
-        dist, _ = self.learner.apply(self.params, jax.tree.map(lambda leaf: leaf[None], seen))
+        dist, _ = self.learner.apply(self.params, jax.tree.map(lambda leaf: leaf[None], self.look(episode)))
         return jax.tree.map(lambda leaf: leaf[0], dist)
 
-
-def _observation_of(config: NetworkConfig) -> ObservationConfig:
-    return ObservationConfig(num_cells=config.num_cells_read)
+    def look(self, episode: Episode) -> dict[str, Any]:
+        """What it sees of an episode."""
+        cells = self.learner.config.num_cells_read
+        return observe(self.rules, episode, ObservationConfig(num_cells=cells))
 
 
 def load_policy(path: Path, rules: Rules, is_sampled: bool | None = None) -> Policy | Ranked:
@@ -100,23 +100,22 @@ def load_policy(path: Path, rules: Rules, is_sampled: bool | None = None) -> Pol
                 f"{name} = {wanted[name]}",
                 "the settings that the policy was trained with",
             )
-    geometry = rules.geometry
-    bound = (geometry.cloud, geometry.half_extents, min(rules.num_slots, geometry.num_objects))
-    if "cost_scale" in record["network"]:
-        ranking, search = RankingLearner(RankerConfig(**record["network"]), *bound), LowestFit(rules)
-        seen = _seen(rules, lambda episode: seen_by_ranker(search, episode))
-        return Ranked(search, ranking, read_policy(path, _shapes(ranking, seen)), bool(is_sampled))
-    learner = Learner(NetworkConfig(**record["network"]), *bound)
-    seen = _seen(rules, lambda episode: observe(rules, episode, _observation_of(learner.config)))
-    return Policy(rules, learner, read_policy(path, _shapes(learner, seen)), is_sampled is not False)
+    stored = record["network"]
+    is_ranker = "cost_scale" in stored
+    network = RankerConfig(**stored) if is_ranker else NetworkConfig(**stored)
+    policy = make_policy(rules, network, None, not is_ranker if is_sampled is None else is_sampled)
+    # Only shapes are needed: drawing fresh parameters would take longer to compile than acting does.
+    seen = jax.eval_shape(lambda: policy.look(rules.begin(jax.random.key(0))))
+    shapes = jax.eval_shape(policy.learner.init, jax.random.key(0), seen)
+    blank = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
+    return replace(policy, params=read_policy(path, blank))
 
 
-def _seen(rules: Rules, look: Callable[[Episode], Any]) -> Any:
-    """The shapes of an observation."""
-    return jax.eval_shape(lambda: look(rules.begin(jax.random.key(0))))
-
-
-def _shapes(learner: Learner | RankingLearner, seen: Any) -> Any:
-    """Parameters of the right shapes; drawing fresh ones would take longer to compile than acting does."""
-    shapes = jax.eval_shape(learner.init, jax.random.key(0), seen)
-    return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
+def make_policy(
+    rules: Rules, network: NetworkConfig | RankerConfig, params: Any, is_sampled: bool
+) -> Policy | Ranked:
+    """A proposer with given weights; with other weights it is `dataclasses.replace(policy, params=...)`."""
+    learner = make_task(rules, network).learner
+    if isinstance(learner, RankingLearner):
+        return Ranked(LowestFit(rules), learner, params, is_sampled)
+    return Policy(rules, learner, params, is_sampled)

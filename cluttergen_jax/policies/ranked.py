@@ -32,12 +32,12 @@ class Ranked:
 
     def __call__(self, key: Array, episode: Episode) -> Array:
         """See `placement.proposer.Proposer`."""
-        seen = seen_by_ranker(self.search, episode)
+        seen = self.look(episode)
         dist, _ = self.learner.apply(self.params, jax.tree.map(lambda leaf: leaf[None], seen))
         chosen = (dist.sample(key) if self.is_sampled else dist.mean())[0]
         return seen["menu"]["action"][chosen]
 
-
-def seen_by_ranker(search: Search, episode: Episode) -> dict[str, Any]:
-    """The observation with a menu of poses."""
-    return with_menu(search, episode, observe(search.rules, episode, ObservationConfig()))
+    def look(self, episode: Episode) -> dict[str, Any]:
+        """What it sees of an episode, the menu included."""
+        seen = observe(self.search.rules, episode, ObservationConfig())
+        return with_menu(self.search, episode, seen)
