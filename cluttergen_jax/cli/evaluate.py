@@ -52,7 +52,8 @@ class Evaluate:
         attempts, repeat and change are then the studies' own.
       only: names of studies of the suite; all of them if not given.
       quick: a few trials a row: the whole paper suite in minutes.
-      seeds: training seeds where a table asks for several; those without a checkpoint are left out.
+      seeds: training seeds where a table asks for several, 3 if not given, 1 if quick; those without a
+        checkpoint are left out.
       engine: auto, native, warp or jax.
       threads: simulation threads; 0 takes every core.
       fresh: make rows again that are at hand.
@@ -73,7 +74,7 @@ class Evaluate:
     suite: str | None = None
     only: tuple[str, ...] = ()
     quick: bool = False
-    seeds: int = 3
+    seeds: int | None = None
     engine: str = "auto"
     threads: int = 0
     fresh: bool = False
@@ -83,7 +84,7 @@ class Evaluate:
         """Runs the command; the exit status."""
         if self.trials is not None and not 1 <= self.trials <= 1_000_000:
             raise ConfigError(f"--trials {self.trials}", "1 to 1000000")
-        if not 1 <= self.seeds <= 100:
+        if self.seeds is not None and not 1 <= self.seeds <= 100:
             raise ConfigError(f"--seeds {self.seeds}", "1 to 100")
         if self.suite is None and (self.only or self.quick):
             raise ConfigError("--only or --quick without a suite", "--suite paper or --suite honest")
@@ -138,7 +139,8 @@ def _compare(args: Evaluate) -> int:
 
 def _run_suite(args: Evaluate, suite: str) -> int:
     out = Path(args.out or f"out/{suite}{'-quick' if args.quick else ''}")
-    studies = find_suite(suite, Scale(args.quick, args.trials, args.seeds, args.pools, args.seed), args.only)
+    seeds = args.seeds or (1 if args.quick else 3)
+    studies = find_suite(suite, Scale(args.quick, args.trials, seeds, args.pools, args.seed), args.only)
     # Times are measured in processes of their own, after everything else.
     lab = _lab(args, out, tuple(t for s in studies if s.measure != "timing" for t in s.trials))
     results = []

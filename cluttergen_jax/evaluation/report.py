@@ -51,10 +51,14 @@ def markdown(result: Result, level: int = 2, link: str = "") -> str:
     measure = result["measure"]
     notes = [] if tables or not measure else [f"- {note}" for note in measure["notes"]]
     lines += [*notes, ""] if notes else []
-    for name in result["pictures"]:
-        if name.endswith(".png"):
-            lines += [f"![{result['title']}]({link}{name})", ""]
+    for name in shown_pictures(result):
+        lines += [f"![{result['title']}]({link}{name})", ""]
     return "\n".join([*lines, provenance(result), ""])
+
+
+def shown_pictures(result: Result) -> list[str]:
+    """File names of the pictures that stand in Markdown."""
+    return [name for name in result["pictures"] if name.endswith(".png")]
 
 
 def write_report(result: Result, folder: Path) -> None:

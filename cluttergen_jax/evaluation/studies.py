@@ -20,6 +20,7 @@ from cluttergen_jax.evaluation.suites import Study
 from cluttergen_jax.evaluation.trial import key_of
 
 Result = dict[str, Any]
+_SHOWN = ("trial", "policy", "figures", "missing", "hint")
 
 
 def run_study(lab: Lab, study: Study, folder: Path, suite: str, command: str, quick: bool) -> Result:
@@ -51,7 +52,7 @@ def run_study(lab: Lab, study: Study, folder: Path, suite: str, command: str, qu
         "trials": sorted({trial.trials for trial in study.trials}),
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "machine": machine(),
-        "records": records,
+        "records": [{name: record[name] for name in _SHOWN if name in record} for record in records],
         "measure": measured,
         "pictures": pictures,
     }
