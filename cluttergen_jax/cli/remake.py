@@ -131,4 +131,5 @@ def _problem_config(recipe: dict[str, Any]) -> ProblemConfig:
 
 def _read(kind: type[_Config], values: dict[str, Any]) -> _Config:
     known = {each.name for each in dataclasses.fields(kind)}
-    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items() if k in known})
+    chosen: Any = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items() if k in known}
+    return kind(**chosen)

@@ -115,7 +115,8 @@ def _frame(recording: Recording, attempt: Attempt, kind: str, progress: float, c
     looks = list(_standing(recording, attempt.poses, attempt.is_placed))
     row = {"approach": 0, "settle": round(progress * attempt.num_steps)}.get(kind, attempt.num_steps)
     pose = attempt.trajectory[row, :7].astype(np.float64)
-    alpha, strength, trails = 1.0, 0.0, ()
+    alpha, strength = 1.0, 0.0
+    trails: tuple[Trail, ...] = ()
     if kind == "approach":
         pose[2] += config.lift * (1.0 - progress) ** 2
         alpha = min(1.0, 2 * progress)

@@ -54,6 +54,10 @@ class Viewer:
         self.show(first)
 
     recording: Recording | None
+    # viser types the value of its handles as read-only, which it is not.
+    _scene: Any
+    _slider: Any
+    _seed_entry: Any
 
     def close(self) -> None:
         """Stops what is under way and the server."""
