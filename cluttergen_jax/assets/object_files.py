@@ -30,6 +30,7 @@ from cluttergen_jax.errors import AssetError, PoolError
 
 FORMAT = 1
 NAME_PATTERN = re.compile(r"[a-z0-9_-]+")
+_FILE = re.compile(r"[a-z0-9_-]+\.[a-z]+")
 _CLOUD = "cloud.npy"
 _RECORD = "object.json"
 
@@ -75,7 +76,10 @@ def read_object(folder: Path) -> ObjectAsset:
     """
     record = _read_record(folder / _RECORD)
     blobs: dict[str, bytes] = {}
-    for name, digest in record["files"].items():
+    digests = record.get("files")
+    if not isinstance(digests, dict) or not all(_FILE.fullmatch(name) for name in digests):
+        raise PoolError(f"{folder / _RECORD} is damaged: its list of files is none", hint=_REWRITE)
+    for name, digest in digests.items():
         blobs[name] = _read_bytes(folder / name)
         if _digest(blobs[name]) != digest:
             raise PoolError(f"{folder / name} does not match its digest in {_RECORD}", hint=_REWRITE)
@@ -159,7 +163,7 @@ def _read_bytes(path: Path) -> bytes:
 def _read_record(path: Path) -> dict[str, Any]:
     try:
         record = json.loads(_read_bytes(path))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise PoolError(f"{path} is not JSON: {error}", hint=_REWRITE) from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PoolError(f"{path} is not an object of format {FORMAT}", hint=_REWRITE)

@@ -130,7 +130,7 @@ def read_pool(path: str | Path) -> Pool:
         index = json.loads(index_path.read_text(encoding="utf-8"))
     except OSError as error:
         raise PoolError(f"{path} is not a pool: {index_path} cannot be read ({error.strerror})") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise PoolError(f"{index_path} is not JSON: {error}") from error
     if not isinstance(index, dict) or index.get("format") != FORMAT:
         raise PoolError(f"{index_path} is not a pool of format {FORMAT}")
@@ -138,6 +138,12 @@ def read_pool(path: str | Path) -> Pool:
         name, names, tier, licence = index["name"], index["objects"], index["tier"], index["licence"]
     except KeyError as error:
         raise PoolError(f"{index_path} lacks {error}") from error
+    is_text = all(isinstance(each, str) for each in (name, tier, licence))
+    is_named = isinstance(names, list) and all(
+        isinstance(each, str) and NAME_PATTERN.fullmatch(each) for each in names
+    )
+    if not (is_text and is_named):
+        raise PoolError(f"{index_path} is damaged: a name, tier, licence or list of objects is none")
     return Pool(name, tuple(read_object(Path(path) / each) for each in names), tier, licence)
 
 

@@ -115,7 +115,7 @@ def _read_json(path: Path) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise PoolError(f"{path} cannot be read ({error.strerror})", hint=_REWRITE) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise PoolError(f"{path} is not JSON: {error}", hint=_REWRITE) from error
 
 

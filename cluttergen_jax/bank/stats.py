@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -101,9 +102,8 @@ def stats_of(bank: Bank) -> BankStats:
 
 def _missing(index: np.ndarray, asked: int) -> tuple[tuple[int, int], ...]:
     """Runs of indices that are asked for and not there."""
-    absent = np.setdiff1d(np.arange(asked), index)
-    runs = np.split(absent, np.flatnonzero(np.diff(absent) > 1) + 1) if len(absent) else []
-    return tuple((int(run[0]), int(run[-1])) for run in runs)
+    fences = [-1, *(int(each) for each in index if each < asked), asked]
+    return tuple((one + 1, two - 1) for one, two in pairwise(fences) if two - one > 1)
 
 
 def _objects(table: pa.Table) -> tuple[ObjectStats, ...]:

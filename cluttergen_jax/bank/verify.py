@@ -9,9 +9,12 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.errors import BankError
+from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.rotation import turn_between
 
 _STRIDE = 12
+_SHORTEST_STEP, _LONGEST_STEP = 1e-4, 0.05
+_OURS = "files written by `cluttergen generate`"
 
 
 @dataclass(frozen=True)
@@ -62,14 +65,32 @@ def verify_scene(path: str | Path, config: VerifyConfig | None = None) -> Verifi
     config = config or VerifyConfig()
     path = Path(path)
     try:
+        with silent_log():
+            return _simulated(path, *_loaded(path), config)
+    except mujoco.FatalError as error:
+        raise BankError(f"{path} cannot be simulated: {error}", _OURS) from error
+
+
+def _loaded(path: Path) -> tuple[mujoco.MjModel, int]:
+    """The model of a scene file, and its keyframe `scene`."""
+    try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, OSError) as error:
-        raise BankError(f"{path} cannot be loaded: {error}") from error
+        raise BankError(f"{path} cannot be loaded: {error}", _OURS, "generating the bank again") from error
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "scene")
     if key < 0:
-        raise BankError(f"{path} has no keyframe called 'scene'", "files written by `cluttergen generate`")
+        raise BankError(f"{path} has no keyframe called 'scene'", _OURS)
+    if not model.njnt or (model.jnt_type != mujoco.mjtJoint.mjJNT_FREE).any():
+        raise BankError(f"{path} holds no free bodies, or joints of another kind", _OURS)
     if not np.allclose(model.key_qpos[key], model.qpos0, atol=1e-6):
         raise BankError(f"{path}: the bodies' poses and the keyframe 'scene' differ")
+    if not _SHORTEST_STEP <= model.opt.timestep <= _LONGEST_STEP:
+        allowed = f"{_SHORTEST_STEP} to {_LONGEST_STEP} s"
+        raise BankError(f"{path}: its time step is {model.opt.timestep:g} s", allowed)
+    return model, key
+
+
+def _simulated(path: Path, model: mujoco.MjModel, key: int, config: VerifyConfig) -> Verification:
     model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     # A diverging scene must be seen, not put back to where it started.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)

@@ -38,13 +38,23 @@ def read_mesh_file(path: Path) -> tuple[list[Piece], str]:
         transform, name = scene.graph[node]
         geometry = scene.geometry[name]
         if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
-            mesh = Mesh(geometry.vertices, geometry.faces).transformed(transform[:3, :3], transform[:3, 3])
+            mesh = _sound(geometry, path).transformed(transform[:3, :3], transform[:3, 3])
             if np.linalg.det(transform[:3, :3]) < 0:
                 mesh = Mesh(mesh.vertices, mesh.faces[:, ::-1])
             pieces.append(Piece(mesh, mean_colour(geometry.visual, is_linear)))
     if not pieces:
         raise AssetError(f"{path} holds no triangles", "a surface mesh, not points or curves")
     return pieces, _up(path, is_linear)
+
+
+def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:
+    """The triangles, if they are some and name vertices that are there."""
+    vertices, faces = np.asarray(geometry.vertices), np.asarray(geometry.faces)
+    if faces.ndim != 2 or faces.shape[1] != 3 or vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise AssetError(f"{path} holds a surface that is not made of triangles", "triangles in space")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise AssetError(f"{path} is damaged: its triangles name vertices that it does not have")
+    return Mesh(vertices, faces)
 
 
 def _up(path: Path, is_gltf: bool) -> str:

@@ -125,7 +125,10 @@ def _root_tag(path: Path) -> str:
 
 def _bodies(path: Path) -> Iterator[Source]:
     """One source for each body that hangs on the world body; the file itself if it does not say."""
-    tree = ElementTree.parse(path).getroot()
+    try:
+        tree = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise AssetError(f"{path} is not well-formed XML: {error}") from error
     names = [body.get("name", "") for world in tree.iter("worldbody") for body in world.findall("body")]
     if len(names) < 2:
         yield _source(path, "mjcf")

@@ -59,7 +59,7 @@ def _global_scaling(path: Path) -> float:
         return 1.0
     try:
         scale = float(json.loads(label.read_text(encoding="utf-8")).get("globalScaling", 1.0))
-    except (ValueError, TypeError, AttributeError) as error:
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
         raise AssetError(f"{label} cannot be read: {error}") from error
     if not (math.isfinite(scale) and scale > 0):
         raise AssetError(f"{label} has globalScaling {scale}", "a number above zero")
@@ -93,11 +93,10 @@ class _Reader:
         if form.tag == "box":
             return [Piece(primitives.box(_floats(form.get("size"), 3) / 2), GREY)]
         if form.tag == "sphere":
-            return [Piece(primitives.ellipsoid(np.full(3, float(form.get("radius", "nan")))), GREY)]
+            return [Piece(primitives.ellipsoid(np.full(3, _number(form, "radius"))), GREY)]
         if form.tag in ("cylinder", "capsule"):
             make = getattr(primitives, form.tag)
-            radius, length = float(form.get("radius", "nan")), float(form.get("length", "nan"))
-            return [Piece(make(radius, length / 2), GREY)]
+            return [Piece(make(_number(form, "radius"), _number(form, "length") / 2), GREY)]
         raise AssetError(f"{self.path}: geometry <{form.tag}>", "mesh, box, cylinder, sphere or capsule")
 
     def _mesh(self, form: Element) -> list[Piece]:
@@ -170,7 +169,7 @@ def _link_of(joint: Element, tag: str, path: Path) -> str:
 
 def _joint_motion(joint: Element) -> np.ndarray:
     limit = joint.find("limit")
-    value = float(limit.get("lower", "0")) if limit is not None else 0.0
+    value = _number(limit, "lower", "0") if limit is not None else 0.0
     kind = joint.get("type")
     if kind not in ("revolute", "prismatic") or not math.isfinite(value):
         return np.eye(4)
@@ -190,6 +189,11 @@ def _origin(element: Element) -> np.ndarray:
     pose = trimesh.transformations.euler_matrix(roll, pitch, yaw, "sxyz")
     pose[:3, 3] = _floats(origin.get("xyz", "0 0 0"), 3)
     return pose
+
+
+def _number(element: Element, name: str, default: str = "nan") -> float:
+    """One attribute as a number."""
+    return float(_floats(element.get(name, default), 1)[0])
 
 
 def _floats(text: str | None, count: int) -> np.ndarray:

@@ -1,0 +1,31 @@
+# %% [markdown]
+# # Cluttered scenes in five lines
+# `sample(key)` is a pure JAX function: compile it, map it, scan it, shard it.
+
+# %%
+import os
+
+import jax
+
+import cluttergen_jax as cg
+
+SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
+num_scenes, num_objects = (8, 2) if SMALL else (256, 10)
+
+# %%
+sample = cg.make_sampler(pool="dining", support="table", num_objects=num_objects, max_retries=2)
+scenes = jax.jit(jax.vmap(sample))(jax.random.split(jax.random.key(0), num_scenes))
+
+# %%
+num_good, num_draws = int(scenes.is_success.sum()), int(scenes.num_draws.sum())
+print(f"{num_good} of {num_scenes} scenes stand, after {num_draws} draws")
+print("objects of the first:", [sample.names[index] for index in scenes.object_index[0]])
+print("where they stand (metres):", scenes.T_world_object.translation()[0].round(3), sep="\n")
+
+# %% [markdown]
+# One of them on the host: as a MuJoCo specification to build upon, and as a file that opens in any MuJoCo.
+
+# %%
+scene = sample.scene(scenes, 0)
+model = scene.to_mjspec().compile()
+print(f"as a MuJoCo model: {model.nbody - 2} free objects, {model.ngeom} geoms")

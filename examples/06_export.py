@@ -1,0 +1,48 @@
+# %% [markdown]
+# # Scenes for other programs
+# Self-contained folders: meshes, collision parts, masses, frictions, licences.
+
+# %%
+import os
+
+import mujoco
+
+from cluttergen_jax.bank import read_bank
+from cluttergen_jax.bank.scene import read_scenes
+from cluttergen_jax.cli.generate import Generate
+from cluttergen_jax.export import FORMATS, export_scenes
+
+SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
+num_objects = 2 if SMALL else 8
+
+# %%
+Generate(out="scenes", num_scenes=4, num_objects=num_objects, method="clear", max_files=0).run()
+scenes = list(read_scenes(read_bank("scenes")))
+
+# %% [markdown]
+# The same from the command line: `cluttergen export scenes --format urdf --out exported/urdf`.
+
+# %%
+for kind in ("mjcf", "urdf", "sdf", "glb"):
+    folder = export_scenes(scenes, f"exported/{kind}", kind, overwrite=True)
+    print(f"{kind:5} {folder}: opens in {FORMATS[kind].opens_in}")
+
+# %%
+model = mujoco.MjModel.from_xml_path(str(next(iter(sorted(folder.parent.glob("mjcf/**/*.xml"))))))
+print(f"read back by MuJoCo: {model.nbody} bodies, {model.nmesh} meshes")
+
+# %% [markdown]
+# Into a model of your own: here a world with another time step, on a podium.
+
+# %%
+spec = mujoco.MjSpec()
+spec.option.timestep = 0.002
+spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(1, 1, 0.1), pos=(0, 0, 0.1))
+place = scenes[0].attach_to(spec, prefix="clutter/", position=(0, 0, 0.2))
+model = spec.compile()
+data = mujoco.MjData(model)
+data.qpos[:] = place.qpos(model)
+start = data.qpos.copy()
+mujoco.mj_step(model, data, 500)
+moved = abs(data.qpos - start).reshape(-1, 7)[:, :3].max()
+print(f"after a second in your own world, the objects have moved {moved * 1000:.2f} mm at most")
