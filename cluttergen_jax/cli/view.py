@@ -96,6 +96,9 @@ def native_model(recording: Recording) -> tuple[mujoco.MjModel, np.ndarray]:
     spec, qpos = scene_spec([recording.objects[index] for index in placed], poses, recording.support)
     # What falls off the table is to stay in sight.
     spec.geom(FLOOR).contype = spec.geom(FLOOR).conaffinity = 1
+    # Where the window's camera looks first, and from how far.
+    spec.stat.center = (*recording.region.center, recording.support.top + 0.05)
+    spec.stat.extent = float(2 * np.hypot(*recording.region.half_extents))
     for body, pose in zip((each for each in spec.bodies if each.joints), poses, strict=True):
         body.pos, body.quat = pose[:3], pose[3:]
     return spec.compile(), qpos
