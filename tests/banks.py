@@ -12,8 +12,14 @@ from cluttergen_jax.bank.table import BLOCK_ROWS, COUNTED, SCHEMA
 from cluttergen_jax.bank.writer import BankWriter
 from tests.worlds import trio
 
-RECIPE = {"seed": 3, "method": "made up", "pool": "trio", "versions": {"cluttergen_jax": "0"}}
 NAMES = tuple(asset.name for asset in trio())
+RECIPE = {
+    "seed": 3,
+    "method": "made up",
+    "pool": "trio",
+    "names": list(NAMES),
+    "versions": {"cluttergen_jax": "0"},
+}
 
 
 def rows(block: int, num_rows: int = BLOCK_ROWS) -> pa.Table:
@@ -59,6 +65,19 @@ def write(path, num_blocks: int = 2) -> None:
         for block in range(num_blocks):
             if not bank.has_block(block, BLOCK_ROWS):
                 bank.write_block(block, rows(block))
+
+
+def two_scenes(path) -> None:
+    """A bank of two scenes that really stand, and one that failed: the third object has no part in any."""
+    table = rows(0, 4).to_pylist()
+    scenes = [table[0], table[1] | {"index": 1}, table[3] | {"index": 2}]
+    for scene, objects in zip(scenes[:2], ([0, 1], [0, 2]), strict=True):
+        half = [trio()[each].half_extents[2] for each in objects]
+        scene["poses"] = [[x, 0, 0.7 + z, 1, 0, 0, 0] for x, z in zip((-0.1, 0.1), half, strict=True)]
+        scene |= {"object_index": objects, "objects": [NAMES[each] for each in objects], "num_placed": 2}
+        scene |= {"is_placed": [True, True], "attempts": [1, 1], "steps": [30, 30], "rest_steps": [30, 30]}
+    with writer(path, 3) as bank:
+        bank.write_block(0, pa.Table.from_pylist(scenes, schema=SCHEMA))
 
 
 if __name__ == "__main__":

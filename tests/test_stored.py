@@ -11,7 +11,6 @@ from cluttergen_jax.bank import read_bank
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.physics.rotation import turn_between
 from tests import banks
-from tests.problems import trio_problem
 
 
 @pytest.fixture(scope="module")
@@ -59,21 +58,10 @@ def test_reset_works_under_vmap_of_vmap_and_scan(bank):
 
 
 def test_a_real_scene_stands_in_the_one_model_and_absent_objects_wait(tmp_path):
-    problem = trio_problem(num_objects=2)
-    with banks.writer(tmp_path / "bank", 1) as writer:
-        table = banks.rows(0, 1).to_pylist()
-        # The box and the prism lie on the table; the tall one has no part in it.
-        table[0] |= {"object_index": [0, 1], "objects": ["box", "prism"], "is_placed": [True, True]}
-        table[0]["poses"] = [[-0.1, 0, 0.75, 1, 0, 0, 0], [0.1, 0, 0.73, 1, 0, 0, 0]]
-        for name in ("attempts", "steps", "rest_steps"):
-            table[0][name] = [1, 1]
-        table.append(table[0] | {"index": 1, "objects": ["box", "tall"], "object_index": [0, 2]})
-        table[1]["poses"] = [[-0.1, 0, 0.75, 1, 0, 0, 0], [0.1, 0, 0.8, 1, 0, 0, 0]]
-        schema = banks.rows(0, 1).schema
-        writer.write_block(0, type(banks.rows(0, 1)).from_pylist(table, schema=schema))
+    banks.two_scenes(tmp_path / "bank")
     bank = cg.load_bank(tmp_path / "bank")
     model = bank.model()
-    assert bank.names == ("box", "prism", "tall") == problem.world.names
+    assert bank.names == ("box", "prism", "tall")
     for place in (0, 1):
         scene = bank.scene(jnp.int32(place))
         data = mujoco.MjData(model)

@@ -29,7 +29,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash, read_object
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash
-from cluttergen_jax.bank.table import BLOCK_ROWS, SCHEMA
+from cluttergen_jax.bank.table import BLOCK_ROWS, CERTIFICATE, SCHEMA, is_certified
 from cluttergen_jax.errors import BankError
 
 FORMAT = 1
@@ -72,7 +72,7 @@ class Bank:
 
     @cached_property
     def table(self) -> pa.Table:
-        """All rows that are there, in order.
+        """All rows that are there, in order; with their certificate, if all have it.
 
         Raises:
           BankError: there are none, or a block is damaged; the message names its file.
@@ -80,8 +80,9 @@ class Bank:
         blocks = block_numbers(self.path)
         if not blocks:
             raise BankError(f"{self.path} holds no scenes yet", hint=_AGAIN)
-        rows = [read_block(self.path, block).select(SCHEMA.names) for block in blocks]
-        return pa.concat_tables([each.replace_schema_metadata(None) for each in rows])
+        rows = [read_block(self.path, block) for block in blocks]
+        names = [*SCHEMA.names, *(CERTIFICATE.names if all(map(is_certified, rows)) else [])]
+        return pa.concat_tables([each.select(names).replace_schema_metadata(None) for each in rows])
 
     def scenes(self) -> Iterator[SceneRecord]:
         """Every scene, failures included."""

@@ -10,7 +10,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.bank.bank import Bank
 from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.bank.stats import BankStats, stats_of
-from cluttergen_jax.bank.table import COUNTED, SCHEMA
+from cluttergen_jax.bank.table import CERTIFICATE, COUNTED, SCHEMA
 from cluttergen_jax.types import Verdict
 
 CARD = "README.md"
@@ -32,6 +32,18 @@ _COLUMNS = {
     "steps": "slot by slot, steps of all its attempts",
     "rest_steps": "slot by slot, steps of the attempt that succeeded",
     "simulated_steps": "steps simulated for the scene",
+    "residual_speed": "after `cluttergen certify`: m/s, the fastest object 0.25 s after the scene is let go",
+    "residual_angular_speed": "after `certify`: rad/s, likewise",
+    "horizon_drift": "after `certify`: metres, the most that an object moves within the horizon",
+    "horizon_turn": "after `certify`: radians, the most that an object turns within the horizon",
+    "horizon_seconds": "after `certify`: the horizon",
+    "penetration": "after `certify`: metres, the deepest overlap of two bodies",
+    "num_contacts": "after `certify`: contact points",
+    "shake": "after `certify`: m/s^2, the sideways acceleration of the support, growing slowly, at which an "
+    "object has moved 5 mm; the smaller of both directions",
+    "shake_x": "after `certify`: m/s^2, along world x",
+    "shake_y": "after `certify`: m/s^2, along world y",
+    "rests_on": "after `certify`: pairs of object_index, who rests and on whom; -1 is the support",
 } | {f"num_{v.label.replace('-', '_')}": f"attempts that ended {v.label}: {v.sentence}" for v in COUNTED}
 
 
@@ -119,7 +131,8 @@ def _files() -> str:
         "| column | type | meaning |",
         "|---|---|---|",
     ]
-    return "\n".join(lines + [f"| `{f.name}` | `{f.type}` | {_COLUMNS[f.name]} |" for f in SCHEMA])
+    fields = [*SCHEMA, *CERTIFICATE]
+    return "\n".join(lines + [f"| `{f.name}` | `{f.type}` | {_COLUMNS[f.name]} |" for f in fields])
 
 
 def _made(recipe: dict[str, Any]) -> str:

@@ -63,8 +63,8 @@ def _scene(bank: Bank, record: SceneRecord, drift: float, objects: Sequence[Obje
         objects=tuple(objects),
         poses=record.poses,
         support=bank.support,
-        stability=_config(StabilityConfig, recipe.get("stability", {}), bank.path),
-        contact=_config(ContactConfig, recipe.get("contact", {}), bank.path),
+        stability=config_of(StabilityConfig, recipe.get("stability", {}), bank.path),
+        contact=config_of(ContactConfig, recipe.get("contact", {}), bank.path),
         origin=Origin(
             bank=bank.path.resolve().name,
             index=record.index,
@@ -85,7 +85,12 @@ def _named(path: str) -> str:
     return Path(path).name
 
 
-def _config(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Config:
+def config_of(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Config:
+    """A config as a bank's recipe has it.
+
+    Raises:
+      BankError: the recipe is damaged.
+    """
     known = {field.name for field in fields(kind)}
     try:
         plain: dict[str, Any] = {

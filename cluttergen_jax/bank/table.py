@@ -39,6 +39,33 @@ SCHEMA = pa.schema(
 count the scene's attempts by verdict."""
 
 
+CERTIFICATE = pa.schema(
+    [
+        ("residual_speed", pa.float32()),
+        ("residual_angular_speed", pa.float32()),
+        ("horizon_drift", pa.float32()),
+        ("horizon_turn", pa.float32()),
+        ("horizon_seconds", pa.float32()),
+        ("penetration", pa.float32()),
+        ("num_contacts", pa.int32()),
+        ("shake", pa.float32()),
+        ("shake_x", pa.float32()),
+        ("shake_y", pa.float32()),
+        ("rests_on", pa.list_(pa.list_(pa.int32(), 2))),
+    ]
+)
+"""What `cluttergen certify` adds: null for scenes that failed. SI units and radians; `rests_on` holds pairs
+of `object_index`, who rests and on whom, -1 for the support."""
+
+
+def is_certified(rows: pa.Table) -> bool:
+    """Whether the rows have their certificate."""
+    return all(
+        field.name in rows.schema.names and rows.schema.field(field.name).type == field.type
+        for field in CERTIFICATE
+    )
+
+
 def table_of(indices: np.ndarray, scenes: Scenes, names: Sequence[str]) -> pa.Table:
     """The rows of a block of scenes with one leading axis."""
     rows = [_row(int(index), scenes, place, names) for place, index in enumerate(indices)]

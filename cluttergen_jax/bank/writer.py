@@ -108,11 +108,7 @@ class BankWriter:
         Raises:
           BankError: it cannot be written, for instance because the disk is full.
         """
-        buffer = io.BytesIO()
-        pq.write_table(with_record(table, self._record), buffer, write_page_checksum=True)
-        path = block_path(self.path, block)
-        with writing(path):
-            write_atomically(path, buffer.getvalue(), is_durable=True)
+        write_rows(self.path, block, table, self._record)
 
     def _check_place(self) -> None:
         """Refuses a place that holds something which is not a bank."""
@@ -158,6 +154,19 @@ class BankWriter:
                 fill_atomically(folder, partial(_write_object, asset))
         if _stored_support(root / "support") != hashes["support"]:
             fill_atomically(root / "support", partial(write_support, support=support))
+
+
+def write_rows(path: Path, block: int, table: pa.Table, record: dict[str, Any]) -> None:
+    """Stores the rows of a block, and the bank's record in it, as a whole. For who holds the bank's lock.
+
+    Raises:
+      BankError: it cannot be written, for instance because the disk is full.
+    """
+    buffer = io.BytesIO()
+    pq.write_table(with_record(table, record), buffer, write_page_checksum=True)
+    file = block_path(path, block)
+    with writing(file):
+        write_atomically(file, buffer.getvalue(), is_durable=True)
 
 
 def _is_json(path: Path) -> bool:

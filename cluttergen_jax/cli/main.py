@@ -13,6 +13,7 @@ from cluttergen_jax.errors import ClutterGenError
 
 def commands() -> Any:
     """The union of all commands. They are imported here so that an import that fails can be explained."""
+    from cluttergen_jax.cli.certify import Certify
     from cluttergen_jax.cli.doctor import Doctor
     from cluttergen_jax.cli.evaluate import Evaluate
     from cluttergen_jax.cli.export import Export
@@ -30,6 +31,7 @@ def commands() -> Any:
         Annotated[Generate, tyro.conf.subcommand("generate")]
         | Annotated[Verify, tyro.conf.subcommand("verify")]
         | Annotated[Export, tyro.conf.subcommand("export")]
+        | Annotated[Certify, tyro.conf.subcommand("certify")]
         | Annotated[Stats, tyro.conf.subcommand("stats")]
         | Annotated[View, tyro.conf.subcommand("view")]
         | Annotated[Render, tyro.conf.subcommand("render")]

@@ -1,0 +1,68 @@
+"""Certificates: measured by hand where a hand can, kept in the bank, and taken up again."""
+
+import numpy as np
+import pytest
+
+from cluttergen_jax.bank import read_bank
+from cluttergen_jax.bank.bank import block_path
+from cluttergen_jax.bank.card import CARD
+from cluttergen_jax.bank.table import BLOCK_ROWS, CERTIFICATE
+from cluttergen_jax.cli.main import main
+from tests import banks
+
+
+@pytest.fixture(scope="module")
+def bank(tmp_path_factory):
+    path = tmp_path_factory.mktemp("banks") / "bank"
+    banks.two_scenes(path)
+    assert main(["certify", str(path), "--seconds", "0.5"]) == 0
+    return path
+
+
+def test_numbers_are_those_of_the_mechanics(bank):
+    table = read_bank(bank).table
+    one, two, failed = (table.slice(row, 1).to_pylist()[0] for row in range(3))
+    assert all(failed[name] is None for name in CERTIFICATE.names)
+    # Two things on the table, neither on the other; -1 is the table.
+    assert one["rests_on"] == [[0, -1], [1, -1]]
+    assert two["rests_on"] == [[0, -1], [2, -1]]
+    for scene in (one, two):
+        assert scene["horizon_seconds"] == 0.5
+        assert scene["num_contacts"] >= 6
+        assert 0 <= scene["residual_speed"] < 0.005
+        assert 0 <= scene["horizon_drift"] < 1e-3
+        assert 0 <= scene["penetration"] < 1e-3
+        assert scene["shake"] == min(scene["shake_x"], scene["shake_y"])
+    # Friction holds until 0.5 g; the tall one tips over at 0.1 g. What is let go takes a while for 5 mm.
+    assert 0.5 * 9.81 - 0.05 < one["shake"] < 0.5 * 9.81 + 0.6
+    assert 0.1 * 9.81 - 0.05 < two["shake"] < 0.1 * 9.81 + 0.6
+
+
+def test_what_is_certified_is_not_measured_again(bank, capsys):
+    before = block_path(bank, 0).read_bytes()
+    assert main(["certify", str(bank)]) == 0
+    assert "2 scenes that stand have their certificate (0 rows are new)" in capsys.readouterr().out
+    assert block_path(bank, 0).read_bytes() == before
+    assert "| `shake` |" in (bank / CARD).read_text()
+
+
+def test_a_bank_that_grows_is_certified_as_it_grows(tmp_path, capsys):
+    path = tmp_path / "bank"
+    banks.two_scenes(path)
+    assert main(["certify", str(path), "--seconds", "0.1"]) == 0
+    with banks.writer(path, BLOCK_ROWS + 1) as writer:
+        # The block is there, certified or not.
+        assert writer.has_block(0, 3)
+        writer.write_block(
+            1, banks.rows(1, 4).slice(3, 1).set_column(0, "index", [np.array([256], np.int32)])
+        )
+    assert "shake" not in read_bank(path).table.column_names
+    assert main(["certify", str(path)]) == 0
+    assert "(1 rows are new)" in capsys.readouterr().out
+    assert read_bank(path).table["shake"].null_count == 2
+
+
+def test_a_second_writer_is_refused(bank, capsys):
+    with banks.writer(bank, 3):
+        assert main(["certify", str(bank)]) == 2
+    assert "being written by" in capsys.readouterr().err
