@@ -1,62 +1,24 @@
 """Training runs: they leave what they promise, are taken up again, and their policies generate scenes."""
 
 import json
-from dataclasses import asdict
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.experimental.compilation_cache import compilation_cache
 
 from cluttergen_jax.agent.checkpoint import read_policy, read_record
-from cluttergen_jax.agent.config import PPOConfig
 from cluttergen_jax.agent.learner import Learner
 from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.networks.actor_critic import NetworkConfig
+from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.policies import load_policy
-from cluttergen_jax.training.interrupt import Interrupt
 from cluttergen_jax.training.records import read_rows
-from cluttergen_jax.training.run import Run, RunConfig
 from tests.problems import made_up_rules
+from tests.runs import SMALL, Stopping, compiled_once, make_run, weights
 
-SMALL = NetworkConfig(
-    object_points=8,
-    object_features=8,
-    token_width=16,
-    num_heads=2,
-    num_blocks=1,
-    history_width=8,
-    num_layers=2,
-    width=16,
-)
-PPO = PPOConfig(num_envs=4, num_steps=4, num_minibatches=2, num_epochs=2, num_attempts=64)
-
-
-def recipe(rules):
-    return {"placement": asdict(rules.config), "network": asdict(SMALL)}
-
-
-def make_run(folder, ppo=PPO, seed=0):
-    rules = made_up_rules(history_stride=12, reward="compressed")
-    return Run(rules, SMALL, ppo, RunConfig(seed=seed, window=2), folder, recipe(rules))
-
-
-def weights(state):
-    return np.concatenate([np.asarray(leaf).ravel() for leaf in jax.tree.leaves(state.params)])
-
-
-@pytest.fixture(scope="module", autouse=True)
-def compiled_once(tmp_path_factory):
-    """The same program is compiled once for all runs of this file."""
-    before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path_factory.mktemp("programs")))
-    compilation_cache.reset_cache()
-    yield
-    jax.config.update("jax_compilation_cache_dir", before)
-    compilation_cache.reset_cache()
+__all__ = ["compiled_once"]
 
 
 @pytest.fixture(scope="module")
@@ -74,22 +36,6 @@ def test_leaves_progress_curve_and_checkpoints(trained):
     for name in ("policy", "best"):
         assert (folder / name / "weights.npz").exists()
     assert list((folder / "tensorboard").iterdir())
-
-
-class Stopping(Interrupt):
-    """As if Ctrl-C were pressed while the given number of calls had been made."""
-
-    def __init__(self, calls):
-        super().__init__()
-        self.calls = calls
-
-    @property
-    def is_asked(self):
-        self.calls -= 1
-        return self.calls < 0
-
-    @is_asked.setter
-    def is_asked(self, value): ...
 
 
 def test_stopped_run_goes_on_to_the_same_bits(trained, tmp_path):

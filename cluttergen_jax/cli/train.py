@@ -1,4 +1,4 @@
-"""`cluttergen train`: the policy, from scratch or from where it stopped."""
+"""`cluttergen train`: the policy, from scratch or from where it stopped; or all policies of a suite."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.agent.checkpoint import read_record
-from cluttergen_jax.agent.config import PPOConfig
+from cluttergen_jax.agent.checkpoint import has_state, read_record
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.problem import ProblemConfig, make_problem
+from cluttergen_jax.training.hosts import join
 from cluttergen_jax.training.presets import Settings, make_settings
+from cluttergen_jax.training.suite import POOLS, SEEDS
+
+ACTIONS = ("sampled", "mean")
 
 
 @dataclass(frozen=True)
@@ -26,12 +30,27 @@ class Train:
       num_objects: objects per scene.
       attempts: per object, 1 to 10.
       preset: cpu, gpu or paper.
-      variant: policy (the full method), open_loop, short_memory or normal.
+      variant: policy (the full method), open_loop, short_memory, normal, beta or ranked.
       num_attempts: environment steps of the run; the preset's if not given.
+      num_envs: environments side by side; the preset's if not given.
       seed: of weights, episodes and actions.
       reward: paper, code or compressed; the preset's if not given.
-      out: the run's folder; runs/POOL-VARIANT-SEED if not given.
+      out: the run's folder, runs/POOL-VARIANT-SEED if not given; of a suite, the folder of all its runs.
       engine: auto, native, warp or jax.
+      eval_every: attempts between evaluations; 0 evaluates at the end only.
+      eval_episodes: fresh episodes of each evaluation; 0 leaves evaluations out.
+      eval_action: sampled, or mean (of a ranker's candidates, the best); as `generate` acts if not given.
+      memory_limit: GB that the run may need; what is free if not given.
+      wandb: send the figures to Weights & Biases too (extra wandb).
+      suite: paper trains all policies that the tables need: pools x variants x seeds, and dining with 1 to 10
+        attempts. Runs that are done are left alone, others are taken up.
+      suite_list: only list the suite's runs, with the time that they will take.
+      suite_only: only the runs whose names match, such as 'dining-*' or '*-policy-0'.
+      pools: of the suite.
+      seeds: of the suite.
+      coordinator: HOST:PORT of the first of several processes that train one policy together.
+      num_processes: how many there are.
+      process_id: which of them this is, from 0; the first one writes.
     """
 
     pool: str = "dining"
@@ -41,17 +60,45 @@ class Train:
     preset: str = "cpu"
     variant: str = "policy"
     num_attempts: int | None = None
+    num_envs: int | None = None
     seed: int = 0
     reward: str | None = None
     out: str | None = None
     engine: str = "auto"
+    eval_every: int = 0
+    eval_episodes: int = 256
+    eval_action: str | None = None
+    memory_limit: float | None = None
+    wandb: bool = False
+    suite: str | None = None
+    suite_list: bool = False
+    suite_only: str | None = None
+    pools: tuple[str, ...] = POOLS
+    seeds: tuple[int, ...] = SEEDS
+    coordinator: str | None = None
+    num_processes: int | None = None
+    process_id: int | None = None
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        self._check()
+        if self.suite is not None:
+            # Brax takes seconds to import, and a suite that is only listed needs none of it.
+            from cluttergen_jax.cli.training_suite import run_suite
+
+            return run_suite(self)
+        join(self.coordinator, self.num_processes, self.process_id)
+        self.train()
+        return 0
+
+    def train(self) -> None:
+        """One run, to its end."""
         # Brax takes seconds to import, and only who trains needs it.
+        from cluttergen_jax.cli.training_evaluation import Evaluator
+        from cluttergen_jax.training.hosts import is_writer
         from cluttergen_jax.training.run import Run, RunConfig
 
-        settings = self._settings()
+        settings = self.settings()
         problem = make_problem(
             ProblemConfig(
                 pool=self.pool,
@@ -61,26 +108,67 @@ class Train:
                 stability=settings.stability,
             )
         )
-        folder = Path(self.out or f"runs/{Path(self.pool).name}-{self.variant}-{self.seed}")
         recipe = recipe_of(self, settings)
-        _check_folder(folder, recipe)
-        print(f"run        {folder}")
-        config = RunConfig(seed=self.seed)
-        Run(problem.rules, settings.network, settings.ppo, config, folder, recipe).train()
-        print(f"done       policy in {folder / 'policy'}, curve in {folder / 'curve.png'}")
-        return 0
+        check_folder(self.folder, recipe)
+        say = print if is_writer() else _say_nothing
+        say(f"run        {self.folder}")
+        config = RunConfig(
+            seed=self.seed,
+            eval_every=self.eval_every,
+            memory_limit=None if self.memory_limit is None else int(self.memory_limit * 1e9),
+            wandb=self.wandb,
+        )
+        is_pose = isinstance(settings.network, NetworkConfig)
+        is_sampled = is_pose if self.eval_action is None else self.eval_action == "sampled"
+        evaluate = Evaluator(problem, settings.network, self.eval_episodes, is_sampled, self.seed)
+        Run(
+            problem.rules,
+            settings.network,
+            settings.ppo,
+            config,
+            self.folder,
+            recipe,
+            evaluate if self.eval_episodes else None,
+        ).train()
+        say(f"done       policy in {self.folder / 'policy'}, curve in {self.folder / 'curve.png'}")
 
-    def _settings(self) -> Settings:
+    @property
+    def folder(self) -> Path:
+        """The run's."""
+        return Path(self.out or f"runs/{Path(self.pool).name}-{self.variant}-{self.seed}")
+
+    def settings(self) -> Settings:
+        """The preset with what the command line changes."""
         settings = make_settings(self.preset, self.variant)
         placement = dataclasses.replace(
             settings.placement, num_objects=self.num_objects, max_attempts=self.attempts
         )
         if self.reward is not None:
             placement = dataclasses.replace(placement, reward=self.reward)
-        ppo: PPOConfig = settings.ppo
-        if self.num_attempts is not None:
-            ppo = dataclasses.replace(ppo, num_attempts=self.num_attempts)
-        return dataclasses.replace(settings, placement=placement, ppo=ppo)
+        network = settings.network
+        if isinstance(network, NetworkConfig) and network.history_length > 1:
+            # The full method looks back on every attempt that an object may have, however many those are.
+            network = dataclasses.replace(network, history_length=self.attempts)
+        changes = {"num_attempts": self.num_attempts, "num_envs": self.num_envs}
+        given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
+        ppo = dataclasses.replace(settings.ppo, **given)
+        return dataclasses.replace(settings, placement=placement, network=network, ppo=ppo)
+
+    def _check(self) -> None:
+        """Refuses what cannot be meant.
+
+        Raises:
+          ConfigError: it says which option.
+        """
+        if self.eval_action not in (None, *ACTIONS):
+            raise ConfigError(f"--eval-action {self.eval_action}", ", ".join(ACTIONS))
+        for name in ("eval_every", "eval_episodes"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"--{name.replace('_', '-')} {getattr(self, name)}", "0 or more")
+        if self.suite is None and (self.suite_list or self.suite_only is not None):
+            raise ConfigError("--suite-list or --suite-only without a suite", hint="--suite paper")
+        if self.suite is not None and self.coordinator is not None:
+            raise ConfigError("a suite on several processes", "one run at a time there", "--suite-list")
 
 
 def recipe_of(args: Train, settings: Settings) -> dict[str, Any]:
@@ -97,9 +185,13 @@ def recipe_of(args: Train, settings: Settings) -> dict[str, Any]:
     }
 
 
-def _check_folder(folder: Path, recipe: dict[str, Any]) -> None:
-    """Refuses to continue a run that was made with other settings."""
-    if not (folder / "last").exists():
+def check_folder(folder: Path, recipe: dict[str, Any]) -> None:
+    """Refuses to continue a run that was made with other settings.
+
+    Raises:
+      ConfigError: there is one; the message says which settings differ.
+    """
+    if not has_state(folder / "last"):
         return
     theirs = read_record(folder / "last")
     changed = sorted(name for name, value in recipe.items() if theirs.get(name) != _as_json(value))
@@ -115,3 +207,7 @@ def _as_json(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _as_json(each) for name, each in value.items()}
     return list(value) if isinstance(value, tuple) else value
+
+
+def _say_nothing(text: str) -> None:
+    del text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from collections.abc import Callable
@@ -17,9 +18,9 @@ _FIRST = (
     ("reward", "reward", ".3f"),
 )
 _SECOND = (
-    ("loss", "loss", ".3f"),
-    ("policy", "policy_loss", ".3f"),
-    ("value", "value_loss", ".3f"),
+    ("loss", "loss", ".3g"),
+    ("policy", "policy_loss", ".3g"),
+    ("value", "value_loss", ".3g"),
     ("entropy", "entropy", ".2f"),
     ("KL", "kl", ".4f"),
     ("clipped", "clipped", ".2f"),
@@ -63,7 +64,7 @@ class Display:
             self._draw(progress + _figures(row, _FIRST), _figures(row, _SECOND, start=" "))
         elif now - self._shown >= self._every or row["attempts"] >= self._total:
             self._shown = now
-            print((progress + _figures(row, _LOGGED)).strip()[:WIDTH], file=self._stream, flush=True)
+            print((progress + _figures(row, _LOGGED)).strip(), file=self._stream, flush=True)
 
     def say(self, text: str) -> None:
         """A line that stays, above the figures."""
@@ -89,7 +90,8 @@ class Display:
 
     def _draw(self, first: str, second: str) -> None:
         # Both lines are cut, not wrapped: a wrapped line could not be drawn over.
-        self._stream.write(f"\r\x1b[K{first[:WIDTH]}\n\x1b[K{second[:WIDTH]}\x1b[1A\r")
+        width = min(WIDTH, shutil.get_terminal_size((WIDTH + 1, 24)).columns - 1)
+        self._stream.write(f"\r\x1b[K{first[:width]}\n\x1b[K{second[:width]}\x1b[1A\r")
         self._stream.flush()
         self._is_drawn = True
 

@@ -69,6 +69,6 @@ def gathered(tree: Any) -> Any:
         is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
         data = jax.random.key_data(leaf) if is_key else leaf
         data = np.asarray(process_allgather(data, tiled=True))
-        return jax.random.wrap_key_data(data) if is_key else data
+        return jax.random.wrap_key_data(jnp.asarray(data)) if is_key else data
 
     return jax.tree.map(whole, tree)

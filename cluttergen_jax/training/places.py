@@ -75,7 +75,7 @@ def shared(tree: Any) -> Any:
     def first(leaf: Any) -> Any:
         data = np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
         data = np.asarray(broadcast_one_to_all(data))
-        return jax.random.wrap_key_data(data) if _is_key(leaf) else data
+        return jax.random.wrap_key_data(jnp.asarray(data)) if _is_key(leaf) else data
 
     return jax.tree.map(first, tree)
 

@@ -12,13 +12,13 @@ import jax
 from cluttergen_jax.agent.checkpoint import has_state, read_state
 from cluttergen_jax.agent.config import PPOConfig
 from cluttergen_jax.agent.health import explain
-from cluttergen_jax.agent.learner import Learner
 from cluttergen_jax.agent.ppo import PPO, TrainState
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.networks.actor_critic import NetworkConfig
+from cluttergen_jax.networks.config import NetworkConfig
+from cluttergen_jax.networks.ranking import RankerConfig
 from cluttergen_jax.physics.memory import engine_bytes
-from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.task import make_task
 from cluttergen_jax.training.hosts import agree, gathered, is_writer
 from cluttergen_jax.training.interrupt import Interrupt
 from cluttergen_jax.training.journal import Evaluate, Journal, RunConfig, Silence
@@ -51,7 +51,7 @@ class Run:
     def __init__(
         self,
         rules: Rules,
-        network: NetworkConfig,
+        network: NetworkConfig | RankerConfig,
         ppo: PPOConfig,
         config: RunConfig,
         folder: Path,
@@ -59,10 +59,9 @@ class Run:
         evaluate: Evaluate | None = None,
     ) -> None:
         self.config, self.folder, self.recipe = config, folder, recipe
-        geometry = rules.geometry
-        most = min(rules.num_slots, geometry.num_objects)
-        self.learner = Learner(network, geometry.cloud, geometry.half_extents, most)
-        self.ppo = PPO(PlacementEnv(rules), self.learner.apply, ppo, devices_for(ppo.num_envs))
+        task = make_task(rules, network)
+        self.learner = task.learner
+        self.ppo = PPO(task.env, task.learner.apply, ppo, devices_for(ppo.num_envs))
         self._physics, self._evaluate = rules.physics, evaluate
         folder.mkdir(parents=True, exist_ok=True)
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.training.presets import VARIANTS
 
 SUITES = ("paper",)
 POOLS = ("dining", "study", "office", "kitchen", "household")
+VARIANTS = ("policy", "open_loop", "short_memory", "normal")
 SEEDS = (0, 1, 2)
 ATTEMPTS_POOL = "dining"
 ATTEMPTS = (1, 2, 3, 5, 10)

@@ -1,0 +1,170 @@
+"""Compiled updates: the same bits however many a call makes, and where numbers stop being finite."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cluttergen_jax.agent.checkpoint import read_record, read_state
+from cluttergen_jax.agent.health import SOUND, GradientSteps, Health, explain
+from cluttergen_jax.agent.ppo import Transition
+from cluttergen_jax.training.run import DivergedError
+from cluttergen_jax.training.updates import Updates, num_updates
+from tests.probes import Bandit, Tiny, learner
+from tests.runs import compiled_once, make_run, same_bits
+
+__all__ = ["compiled_once"]
+
+NOTHING, OBSERVATION, REWARD, LARGE, LAST = range(5)
+
+
+class Sick(Bandit):
+    """A bandit that falls ill in its third step, in the way that its state says."""
+
+    length = 4
+
+    def _state(self, key, step, coin, reward, done):
+        state = super()._state(key, step, coin, reward, done)
+        return state.replace(info=state.info | {"illness": jnp.int32(NOTHING)})
+
+    def step(self, state, action):
+        illness, is_now = state.info["illness"], state.info["step"] == 2
+        after = super().step(state, action)
+        nan, large = jnp.float32(jnp.nan), jnp.float32(1e30)
+        reward = jnp.where(is_now & (illness == REWARD), nan, after.reward)
+        reward = jnp.where(is_now & (illness == LARGE), large, reward)
+        is_seen = is_now & (illness == OBSERVATION)
+        is_seen |= (state.info["step"] == 3) & (illness == LAST)
+        return after.replace(
+            reward=reward,
+            obs=jnp.where(is_seen, nan, after.obs),
+            info=after.info | {"illness": illness},
+        )
+
+
+@pytest.fixture(scope="module")
+def sick(compiled_once):
+    """Updates of up to three at once, and a state to begin with: rollouts are whole episodes."""
+    ppo = learner(Sick(), num_envs=4, num_steps=4, num_minibatches=2, num_epochs=2)
+    state = jax.jit(ppo.start)(jax.random.key(1), Tiny().init(jax.random.key(0), jnp.zeros((1, 2))))
+    return Updates(ppo, state, 3), state
+
+
+def ill(state, illness):
+    env = state.env
+    return state.replace(env=env.replace(info=env.info | {"illness": jnp.full((4,), illness, jnp.int32)}))
+
+
+def test_three_at_once_are_one_by_one(sick):
+    updates, state = sick
+    at_once, rows, health = updates(state, 3)
+    one_by_one, singly = state, []
+    for _ in range(3):
+        one_by_one, row, _ = updates(one_by_one, 1)
+        singly += row
+    assert same_bits(at_once, one_by_one)
+    assert len(rows) == 3
+    assert rows == singly
+    assert explain(health) == ""
+    assert not same_bits(at_once.params, state.params)
+
+
+@pytest.mark.parametrize(
+    ("illness", "where"),
+    [
+        (OBSERVATION, "the environment's observation at step 3 of the rollout"),
+        (LAST, "the environment's observation at step 4 of the rollout"),
+        (REWARD, "the environment's reward at step 2 of the rollout"),
+        (LARGE, "value_loss at gradient step 0"),
+    ],
+)
+def test_origin_is_named_and_nothing_follows(sick, illness, where):
+    updates, state = sick
+    after, rows, health = updates(ill(state, illness), 3)
+    assert explain(health) == where
+    assert len(rows) == 1
+    assert int(after.num_updates) == 1
+
+
+def test_weights_that_are_not_finite_show_in_what_they_make(sick):
+    updates, state = sick
+    broken = jax.tree.map(lambda leaf: leaf * jnp.nan, state.params)
+    _, _, health = updates(state.replace(params=broken), 1)
+    assert explain(health).startswith("the network's")
+    assert "value" in explain(health)
+
+
+def health(losses=(), gradients=(), weights=()):
+    def tree(names, given):
+        return {name: np.int32(dict(given).get(name, SOUND)) for name in names}
+
+    sound = np.int32(SOUND)
+    rollout = Transition(sound, sound, sound, sound, sound, sound)
+    layers = ("actor", "critic")
+    return Health(
+        rollout,
+        GradientSteps(
+            tree(("loss", "entropy", "kl", "gradient_norm"), losses),
+            {"params": tree(layers, gradients)},
+            {"params": tree(layers, weights)},
+        ),
+    )
+
+
+def test_earlier_step_is_the_cause():
+    after = health(losses={"loss": 4, "entropy": 4}, weights={"actor": 3})
+    assert explain(after) == "the weights actor at gradient step 3"
+    at_once = health(
+        losses={"loss": 4, "entropy": 4, "gradient_norm": 4}, gradients={"actor": 4}, weights={"actor": 4}
+    )
+    assert explain(at_once) == "entropy at gradient step 4"
+    assert explain(health(gradients={"critic": 2}, weights={"critic": 2, "actor": 2})) == (
+        "the gradient of critic at gradient step 2"
+    )
+    assert explain(health(losses={"loss": 1}, weights={"actor": 1})) == "loss at gradient step 1"
+    assert explain(health()) == ""
+
+
+def test_number_of_updates_follows_their_time():
+    assert num_updates(None, 10, 4.0) == 1
+    assert num_updates(100.0, 10, 4.0) == 1
+    assert num_updates(1.5, 10, 4.0) == 2
+    assert num_updates(1e-6, 10, 4.0) == 10
+    assert num_updates(0.0, 3, 4.0) == 3
+
+
+def test_diverged_run_keeps_the_last_good_state(tmp_path, monkeypatch):
+    run = make_run(tmp_path / "run")
+    healthy, calls = Updates.__call__, []
+
+    def poisoned(self, state, num):
+        calls.append(state)
+        if len(calls) == 3:
+            state = state.replace(params=jax.tree.map(lambda leaf: leaf * jnp.nan, state.params))
+        return healthy(self, state, num)
+
+    monkeypatch.setattr(Updates, "__call__", poisoned)
+    with pytest.raises(DivergedError, match=r"the network's .* at step 0 of the rollout"):
+        run.train()
+    last = tmp_path / "run" / "last"
+    kept = read_state(last, calls[2])
+    assert same_bits(kept, calls[2])
+    assert read_record(last)["num_updates"] == int(calls[2].num_updates) > 0
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(kept.params))
+    assert (tmp_path / "run" / "policy" / "weights.npz").exists()
+
+
+def test_calls_of_a_run_do_not_change_it(tmp_path, monkeypatch):
+    """A run that makes one update a call ends with the same bits as one that makes as many as it may."""
+    module = "cluttergen_jax.training.run.num_updates"
+    most = make_run(tmp_path / "most")
+    monkeypatch.setattr(module, lambda seconds, most, longest: most)
+    quick = most.train()
+    monkeypatch.setattr(module, lambda seconds, most, longest: 1)
+    slow = make_run(tmp_path / "one")
+    slow.config = replace(slow.config, eval_every=16)
+    assert same_bits(quick, slow.train())
+    bests = [read_record(tmp_path / name / "best") for name in ("most", "one")]
+    assert bests[0] == bests[1]
