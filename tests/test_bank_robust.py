@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.bank.bank import block_path
@@ -264,6 +265,23 @@ def test_a_killed_writer_loses_nothing(tmp_path):
     assert seen > 0
     banks.write(path, num_blocks)
     assert_complete(path, tmp_path / "whole")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_generate_killed_half_way_goes_on_to_the_same_bank(tmp_path):
+    pool = write_pool(tmp_path / "trio", Pool("trio", tuple(trio())))
+    more = ["--pool", str(pool), "--method", "random", "--num-objects", "2", "-n", "600", "--max-files", "0"]
+    assert main(["generate", "--out", str(tmp_path / "whole"), *more]) == 0
+    command = [sys.executable, "-m", "cluttergen_jax", "generate", "--out", str(tmp_path / "bank"), *more]
+    running = subprocess.Popen(command, cwd=ROOT)
+    while running.poll() is None and not list((tmp_path / "bank").glob("scenes-*.parquet")):
+        time.sleep(0.01)
+    running.send_signal(signal.SIGKILL)
+    assert running.wait() == -signal.SIGKILL
+    assert read_bank(tmp_path / "bank").table.num_rows < 600
+    assert main(["generate", "--out", str(tmp_path / "bank"), *more]) == 0
+    assert read_bank(tmp_path / "bank").table.equals(read_bank(tmp_path / "whole").table)
 
 
 def test_an_early_kill_leaves_a_folder_that_can_be_used(tmp_path, whole):

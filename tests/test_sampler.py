@@ -7,6 +7,7 @@ import sys
 import jax
 import jax.numpy as jnp
 import jaxlie
+import mujoco
 import numpy as np
 import pytest
 
@@ -239,3 +240,22 @@ def test_importing_the_package_loads_neither_jax_nor_mujoco():
     subprocess.run([sys.executable, "-c", code], check=True)
     with pytest.raises(AttributeError, match="nothing"):
         _ = cg.nothing
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("engine", ["warp", "jax"])
+def test_scenes_of_the_other_engines_stand_in_plain_mujoco(pool, engine):
+    sample = cg.make_sampler(
+        pool=pool, num_objects=2, method="clear", engine=engine, objects=("box", "prism")
+    )
+    scenes = jax.jit(jax.vmap(sample))(KEYS[:3])
+    assert int(scenes.is_success.sum()) >= 2
+    for row in np.flatnonzero(scenes.is_success):
+        scene = sample.scene(scenes, int(row))
+        model = scene.to_mjspec().compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        start = data.qpos.copy()
+        mujoco.mj_step(model, data, 240)
+        assert np.abs(data.qpos - start).max() < 0.005
