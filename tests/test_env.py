@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from cluttergen_jax.baselines import make_proposer
+from cluttergen_jax.networks.clouds import scene_cloud
 from cluttergen_jax.placement.env import PlacementEnv
-from cluttergen_jax.placement.observation import ObservationConfig, scene_cloud
+from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.region import from_pose
 from cluttergen_jax.types import Verdict
 from tests.problems import made_up_rules, trio_problem
@@ -68,7 +69,7 @@ def test_scene_cloud_follows_the_poses():
     geometry = geometry.replace(cloud=jax.random.normal(jax.random.key(1), geometry.cloud.shape) * 0.02)
     pose = jnp.array([0.1, 0.05, 0.04, 0.6, 0.0, 0.0, 0.8])
     poses = jnp.zeros((3, 7)).at[1].set(pose)
-    cloud, mask = scene_cloud(geometry, poses, jnp.arange(3) == 1, jnp.array([0.3, 0.35]), 400, 3)
+    cloud, mask = scene_cloud(geometry.cloud, poses, jnp.arange(3) == 1, jnp.array([0.3, 0.35]), 400, 3)
     points = jax.vmap(from_pose(pose).apply)(geometry.cloud[1, :100])
     np.testing.assert_allclose(cloud[100:200], points, atol=1e-6)
     np.testing.assert_array_equal(mask, np.arange(400) < 200)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,10 +10,18 @@ import jax
 import jax.numpy as jnp
 
 from cluttergen_jax.networks.actor_critic import ActorCritic, NetworkConfig
+from cluttergen_jax.networks.cloud_encoder import (
+    CloudEncoder,
+    encode_objects,
+    encode_scenes,
+    init_encoder,
+)
 from cluttergen_jax.networks.distributions import ActionDistribution
 from cluttergen_jax.types import Array
 
 Params = Any
+ENCODER = "encoder"
+"""Where the weights of the two networks on clouds are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +45,48 @@ class Learner:
         """The module; its parameters depend on sizes in the config alone, not on the world."""
         return ActorCritic(self.config, self.max_objects)
 
+    @property
+    def encoder(self) -> CloudEncoder:
+        """The networks on clouds, if there are any."""
+        return CloudEncoder(self.config, self.max_objects)
+
     def init(self, key: Array, observation: Any) -> Params:
         """Fresh parameters; `observation` is one, or its shapes, without a leading axis."""
         blank = jax.tree.map(lambda leaf: jnp.zeros((1, *leaf.shape), leaf.dtype), observation)
-        return jax.jit(self.network.init)(key, self.cloud, self.half_extents, blank)
+        if not self.config.reads_clouds:
+            return jax.jit(self.network.init)(key, self.cloud, self.half_extents, blank)
+        key_encoder, key = jax.random.split(key)
+        size = self.config.scene_features + self.config.object_features
+        blank |= {"encoded": jnp.zeros((1, size))}
+        params = jax.jit(self.network.init)(key, self.cloud, self.half_extents, blank)["params"]
+        weights = init_encoder(self.encoder, key_encoder, self.cloud, self.half_extents)
+        return {"params": params | {ENCODER: weights}}
 
     def apply(self, params: Params, observation: Any) -> tuple[ActionDistribution, Array]:
         """The action distribution and the values f32[B] of observations with a leading axis B."""
+        if self.config.reads_clouds and "encoded" not in observation:
+            observation = self._encode(params)(observation)
         return self.network.apply(params, self.cloud, self.half_extents, observation)
+
+    def encode(self, params: Params) -> Callable[[Any], Any]:
+        """Of a frozen encoder, a function that adds `encoded` to observations with a leading axis.
+
+        `apply` then takes the features from there, however often it is called with that observation. Of an
+        encoder that learns, the identity: its features change with every step.
+        """
+        if self.config.reads_clouds and self.config.encoder_frozen:
+            return self._encode(params)
+        return lambda observation: observation
+
+    def _encode(self, params: Params) -> Callable[[Any], Any]:
+        weights = params["params"][ENCODER]
+        weights = jax.lax.stop_gradient(weights) if self.config.encoder_frozen else weights
+        objects = encode_objects(self.encoder, weights, self.cloud, self.half_extents)
+
+        def encode(observation: Any) -> Any:
+            scenes = encode_scenes(self.encoder, weights, self.cloud, observation)
+            return observation | {
+                "encoded": jnp.concatenate([scenes, objects[observation["focus"]]], axis=-1)
+            }
+
+        return encode

@@ -100,7 +100,8 @@ class PPO:
         """`update`, and where in it numbers stopped being finite."""
         key_rollout, key_learn, key = jax.random.split(state.key, 3)
         env, batch = self._roll_out(state.params, state.env, key_rollout)
-        _, last_value = self.apply(state.params, env.obs)
+        last_seen = self.encode(state.params)(env.obs)
+        _, last_value = self.apply(state.params, last_seen)
         advantage, target = generalised_advantages(
             batch.reward, batch.value, batch.done, last_value, self.config.discount, self.config.gae_lambda
         )
@@ -112,7 +113,7 @@ class PPO:
         figures["explained_variance"] = 1 - jnp.var(target - batch.value) / jnp.maximum(spread, 1e-8)
         figures |= {"reward": jnp.mean(batch.reward), "episodes": jnp.sum(batch.done)}
         figures |= {f"env/{name}": jnp.mean(value) for name, value in env.metrics.items()}
-        health = health_of(batch, (env.obs, last_value), steps)
+        health = health_of(batch, (last_seen, last_value), steps)
         return TrainState(params, optimizer, env, key, state.num_updates + 1), figures, health
 
     def _roll_out(self, params: Params, env: State, key: Array) -> tuple[State, Transition]:

@@ -1,51 +1,30 @@
-"""The policy and the value: one encoder, two heads of five layers (paper, section 3.2)."""
+"""The policy and the value: two heads of five layers on what the encoders saw (paper, section 3.2)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import flax.linen as nn
+import jax
 import jax.numpy as jnp
 
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.networks.distributions import HEADS, ActionDistribution
+from cluttergen_jax.networks.config import MIXTURE, NetworkConfig
+from cluttergen_jax.networks.distributions import EDGE, HEADS, ActionDistribution, Mixture
+from cluttergen_jax.networks.height_encoder import HeightEncoder
 from cluttergen_jax.networks.points import LENGTH_SCALE, MLP, PointNet
 from cluttergen_jax.networks.set_encoder import SetEncoder
 from cluttergen_jax.types import Array
 
+__all__ = ["ActorCritic", "HistoryEncoder", "NetworkConfig"]
+
 ACTION_SIZE = 4
+_STEPS_OF_Z = 4.0
+_BELOW_REST, _WINDOW = 0.001, 0.01
+"""Metres: the mixture's z lies in a window about where the object would rest on what lies below."""
 
-
-@dataclass(frozen=True)
-class NetworkConfig:
-    """Sizes and kinds.
-
-    Attributes:
-      head: "beta" (the paper's) or "normal".
-      object_points: points of each object's cloud that are read.
-      object_features: F of the point encoder.
-      token_width, num_heads, num_blocks: of the set encoder.
-      history_width: of the three layers that read failed attempts; 0 reads none (variant `open_loop`).
-      history_length: how many of the latest attempts are read (variant `short_memory`: 1).
-      num_layers, width: of actor and critic (paper: 5 of 256).
-    """
-
-    head: str = "beta"
-    object_points: int = 64
-    object_features: int = 64
-    token_width: int = 96
-    num_heads: int = 4
-    num_blocks: int = 2
-    history_width: int = 128
-    history_length: int = 5
-    num_layers: int = 5
-    width: int = 256
-
-    def __post_init__(self) -> None:
-        if self.head not in HEADS:
-            raise ConfigError(f"head {self.head!r}", ", ".join(HEADS), "--network.head beta")
+_JUST_ABOVE_REST = (-1.1, 2.3)
+"""Raw outputs from which z is learned: about 2 mm above rest, give or take 1 mm."""
 
 
 class HistoryEncoder(nn.Module):
@@ -95,20 +74,32 @@ class ActorCritic(nn.Module):
         Args:
           cloud: f32[K, P, 3], object frames, metres; half_extents: f32[K, 3], metres. Features of the K
             clouds are computed once for the whole batch.
-          observation: of `placement.observation.observe`, with a leading axis B on every leaf.
+          observation: of `placement.observation.observe`, with a leading axis B on every leaf. Where the
+            scene is seen as a point cloud it also holds `encoded`, f32[B, E]: the features of the scene and
+            of the object in hand (see `agent.learner`, which puts them there).
         """
         config = self.config
-        features = PointNet(num_features=config.object_features)(cloud[:, : config.object_points])
-        scene = SetEncoder(config.token_width, config.num_heads, config.num_blocks, self.max_objects)(
-            features,
-            half_extents,
-            observation["T_region_object"],
-            observation["is_placed"],
-            observation["focus"],
-            observation["region"],
-        )
-        seen = [scene, features[observation["focus"]], observation["region"] * LENGTH_SCALE]
-        seen.append(half_extents[observation["focus"]] * LENGTH_SCALE)
+        focus = observation["focus"]
+        if config.reads_clouds:
+            seen = [observation["encoded"]]
+        else:
+            features = PointNet(num_features=config.object_features)(cloud[:, : config.object_points])
+            features = jax.lax.stop_gradient(features) if config.encoder_frozen else features
+            scene = SetEncoder(config.token_width, config.num_heads, self.max_objects)(
+                features,
+                half_extents,
+                observation["T_region_object"],
+                observation["is_placed"],
+                focus,
+                observation["region"],
+            )
+            seen = [scene, features[focus]]
+        seen += [observation["region"] * LENGTH_SCALE, half_extents[focus] * LENGTH_SCALE]
+        if config.head == MIXTURE:
+            scores, summary = HeightEncoder(num_turns=config.num_turns)(
+                observation["heights"], jnp.concatenate(seen[-3:], axis=-1)
+            )
+            seen.append(summary)
         if config.history_width:
             seen.append(HistoryEncoder(config.history_width, config.history_length)(observation["history"]))
         state = jnp.concatenate(seen, axis=-1)
@@ -116,4 +107,35 @@ class ActorCritic(nn.Module):
         small, unit = nn.initializers.orthogonal(0.01), nn.initializers.orthogonal(1.0)
         raw = nn.Dense(2 * ACTION_SIZE, kernel_init=small, name="action")(MLP(layers, name="actor")(state))
         value = nn.Dense(1, kernel_init=unit, name="value")(MLP(layers, name="critic")(state))
-        return HEADS[config.head].from_raw(raw.reshape(*raw.shape[:-1], ACTION_SIZE, 2)), value[..., 0]
+        raw = raw.reshape(*raw.shape[:-1], ACTION_SIZE, 2)
+        half_height, height_range = half_extents[focus, 2], observation["region"][:, 2]
+        if config.head == MIXTURE:
+            bottom, width = _windows(observation["heights"], half_height, height_range)
+            raw = raw[:, 2:3] + jnp.array(_JUST_ABOVE_REST)
+            return Mixture.from_scores(scores, raw, bottom, width), value[..., 0]
+        if config.height_precision:
+            raw = _about_bare_height(raw, half_height, height_range, config)
+        return HEADS[config.head].from_raw(raw), value[..., 0]
+
+
+def _windows(heights: Array, half_height: Array, height_range: Array) -> tuple[Array, Array]:
+    """Where z may lie over each cell, as actions: the bottoms f32[B, G, G] and the width f32[B].
+
+    Wholly inside the range of actions: a draw that had to be clipped would have no honest density.
+    """
+    width = jnp.minimum(_WINDOW / height_range, 0.5)
+    rest = heights + half_height[:, None, None]
+    bottom = (rest - _BELOW_REST) / height_range[:, None, None]
+    return jnp.clip(bottom, EDGE, 1 - 2 * EDGE - width[:, None, None]), width
+
+
+def _about_bare_height(raw: Array, half_height: Array, height_range: Array, config: NetworkConfig) -> Array:
+    """Raw outputs f32[B, 4, 2] that, when zero, mean a height just above rest on the bare top.
+
+    The first of z is then counted in a few standard deviations, so that a gradient step moves it by about as
+    much as it is wide.
+    """
+    rest = jnp.clip((half_height + config.height_clearance) / height_range, 0.01, 0.99)
+    location = _STEPS_OF_Z * config.height_precision**-0.5 * raw[:, 2, 0] + jnp.log(rest) - jnp.log1p(-rest)
+    raw = raw.at[:, 2, 0].set(location)
+    return raw.at[:, 2, 1].add(jnp.log(config.height_precision))

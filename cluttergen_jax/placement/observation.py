@@ -6,15 +6,13 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.networks.clouds import MAX_POINTS, scene_cloud
 from cluttergen_jax.placement.region import Region, from_pose, to_pose
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.types import Episode, Geometry, History
+from cluttergen_jax.placement.types import Episode, History
 from cluttergen_jax.types import Array
-
-MAX_POINTS = 200_000
 
 
 @dataclass(frozen=True)
@@ -23,12 +21,14 @@ class ObservationConfig:
 
     Attributes:
       num_scene_points: points of the scene's cloud (paper: 20,480); 0 leaves clouds out of the observation,
-        to be made from poses by `scene_cloud` where they are needed.
+        to be made from poses by `networks.clouds.scene_cloud` where they are needed.
       num_object_points: points of the cloud of the object in hand (paper: 1,024), at most 1,024.
+      num_cells: G, cells along each side of the region whose heights are told; 0 for none.
     """
 
     num_scene_points: int = 0
     num_object_points: int = 1024
+    num_cells: int = 0
 
     def __post_init__(self) -> None:
         if not (0 <= self.num_scene_points <= MAX_POINTS and 1 <= self.num_object_points <= 1024):
@@ -48,6 +48,7 @@ def observe(rules: Rules, episode: Episode, config: ObservationConfig) -> dict[s
       history: the failed attempts of the object in hand: action f32[A, 4], region f32[A, 3],
         trajectory f32[A, H, 13] (position, wxyz, linear and angular velocity), num_steps i32[A],
         is_tried bool[A]; rows not tried are zero.
+      heights: f32[G, G], metres, where asked for (`height_grid`).
       scene_cloud: f32[N, 3], scene_mask: bool[N], object_cloud: f32[M, 3] (object frame), where asked for.
     """
     region, focus = episode.region, rules.focus(episode)
@@ -60,10 +61,19 @@ def observe(rules: Rules, episode: Episode, config: ObservationConfig) -> dict[s
         "T_region_object": local,
         "history": _local_history(episode.history, region, rules.config.history_stride),
     }
+    if config.num_cells:
+        observation["heights"] = height_grid(
+            rules.geometry.cloud, local, episode.is_placed, region.half_extents, config.num_cells
+        )
     if config.num_scene_points:
         most = min(rules.geometry.num_objects, rules.num_slots)
         cloud, mask = scene_cloud(
-            rules.geometry, local, episode.is_placed, region.half_extents, config.num_scene_points, most
+            rules.geometry.cloud,
+            local,
+            episode.is_placed,
+            region.half_extents,
+            config.num_scene_points,
+            most,
         )
         observation |= {"scene_cloud": cloud, "scene_mask": mask}
         observation["object_cloud"] = rules.geometry.cloud[focus, : config.num_object_points]
@@ -91,40 +101,25 @@ def _local_history(history: History, region: Region, stride: int) -> dict[str, A
     }
 
 
-def scene_cloud(
-    geometry: Geometry,
-    T_region_object: Array,
-    is_placed: Array,
-    half_extents: Array,
-    num_points: int,
-    max_objects: int,
-) -> tuple[Array, Array]:
-    """The scene's point cloud in the region frame, made from poses: every object's cloud is known.
+_GRID_POINTS = 128
 
-    The support's top and each placed object get an equal share; an object's share is a prefix of its
-    farthest-point ordered cloud.
+
+def height_grid(
+    cloud: Array, T_region_object: Array, is_placed: Array, half_extents: Array, num_cells: int
+) -> Array:
+    """The highest point of the scene's cloud over each cell of the region, f32[G, G] metres, 0 where bare.
 
     Args:
+      cloud: f32[K, P, 3], object frames, farthest-point ordered; a prefix of it is used.
       T_region_object: f32[K, 7]; is_placed: bool[K]; half_extents: f32[2] of the region, metres.
-      num_points: N; max_objects: the most that can be placed at once (static).
-
-    Returns:
-      f32[N, 3] metres, and bool[N], which of them count.
+      num_cells: G; axis 0 runs along the region's x.
     """
-    share = min(num_points // (max_objects + 1), geometry.cloud.shape[1])
-    chosen = jnp.nonzero(is_placed, size=max_objects, fill_value=-1)[0]
-    poses = from_pose(T_region_object[chosen])
-    points = jax.vmap(lambda pose, cloud: jax.vmap(pose.apply)(cloud))(poses, geometry.cloud[chosen, :share])
-    counts = jnp.broadcast_to((chosen >= 0)[:, None], points.shape[:2])
-    ground = num_points - max_objects * share
-    top = jnp.asarray(_even_points(ground)) * half_extents
-    top = jnp.concatenate([top, jnp.zeros((ground, 1))], axis=1)
-    cloud = jnp.concatenate([top, jnp.where(counts[..., None], points, 0.0).reshape(-1, 3)])
-    return cloud, jnp.concatenate([jnp.ones(ground, bool), counts.reshape(-1)])
-
-
-def _even_points(number: int) -> np.ndarray:
-    """Evenly spread points in [-1, 1]^2, f32[number, 2]: an additive recurrence of the plastic number."""
-    plastic = 1.32471795724474602596
-    steps = np.arange(1, number + 1)[:, None] * np.array([1 / plastic, 1 / plastic**2])
-    return ((0.5 + steps) % 1.0 * 2 - 1).astype(np.float32)
+    cloud = cloud[:, :_GRID_POINTS]
+    poses = jnp.where(is_placed[:, None], T_region_object, jnp.eye(7)[3])
+    turn = from_pose(poses).rotation().as_matrix()
+    points = jnp.einsum("kij,kpj->kpi", turn, cloud) + poses[:, None, :3]
+    cell = jnp.floor((points[..., :2] / half_extents + 1) / 2 * num_cells).astype(jnp.int32)
+    is_over = jnp.all((cell >= 0) & (cell < num_cells), axis=-1) & is_placed[:, None]
+    index = jnp.where(is_over, cell[..., 0] * num_cells + cell[..., 1], num_cells**2)
+    flat = jnp.zeros(num_cells**2 + 1).at[index.reshape(-1)].max(points[..., 2].reshape(-1))
+    return flat[:-1].reshape(num_cells, num_cells)
