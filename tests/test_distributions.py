@@ -59,47 +59,63 @@ def test_fresh_network_is_nearly_uniform():
         np.testing.assert_allclose(dist.mean(), 0.5, atol=1e-6)
         # The uniform distribution has entropy 0; these are the largest that each head starts from.
         assert -0.7 < float(dist.entropy()) <= 0
-    mixture = Mixture.from_scores(jnp.zeros((5, 5)), jnp.zeros((2, 2)))
-    assert float(mixture.entropy()) == pytest.approx(float(mixture.rest.entropy()), abs=1e-5)
+    mixture = mixture_of(jnp.zeros((5, 5, 3)))
+    rest = mixture.height.entropy() + jnp.log(mixture.width)
+    assert float(mixture.entropy()) == pytest.approx(float(rest), abs=1e-5)
 
 
-SCORES = 1.5 * jax.random.normal(jax.random.key(3), (6, 5, 5))
+SCORES = 1.5 * jax.random.normal(jax.random.key(3), (5, 5, 3))
+BOTTOMS = jax.random.uniform(jax.random.key(5), (5, 5), maxval=0.7)
+
+
+def mixture_of(scores):
+    """5 x 5 cells, 3 turns; z in windows of 0.2."""
+    return Mixture.from_scores(scores, RAW[0, :1], BOTTOMS, jnp.float32(0.2))
 
 
 def test_mixture_integrates_to_one_and_its_entropy_is_exact():
-    mixture = Mixture.from_scores(SCORES[0], RAW[0, :2])
-    line = (np.arange(50) + 0.5) / 50
-    x, y = (axis.reshape(-1) for axis in np.meshgrid(line, line, indexing="ij"))
-    rest = jnp.array([0.4, 0.6])
-    actions = jnp.concatenate([jnp.stack([x, y], 1), jnp.broadcast_to(rest, (2500, 2))], 1)
-    log_density = jax.vmap(mixture.log_prob)(actions) - mixture.rest.log_prob(rest)
-    assert float(jnp.mean(jnp.exp(log_density))) == pytest.approx(1, abs=1e-4)
-    entropy = float(mixture.rest.entropy() - jnp.mean(jnp.exp(log_density) * log_density))
-    assert float(mixture.entropy()) == pytest.approx(entropy, abs=1e-3)
+    mixture = mixture_of(SCORES)
+    line, turns, heights = (np.arange(5) + 0.5) / 5, (np.arange(6) + 0.5) / 6, (np.arange(2000) + 0.5) / 2000
+    x, y, z, turn = (a.reshape(-1) for a in np.meshgrid(line, line, heights, turns, indexing="ij"))
+    log_density = np.asarray(jax.vmap(mixture.log_prob)(jnp.stack([x, y, z, turn], axis=1)), np.float64)
+    # Beyond its window z is cut off at an edge of its Beta, where the density is not zero in floats.
+    start = np.asarray(BOTTOMS)[(x * 5).astype(int), (y * 5).astype(int)]
+    density = np.where((z > start) & (z < start + 0.2), np.exp(log_density), 0.0)
+    assert density.mean() == pytest.approx(1, abs=5e-3)
+    assert float(mixture.entropy()) == pytest.approx(-(density * log_density).mean(), abs=2e-2)
 
 
 def test_mixture_draws_follow_its_weights():
-    mixture = Mixture.from_scores(SCORES[1], RAW[1, :2])
+    mixture = mixture_of(SCORES)
     draws = np.asarray(jax.vmap(mixture.sample)(jax.random.split(jax.random.key(4), 20_000)))
-    counts, _, _ = np.histogram2d(draws[:, 0], draws[:, 1], bins=5, range=[[0, 1], [0, 1]])
+    turn = (draws[:, 3] * 2) % 1.0
+    counts, _ = np.histogramdd(
+        np.column_stack([draws[:, :2], turn]), bins=(5, 5, 3), range=[(0, 1), (0, 1), (0, 1)]
+    )
     expected = np.exp(np.asarray(mixture.log_weight, np.float64))
-    assert scipy.stats.chisquare(counts.reshape(-1), expected / expected.sum() * 20_000).pvalue > 1e-4
-    cell = int(np.argmax(mixture.log_weight))
-    np.testing.assert_allclose(mixture.mean()[:2], [(cell // 5 + 0.5) / 5, (cell % 5 + 0.5) / 5], atol=1e-6)
+    expected *= 20_000 / expected.sum()
+    assert scipy.stats.chisquare(counts.reshape(-1), expected).pvalue > 1e-4
+    assert 0.47 < np.mean(draws[:, 3] < 0.5) < 0.53
+    start = np.asarray(BOTTOMS)[(draws[:, 0] * 5).astype(int), (draws[:, 1] * 5).astype(int)]
+    assert ((draws[:, 2] >= start - 1e-4) & (draws[:, 2] <= start + 0.2 + 1e-4)).all()
+    component = int(np.argmax(mixture.log_weight))
+    middle = [(component // 15 + 0.5) / 5, (component // 3 % 5 + 0.5) / 5]
+    np.testing.assert_allclose(mixture.mean()[:2], middle, atol=1e-6)
 
 
 def test_mixture_is_finite_at_the_edges():
-    mixture = Mixture.from_scores(SCORES * 100, RAW[:6, :2])
-    for action in (jnp.zeros((6, 4)), jnp.ones((6, 4))):
-        assert np.isfinite(mixture.log_prob(action)).all()
+    for scale in (100.0, -100.0):
+        mixture = mixture_of(SCORES * scale)
+        for action in (jnp.zeros(4), jnp.ones(4)):
+            assert np.isfinite(mixture.log_prob(action))
 
 
 def test_categorical_matches_scipy():
-    dist = Categorical(jax.nn.log_softmax(SCORES.reshape(6, 25)))
+    dist = Categorical(jax.nn.log_softmax(SCORES.reshape(5, 15)))
     weights = np.exp(np.asarray(dist.logits, np.float64))
     np.testing.assert_allclose(dist.entropy(), scipy.stats.entropy(weights, axis=-1), atol=1e-5)
     np.testing.assert_allclose(
-        dist.log_prob(jnp.arange(6)), np.log(weights[np.arange(6), np.arange(6)]), atol=1e-5
+        dist.log_prob(jnp.arange(5)), np.log(weights[np.arange(5), np.arange(5)]), atol=1e-5
     )
     assert (dist.mean() == weights.argmax(-1)).all()
 

@@ -136,53 +136,83 @@ class TruncatedNormal(struct.PyTreeNode):
 
 
 class Mixture(struct.PyTreeNode):
-    """A mixture of Betas that can say "here or there".
+    """A mixture of Betas that can say "here or there", and there turned otherwise and higher up.
 
-    x and y together come from G x G components, each Beta(1, 1) by Beta(1, 1) on one cell of the unit square;
-    z and turn from a Beta each. A = 4.
+    A component is one cell of the unit square with one range of turns: x, y and turn are Beta(1, 1) inside
+    it, turn in either of two opposite ranges; z is a Beta on a window about the cell's own height. A = 4.
 
     Attributes:
-      log_weight: f32[..., G * G], normalised; axis 0 of the cells is x.
-      rest: of z and turn.
-      side: G.
+      log_weight: f32[..., G * G * T], normalised; axis 0 of the cells is x, turns come last.
+      bottom: f32[..., G * G], where the window of z begins; width: f32[...], of the window.
+      height: Beta[..., 1], z inside its window.
+      side, num_turns: G, T.
     """
 
     log_weight: Array
-    rest: Beta
+    bottom: Array
+    width: Array
+    height: Beta
     side: int = struct.field(pytree_node=False)
+    num_turns: int = struct.field(pytree_node=False)
 
     @staticmethod
-    def from_scores(scores: Array, raw: Array) -> Mixture:
-        """The distribution of the cells' scores f32[..., G, G] and raw outputs f32[..., 2, 2]."""
-        flat = scores.reshape(*scores.shape[:-2], -1)
-        return Mixture(jax.nn.log_softmax(flat), Beta.from_raw(raw), scores.shape[-1])
+    def from_scores(scores: Array, raw: Array, bottom: Array, width: Array) -> Mixture:
+        """The distribution of the components' scores f32[..., G, G, T] and raw outputs f32[..., 1, 2].
 
-    def _at(self, cell: Array, inside: Array | float) -> Array:
-        corner = jnp.stack([cell // self.side, cell % self.side], axis=-1)
-        return (corner + inside) / self.side
+        Args:
+          bottom: f32[..., G, G], as actions; width: f32[...].
+        """
+        side, num_turns = scores.shape[-2:]
+        batch = scores.shape[:-3]
+        return Mixture(
+            jax.nn.log_softmax(scores.reshape(*batch, -1)),
+            bottom.reshape(*batch, -1),
+            width,
+            Beta.from_raw(raw),
+            side,
+            num_turns,
+        )
+
+    def _bottom(self, cell: Array) -> Array:
+        return jnp.take_along_axis(self.bottom, cell[..., None], axis=-1)[..., 0]
+
+    def _action(self, component: Array, inside: Array, half: Array, height: Array) -> Array:
+        cell, turn = component // self.num_turns, component % self.num_turns
+        xy = (jnp.stack([cell // self.side, cell % self.side], axis=-1) + inside[..., :2]) / self.side
+        yaw = (half + (turn + inside[..., 2]) / self.num_turns) / 2
+        z = self._bottom(cell) + self.width * height
+        return off_edges(jnp.concatenate([xy, z[..., None], yaw[..., None]], axis=-1))
 
     def sample(self, key: Array) -> Array:
         """One draw, f32[..., 4]."""
-        key_cell, key_inside, key_rest = jax.random.split(key, 3)
-        cell = jax.random.categorical(key_cell, self.log_weight)
-        inside = off_edges(jax.random.uniform(key_inside, (*cell.shape, 2)))
-        return off_edges(jnp.concatenate([self._at(cell, inside), self.rest.sample(key_rest)], axis=-1))
+        key_component, key_inside, key_half, key_height = jax.random.split(key, 4)
+        component = jax.random.categorical(key_component, self.log_weight)
+        inside = off_edges(jax.random.uniform(key_inside, (*component.shape, 3)))
+        half = jax.random.bernoulli(key_half, shape=component.shape).astype(inside.dtype)
+        return self._action(component, inside, half, self.height.sample(key_height)[..., 0])
 
     def mean(self) -> Array:
-        """f32[..., 4]: the middle of the likeliest cell, where a mean may lie between two."""
-        cell = jnp.argmax(self.log_weight, axis=-1)
-        return jnp.concatenate([self._at(cell, 0.5), self.rest.mean()], axis=-1)
+        """f32[..., 4]: the middle of the likeliest component, where a mean may lie between two."""
+        component = jnp.argmax(self.log_weight, axis=-1)
+        middle = jnp.full((*component.shape, 3), 0.5)
+        return self._action(component, middle, jnp.zeros(component.shape), self.height.mean()[..., 0])
 
     def log_prob(self, action: Array) -> Array:
         """f32[...]."""
         i, j = (jnp.clip(action[..., a] * self.side, 0, self.side - 1).astype(jnp.int32) for a in (0, 1))
-        weight = jnp.take_along_axis(self.log_weight, (i * self.side + j)[..., None], axis=-1)[..., 0]
-        return weight + 2 * jnp.log(self.side) + self.rest.log_prob(action[..., 2:])
+        turn = jnp.mod(2 * action[..., 3], 1.0) * self.num_turns
+        turn = jnp.clip(turn, 0, self.num_turns - 1).astype(jnp.int32)
+        cell = i * self.side + j
+        component = cell * self.num_turns + turn
+        weight = jnp.take_along_axis(self.log_weight, component[..., None], axis=-1)[..., 0]
+        inside = (action[..., 2] - self._bottom(cell)) / self.width
+        density = self.height.log_prob(inside[..., None]) - jnp.log(self.width)
+        return weight + jnp.log(self.side**2 * self.num_turns) + density
 
     def entropy(self) -> Array:
         """f32[...], differential entropy in nats."""
-        cells = -jnp.sum(jnp.exp(self.log_weight) * self.log_weight, axis=-1)
-        return cells - 2 * jnp.log(self.side) + self.rest.entropy()
+        weights = -jnp.sum(jnp.exp(self.log_weight) * self.log_weight, axis=-1)
+        return weights - jnp.log(self.side**2 * self.num_turns) + self.height.entropy() + jnp.log(self.width)
 
 
 class Categorical(struct.PyTreeNode):

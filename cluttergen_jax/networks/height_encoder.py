@@ -13,15 +13,16 @@ class HeightEncoder(nn.Module):
     """The same small network at every cell, told what is to be placed: a convolution and two layers.
 
     Attributes:
-      channels: of the layers; reach: cells that are seen on each side.
+      channels: of the layers; num_turns: T, scores at each cell; reach: cells that are seen on each side.
     """
 
-    channels: int = 16
-    reach: int = 2
+    channels: int = 32
+    num_turns: int = 8
+    reach: int = 4
 
     @nn.compact
     def __call__(self, heights: Array, context: Array) -> tuple[Array, Array]:
-        """Scores f32[B, G, G], zero before learning, and a summary f32[B, 2 channels].
+        """Scores f32[B, G, G, T], zero before learning, and a summary f32[B, 2 channels].
 
         Args:
           heights: f32[B, G, G], metres; context: f32[B, C], of the object in hand and the region.
@@ -41,5 +42,5 @@ class HeightEncoder(nn.Module):
         cells = jnp.concatenate([jnp.stack(around, axis=-1), place], axis=-1)
         cells = nn.relu(nn.Dense(self.channels)(cells) + nn.Dense(self.channels)(context)[:, None, None])
         cells = nn.relu(nn.Dense(self.channels)(cells))
-        score = nn.Dense(1, kernel_init=nn.initializers.zeros)(cells)[..., 0]
+        score = nn.Dense(self.num_turns, kernel_init=nn.initializers.zeros)(cells)
         return score, jnp.concatenate([jnp.mean(cells, axis=(1, 2)), jnp.max(cells, axis=(1, 2))], axis=-1)

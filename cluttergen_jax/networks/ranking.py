@@ -15,7 +15,8 @@ from cluttergen_jax.networks.points import LENGTH_SCALE, MLP, PointNet
 from cluttergen_jax.networks.set_encoder import SetEncoder
 from cluttergen_jax.types import Array
 
-_HIGH_COST = 0.2
+_HIGH_COST, _ABOVE = 0.2, 0.02
+"""Metres: above the first the search's cost says little, and grows by the second for each factor of e."""
 
 
 @dataclass(frozen=True)
@@ -76,11 +77,8 @@ class Ranker(nn.Module):
             hidden = nn.Dense(config.width)(nn.gelu(hidden))
         hidden = nn.gelu(hidden)
         score = nn.Dense(1, kernel_init=nn.initializers.zeros)(hidden)[..., 0]
-        # Costs of poses that can hardly hold grow without bound; their logarithm keeps the search's order.
-        cost = menu["cost"]
-        cost = jnp.where(
-            cost < _HIGH_COST, cost, _HIGH_COST * (1 + jnp.log(jnp.maximum(cost, _HIGH_COST) / _HIGH_COST))
-        )
+        high = _HIGH_COST + _ABOVE * jnp.log(jnp.maximum(menu["cost"], _HIGH_COST) / _HIGH_COST)
+        cost = jnp.where(menu["cost"] < _HIGH_COST, menu["cost"], high)
         logits = score - cost / config.cost_scale
         seen = jnp.concatenate([state, jnp.max(hidden, axis=1), jnp.mean(hidden, axis=1)], axis=-1)
         value = nn.Dense(1)(MLP([config.value_width] * 2)(seen))[..., 0]

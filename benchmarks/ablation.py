@@ -1,0 +1,111 @@
+"""What helps the learned generator: the same budget for every row, one thing changed at a time.
+
+    python -m benchmarks.ablation --write
+
+A row that has been trained is kept in `--out` and not trained again; Ctrl-C and the same command go on.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.section import prose, report, table
+from cluttergen_jax.agent.checkpoint import read_record
+from cluttergen_jax.cli.train import Train
+from cluttergen_jax.training.presets import Settings
+from cluttergen_jax.training.records import read_rows
+
+GOAL = 0.95
+WINDOW = 10
+
+
+@dataclass(frozen=True)
+class Row:
+    """A run.
+
+    Attributes:
+      name: its folder's. title: what is changed, for people.
+      variant: of the preset `cpu`. network, ppo: fields that are changed.
+    """
+
+    name: str
+    title: str
+    variant: str = "policy"
+    network: dict[str, Any] = field(default_factory=dict)
+    ppo: dict[str, Any] = field(default_factory=dict)
+
+
+ROWS = (
+    Row("preset", "preset `cpu`: mixture of Betas over 12 x 12 cells and 8 turns"),
+    Row("beta", "one Beta a coordinate (the paper's head), z about rest on the bare top", variant="beta"),
+    Row("beta-free", "one Beta, z anywhere (the paper's)", variant="beta", network={"height_precision": 0.0}),
+    Row("normal", "one truncated normal a coordinate", variant="normal"),
+    Row("coarse", "mixture over 6 x 6 cells", network={"num_cells": 6}),
+    Row("unturned", "mixture over 12 x 12 cells, one range of turns", network={"num_turns": 1}),
+    Row("open_loop", "no history", variant="open_loop"),
+    Row("far", "discount 0.99, not 0.9", ppo={"discount": 0.99, "gae_lambda": 0.95}),
+    Row("slow", "learning rate 0.0003, not 0.001", ppo={"learning_rate": 3e-4}),
+)
+
+
+class Ablation(Train):
+    """`cluttergen train` with single settings changed."""
+
+    row: Row
+
+    def settings(self) -> Settings:
+        settings = super().settings()
+        return replace(
+            settings,
+            network=replace(settings.network, **self.row.network),
+            ppo=replace(settings.ppo, **self.row.ppo),
+        )
+
+
+def train(row: Row, out: Path, num_attempts: int, seed: int) -> None:
+    """Trains and evaluates one row, or takes it up again."""
+    run = Ablation(variant=row.variant, num_attempts=num_attempts, seed=seed, out=str(out / row.name))
+    object.__setattr__(run, "row", row)
+    run.train()
+
+
+def cells(row: Row, out: Path) -> list[str]:
+    """A finished row of the table."""
+    rows = read_rows(out / row.name / "progress.csv")
+    success = np.array([each["success"] for each in rows])
+    smooth = np.convolve(success, np.ones(WINDOW) / WINDOW, mode="valid")
+    reached = np.flatnonzero(smooth >= GOAL)
+    attempts = f"{rows[reached[0] + WINDOW - 1]['attempts'] / 1000:.0f}" if len(reached) else "not reached"
+    found = read_record(out / row.name / "policy")["evaluation"]
+    interval = f"{found['success']:.3f} [{found['low95']:.3f}, {found['high95']:.3f}]"
+    return [row.title, attempts, f"{smooth[-1]:.3f}", interval, f"{rows[-1]['entropy']:.1f}"]
+
+
+def main() -> None:
+    """Trains what is missing and writes the section."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("runs/ablation"))
+    parser.add_argument("--num-attempts", type=int, default=150_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--write", action="store_true", help="put the section into benchmarks/README.md")
+    args = parser.parse_args()
+    for row in ROWS:
+        if not (args.out / row.name / "policy" / "record.json").exists():
+            train(row, args.out, args.num_attempts, args.seed)
+    body = prose(
+        f"""Ten dining objects on the paper's table, {args.num_attempts:,} attempts each, seed {args.seed};
+        one thing differs from the first row in each. Attempts: until the training's success over {WINDOW}
+        updates reached {GOAL}. Success, whole check: of 256 fresh episodes, actions sampled, 95 % interval."""
+    )
+    header = ["", "thousand attempts to 0.95", "success, training", "success, whole check", "entropy (nats)"]
+    lines = table(header, [cells(row, args.out) for row in ROWS])
+    report("ablation", f"## What helps the policy\n\n{body}\n\n{lines}", write=args.write)
+
+
+if __name__ == "__main__":
+    main()
