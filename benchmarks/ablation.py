@@ -100,7 +100,8 @@ def main() -> None:
     body = prose(
         f"""Ten dining objects on the paper's table, {args.num_attempts:,} attempts each, seed {args.seed};
         one thing differs from the first row in each. Attempts: until the training's success over {WINDOW}
-        updates reached {GOAL}. Success, whole check: of 256 fresh episodes, actions sampled, 95 % interval."""
+        updates reached {GOAL}. Success, whole check: of 256 fresh episodes, actions sampled, with the 95 %
+        interval."""
     )
     header = ["", "thousand attempts to 0.95", "success, training", "success, whole check", "entropy (nats)"]
     lines = table(header, [cells(row, args.out) for row in ROWS])

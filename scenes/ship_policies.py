@@ -51,11 +51,13 @@ A placement policy of cluttergen_jax (variant `{record["variant"]}`, preset `{re
 attempts each.
 
 - Made by `{command_of(record)}`
-- {rows[-1]["attempts"]:,.0f} attempts in {seconds / 60:.0f} minutes, compilation not counted, on two cores that
-  other work shared
-- Success with the whole last check: {success} of {found["episodes"]} fresh episodes ({found["action"]} actions)
+- {rows[-1]["attempts"]:,.0f} attempts in {seconds / 60:.0f} minutes, compilation not counted, on two cores
+  that other work shared
+- Success with the whole last check: {success} of {found["episodes"]} fresh episodes, action
+  {found["action"]}
 - Trained with {versions}
-- `weights.npz`: what acting needs, half precision; `record.json`: every setting; `curve.png`: how it learned
+- `weights.npz`: what acting needs, half precision; `record.json`: every setting; `curve.png`: its learning
+  curve
 
 It has seen the objects of this pool only; on others it is untested.
 """
