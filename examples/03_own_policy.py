@@ -14,7 +14,7 @@ from cluttergen_jax.cli.train import Train
 
 SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 pool, num_objects = os.environ.get("CLUTTERGEN_POOL", "my_pool"), 3
-support = "table-0.30x0.40"
+support = "table-0.20x0.16"
 num_attempts = 2048 if SMALL else 40_000
 
 # %% [markdown]
@@ -44,5 +44,5 @@ print(f"scenes that stand: {success(trained):.0%} with the policy, {success(chan
 # %% [markdown]
 # From the command line:
 #
-#     cluttergen generate --pool my_pool --support table-0.30x0.40 --num-objects 3 \
+#     cluttergen generate --pool my_pool --support table-0.20x0.16 --num-objects 3 \
 #         --method policy --checkpoint runs/my_pool/policy --out my_scenes
