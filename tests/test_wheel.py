@@ -33,5 +33,5 @@ def test_wheel_generates_outside_the_checkout(tmp_path):
     assert all(
         name in listed for name in ("dining", "study", "office", "kitchen", "household", "round_table")
     )
-    run(cluttergen, "generate", "-n", "1", "--out", "bank", "--no-render", cwd=tmp_path)
+    run(cluttergen, "generate", "-n", "1", "--method", "clear", "--out", "bank", "--no-render", cwd=tmp_path)
     assert "1 of 1 scenes stand" in run(cluttergen, "verify", "bank", cwd=tmp_path)
