@@ -45,10 +45,8 @@ ROWS = (
     Row("beta", "one Beta a coordinate (the paper's head), z about rest on the bare top", variant="beta"),
     Row("beta-free", "one Beta, z anywhere (the paper's)", variant="beta", network={"height_precision": 0.0}),
     Row("normal", "one truncated normal a coordinate", variant="normal"),
-    Row("coarse", "mixture over 6 x 6 cells", network={"num_cells": 6}),
     Row("unturned", "mixture over 12 x 12 cells, one range of turns", network={"num_turns": 1}),
     Row("open_loop", "no history", variant="open_loop"),
-    Row("far", "discount 0.99, not 0.9", ppo={"discount": 0.99, "gae_lambda": 0.95}),
     Row("slow", "learning rate 0.0003, not 0.001", ppo={"learning_rate": 3e-4}),
 )
 
