@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from brax.envs.base import Env
 
 from cluttergen_jax.agent.learner import Learner
+from cluttergen_jax.agent.ppo import Encode, as_seen
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.ranking import RankerConfig
 from cluttergen_jax.placement.env import PlacementEnv
@@ -28,6 +29,11 @@ class Task:
 
     env: Env
     learner: Learner | RankingLearner
+
+    @property
+    def encode(self) -> Encode:
+        """What is added to observations when they are made (`Learner.encode`)."""
+        return self.learner.encode if isinstance(self.learner, Learner) else as_seen
 
 
 def make_task(rules: Rules, network: NetworkConfig | RankerConfig) -> Task:

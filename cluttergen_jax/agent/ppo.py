@@ -25,7 +25,8 @@ Encode = Callable[[Params], Callable[[Any], Any]]
 """params -> a function of observations with a leading axis, called once for each attempt."""
 
 
-def _as_seen(params: Params) -> Callable[[Any], Any]:
+def as_seen(params: Params) -> Callable[[Any], Any]:
+    """An `Encode` that leaves observations as they are."""
     return lambda observation: observation
 
 
@@ -73,7 +74,7 @@ class PPO:
     apply: Apply
     config: PPOConfig
     devices: Devices = field(default_factory=OneDevice)
-    encode: Encode = _as_seen
+    encode: Encode = as_seen
 
     def optimizer(self) -> optax.GradientTransformation:
         """Adam after clipping, with the config's schedule."""

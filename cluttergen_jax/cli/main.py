@@ -21,6 +21,7 @@ def commands() -> Any:
     from cluttergen_jax.cli.import_ import Import
     from cluttergen_jax.cli.inspect_ import Inspect
     from cluttergen_jax.cli.list_ import List
+    from cluttergen_jax.cli.pretrain import Pretrain
     from cluttergen_jax.cli.render import Render
     from cluttergen_jax.cli.stats import Stats
     from cluttergen_jax.cli.train import Train
@@ -36,6 +37,7 @@ def commands() -> Any:
         | Annotated[View, tyro.conf.subcommand("view")]
         | Annotated[Render, tyro.conf.subcommand("render")]
         | Annotated[Train, tyro.conf.subcommand("train")]
+        | Annotated[Pretrain, tyro.conf.subcommand("pretrain")]
         | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
         | Annotated[Import, tyro.conf.subcommand("import")]
         | Annotated[Inspect, tyro.conf.subcommand("inspect")]

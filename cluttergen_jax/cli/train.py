@@ -13,6 +13,7 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.problem import ProblemConfig, make_problem
+from cluttergen_jax.training.encoder_weights import choose_encoder
 from cluttergen_jax.training.hosts import join
 from cluttergen_jax.training.presets import Settings, make_settings
 from cluttergen_jax.training.suite import POOLS, SEEDS
@@ -35,6 +36,9 @@ class Train:
       num_envs: environments side by side; the preset's if not given.
       seed: of weights, episodes and actions.
       reward: paper, code or compressed; the preset's if not given.
+      encoder: of the scene: set, pointnet or pointnet2; the preset's if not given.
+      encoder_weights: folder of pretrained weights that the point encoders begin with (cluttergen pretrain).
+      encoder_frozen: leave these weights as they are.
       out: the run's folder, runs/POOL-VARIANT-SEED if not given; of a suite, the folder of all its runs.
       engine: auto, native, warp or jax.
       eval_every: attempts between evaluations; 0 evaluates at the end only.
@@ -63,6 +67,9 @@ class Train:
     num_envs: int | None = None
     seed: int = 0
     reward: str | None = None
+    encoder: str | None = None
+    encoder_weights: str | None = None
+    encoder_frozen: bool = False
     out: str | None = None
     engine: str = "auto"
     eval_every: int = 0
@@ -129,6 +136,7 @@ class Train:
             self.folder,
             recipe,
             evaluate if self.eval_episodes else None,
+            None if self.encoder_weights is None else Path(self.encoder_weights),
         ).train()
         say(f"done       policy in {self.folder / 'policy'}, curve in {self.folder / 'curve.png'}")
 
@@ -145,7 +153,7 @@ class Train:
         )
         if self.reward is not None:
             placement = dataclasses.replace(placement, reward=self.reward)
-        network = settings.network
+        network = choose_encoder(settings.network, self.encoder, self.encoder_weights, self.encoder_frozen)
         if isinstance(network, NetworkConfig) and network.history_length > 1:
             # The full method looks back on every attempt that an object may have, however many those are.
             network = dataclasses.replace(network, history_length=self.attempts)
@@ -178,6 +186,7 @@ def recipe_of(args: Train, settings: Settings) -> dict[str, Any]:
         "pool_hash": find_pool(args.pool).hash,
         "support": args.support,
         "variant": args.variant,
+        "encoder_weights": args.encoder_weights,
         "preset": args.preset,
         "seed": args.seed,
         **dataclasses.asdict(settings),

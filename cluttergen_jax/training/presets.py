@@ -68,7 +68,15 @@ def paper() -> Settings:
             value_cost=0.5,
             num_attempts=2_500_000,
         ),
-        network=NetworkConfig(object_points=1024),
+        network=NetworkConfig(
+            scene_encoder="pointnet2",
+            object_points=1024,
+            object_features=1024,
+            scene_points=20_480,
+            scene_features=1024,
+            num_centroids=512,
+            group_size=32,
+        ),
         placement=PlacementConfig(reward="paper", history_stride=1),
         stability=_training_stability(False),
     )

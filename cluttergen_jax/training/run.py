@@ -19,6 +19,7 @@ from cluttergen_jax.networks.ranking import RankerConfig
 from cluttergen_jax.physics.memory import engine_bytes
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.task import make_task
+from cluttergen_jax.training.encoder_weights import with_encoder
 from cluttergen_jax.training.hosts import agree, gathered, is_writer
 from cluttergen_jax.training.interrupt import Interrupt
 from cluttergen_jax.training.journal import Evaluate, Journal, RunConfig, Silence
@@ -46,6 +47,7 @@ class Run:
       folder: continued if it holds a run.
       recipe: JSON values stored in every checkpoint.
       evaluate: says how good weights are; None leaves evaluations out.
+      encoder_weights: folder of pretrained weights that the point encoders begin with.
     """
 
     def __init__(
@@ -57,11 +59,13 @@ class Run:
         folder: Path,
         recipe: dict[str, Any],
         evaluate: Evaluate | None = None,
+        encoder_weights: Path | None = None,
     ) -> None:
         self.config, self.folder, self.recipe = config, folder, recipe
         task = make_task(rules, network)
         self.learner = task.learner
-        self.ppo = PPO(task.env, task.learner.apply, ppo, devices_for(ppo.num_envs))
+        self.ppo = PPO(task.env, task.learner.apply, ppo, devices_for(ppo.num_envs), task.encode)
+        self._encoder_weights = encoder_weights
         self._physics, self._evaluate = rules.physics, evaluate
         folder.mkdir(parents=True, exist_ok=True)
 
@@ -87,7 +91,10 @@ class Run:
         return placed(self.ppo, shared(read_state(last, whole) if is_writer() else whole))
 
     def _init(self, key: Any) -> Any:
-        return self.learner.init(key, jax.eval_shape(self.ppo.env.reset, key).obs)
+        params = self.learner.init(key, jax.eval_shape(self.ppo.env.reset, key).obs)
+        if self._encoder_weights is None:
+            return params
+        return with_encoder(params, self._encoder_weights)
 
     def train(self, show: Callable[[str], None] = print, interrupt: Interrupt | None = None) -> TrainState:
         """Runs to the end, or until Ctrl-C, which saves and is passed on.
