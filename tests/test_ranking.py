@@ -119,7 +119,7 @@ def test_screened_proposals_are_those_of_the_policy_on_free_ground(rules, search
     network = NetworkConfig(head="mixture", num_cells=6, history_width=0, width=16, num_layers=2)
     task = make_task(rules, network)
     observation = jax.eval_shape(task.env.reset, jax.random.key(0)).obs
-    policy = Policy(rules, task.learner, task.learner.init(jax.random.key(0), observation), True)
+    policy = Policy(rules, task.learner, task.learner.init(jax.random.key(0), observation), True, 5)
     screened = make_screened(policy, rules)
     half = rules.geometry.half_extents
 
@@ -138,16 +138,41 @@ def test_screened_proposals_are_those_of_the_policy_on_free_ground(rules, search
     assert int((slot == 2).sum()) >= 15
 
 
-def test_a_ranker_that_looks_elsewhere_is_refused(rules, tmp_path):
-    task = make_task(rules, CONFIG)
-    observation = jax.eval_shape(task.env.reset, jax.random.key(0)).obs
-    params = task.learner.init(jax.random.key(0), observation)
-    placement = {"max_attempts": 5, "history_stride": 60}
-    save_policy(tmp_path / "p", params, {"network": asdict(CONFIG), "placement": placement})
-    loaded = load_policy(tmp_path / "p", rules)
-    assert isinstance(loaded, Ranked)
-    episode = rules.begin(jax.random.key(9))
-    assert loaded(jax.random.key(1), episode).shape == (4,)
-    other = replace(rules, config=replace(rules.config, max_attempts=3))
-    with pytest.raises(ConfigError, match="max_attempts"):
-        load_policy(tmp_path / "p", other)
+@pytest.fixture
+def stored(rules, tmp_path):
+    """Folders of a fresh ranker and a fresh policy of poses, trained with up to five attempts."""
+    for name, network in (("ranked", CONFIG), ("policy", NetworkConfig(width=16, num_layers=2))):
+        task = make_task(rules, network)
+        observation = jax.eval_shape(task.env.reset, jax.random.key(0)).obs
+        params = task.learner.init(jax.random.key(0), observation)
+        record = {"network": asdict(network), "placement": {"max_attempts": 5, "history_stride": 60}}
+        save_policy(tmp_path / name, params, record)
+    return tmp_path
+
+
+def with_attempts(rules, number):
+    """The rules with another number of attempts."""
+    return replace(rules, config=replace(rules.config, max_attempts=number))
+
+
+def test_policies_act_with_fewer_attempts_than_they_were_trained_with(rules, stored):
+    few = with_attempts(rules, 2)
+    too_high = jnp.array([0.5, 0.5, 0.99, 0.5])
+    for name, kind in (("ranked", Ranked), ("policy", Policy)):
+        acting = {n: load_policy(stored / name, r, is_sampled=False) for n, r in ((2, few), (5, rules))}
+        assert isinstance(acting[2], kind)
+        actions = []
+        for number, its_rules in ((2, few), (5, rules)):
+            failed = its_rules.attempt(its_rules.begin(jax.random.key(9)), too_high)[0]
+            actions.append(acting[number](jax.random.key(1), failed))
+        assert actions[0].shape == (4,)
+        if kind is Policy:
+            # What it is not allowed to try is as empty as what it has not tried yet.
+            np.testing.assert_array_equal(*actions)
+
+
+def test_policies_of_poses_refuse_more_attempts(rules, stored):
+    many = with_attempts(rules, 7)
+    assert isinstance(load_policy(stored / "ranked", many), Ranked)
+    with pytest.raises(ConfigError, match="max_attempts = 7"):
+        load_policy(stored / "policy", many)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from cluttergen_jax.agent.checkpoint import read_policy, read_record
@@ -52,12 +53,19 @@ def find_policy(variant: str, pool: str) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """A proposer that draws from a trained actor, or takes its mean."""
+    """A proposer that draws from a trained actor, or takes its mean.
+
+    Attributes:
+      rules, learner, params: of the world to act in, and the actor.
+      is_sampled: draw actions; else take the mean.
+      num_attempts: how many failed attempts the actor reads; those that the rules do not allow are empty.
+    """
 
     rules: Rules
     learner: Learner
     params: Any
     is_sampled: bool
+    num_attempts: int
 
     def __call__(self, key: Array, episode: Episode) -> Array:
         """See `placement.proposer.Proposer`."""
@@ -76,7 +84,13 @@ class Policy:
     def look(self, episode: Episode) -> dict[str, Any]:
         """What it sees of an episode."""
         cells = self.learner.config.num_cells_read
-        return observe(self.rules, episode, ObservationConfig(num_cells=cells))
+        seen = observe(self.rules, episode, ObservationConfig(num_cells=cells))
+        missing = self.num_attempts - self.rules.config.max_attempts
+        return seen | {"history": jax.tree.map(lambda rows: _padded(rows, missing), seen["history"])}
+
+
+def _padded(rows: Array, missing: int) -> Array:
+    return jnp.pad(rows, [(0, missing)] + [(0, 0)] * (rows.ndim - 1))
 
 
 def load_policy(path: Path, rules: Rules, is_sampled: bool | None = None) -> Policy | Ranked:
@@ -89,26 +103,37 @@ def load_policy(path: Path, rules: Rules, is_sampled: bool | None = None) -> Pol
 
     Raises:
       PoolError: the checkpoint is missing or damaged.
-      ConfigError: the world's history is not what the policy reads.
+      ConfigError: the world's history is not what the policy reads. Fewer attempts are; more are not.
     """
     record = read_record(path)
-    wanted, given = record["placement"], rules.config
-    for name in ("max_attempts", "history_stride"):
-        if wanted[name] != getattr(given, name):
-            raise ConfigError(
-                f"{name} = {getattr(given, name)} with a policy trained with {wanted[name]}",
-                f"{name} = {wanted[name]}",
-                "the settings that the policy was trained with",
-            )
-    stored = record["network"]
-    is_ranker = "cost_scale" in stored
-    network = RankerConfig(**stored) if is_ranker else NetworkConfig(**stored)
-    policy = make_policy(rules, network, None, not is_ranker if is_sampled is None else is_sampled)
+    stored, trained = record["network"], record["placement"]
+    if "cost_scale" in stored:
+        policy = make_policy(rules, RankerConfig(**stored), None, bool(is_sampled))
+    else:
+        _check_history(trained, rules)
+        policy = make_policy(rules, NetworkConfig(**stored), None, is_sampled is not False)
+        policy = replace(policy, num_attempts=trained["max_attempts"])
     # Only shapes are needed: drawing fresh parameters would take longer to compile than acting does.
     seen = jax.eval_shape(lambda: policy.look(rules.begin(jax.random.key(0))))
     shapes = jax.eval_shape(policy.learner.init, jax.random.key(0), seen)
     blank = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
     return replace(policy, params=read_policy(path, blank))
+
+
+def _check_history(trained: dict[str, Any], rules: Rules) -> None:
+    """Refuses rules whose history a policy cannot read; fewer attempts than it knows it can."""
+    most, stride = trained["max_attempts"], trained["history_stride"]
+    if rules.config.max_attempts > most:
+        raise ConfigError(
+            f"max_attempts = {rules.config.max_attempts} with a policy trained with {most}",
+            f"1 to {most}",
+            f"python train.py --attempts {rules.config.max_attempts}",
+        )
+    if rules.config.history_stride != stride:
+        raise ConfigError(
+            f"history_stride = {rules.config.history_stride} with a policy trained with {stride}",
+            f"history_stride = {stride}",
+        )
 
 
 def make_policy(
@@ -118,4 +143,4 @@ def make_policy(
     learner = make_task(rules, network).learner
     if isinstance(learner, RankingLearner):
         return Ranked(LowestFit(rules), learner, params, is_sampled)
-    return Policy(rules, learner, params, is_sampled)
+    return Policy(rules, learner, params, is_sampled, rules.config.max_attempts)
