@@ -67,6 +67,14 @@ def test_overwrite_begins_anew(pool, tmp_path):
     assert (tmp_path / "b" / "notes.txt").read_text() == "mine"
 
 
+def test_few_successes_bring_advice(pool, tmp_path, capsys):
+    tight = ["--support", "table-0.12x0.12", "--region", "0.11x0.11", "-n", "4"]
+    assert generate(pool, tmp_path / "tight", *tight) == 0
+    assert "try --method clear" in capsys.readouterr().out
+    assert generate(pool, tmp_path / "wide", "--method", "drop", "-n", "4") == 0
+    assert "advice" not in capsys.readouterr().out
+
+
 def test_nothing_is_overwritten_unasked(pool, tmp_path, capsys):
     (tmp_path / "thesis.txt").write_text("important")
     assert generate(pool, tmp_path, "-n", "2", "--overwrite") == 2

@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import tyro
 
 from cluttergen_jax.assets.pool import find_pool
@@ -25,12 +26,27 @@ from cluttergen_jax.bank.writer import names_of
 from cluttergen_jax.cli.files import write_files
 from cluttergen_jax.cli.parse import parse_keep_out, parse_region
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.methods import checkpoint_hash, checkpoint_of, default_method, proposer_of, suited
+from cluttergen_jax.methods import (
+    SCREENED,
+    checkpoint_hash,
+    checkpoint_of,
+    default_method,
+    proposer_of,
+    suited,
+)
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.problem import Problem, ProblemConfig, keep_out_of, make_problem
 from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
 
 MAX_SCENES = 10_000_000
+_FEW = 0.5
+_BETTER = {
+    "random": "--method clear",
+    "clear": "--method drop",
+    "drop": "fewer objects",
+    "ranked": "fewer objects",
+    SCREENED: "--method drop",
+}
 
 
 @dataclass(frozen=True)
@@ -41,8 +57,9 @@ class Generate:
       out: the bank's folder; the same command continues an interrupted one.
       pool: a pool's name or folder (`cluttergen list`).
       num_scenes: scenes to make, failures counted.
-      method: how poses are proposed: random, clear, drop, or a trained policy: policy, open_loop,
-        short_memory or normal. If not given: policy where a checkpoint is embedded for the pool, else clear.
+      method: how poses are proposed: random, clear, drop, or a trained policy: policy, policy-clear, ranked,
+        beta, normal, open_loop or short_memory. If not given: policy where a checkpoint is embedded for the
+        pool, else clear.
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       num_objects: objects per scene; all of the pool's (40 at most) if not given.
       objects: names of the pool's objects to use.
@@ -121,6 +138,8 @@ def _generate(args: Generate) -> int:
         num_new = run_blocks(sampler, problem, writer, args.num_scenes, args.seed)
         bank = read_bank(args.out)
         print(summary_of(bank.table, args.num_scenes, num_new, time.perf_counter() - started))
+        if advice := _advice(method, float(np.mean(bank.table["is_success"]))):
+            print(advice)
         with writing(bank.path):
             write_card(bank)
             if (num_files := min(args.num_scenes, args.max_files)) > 0:
@@ -179,6 +198,14 @@ def run_blocks(
     for block, indices, scenes in sample_blocks(sampler, missing, seed) if missing else ():
         writer.write_block(block, table_of(indices, scenes, problem.world.names))
     return sum(rows for _, rows in missing)
+
+
+def _advice(method: str, success: float) -> str:
+    """What to try where few scenes succeed; nothing where most do."""
+    if success >= _FEW:
+        return ""
+    better = _BETTER.get(method, f"--method {SCREENED}")
+    return f"advice     few scenes succeed with {method} here; try {better} or a larger support"
 
 
 def _warn_of_flags(problem: Problem) -> None:
