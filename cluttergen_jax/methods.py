@@ -20,15 +20,23 @@ from cluttergen_jax.training.presets import VARIANTS
 SCREENED = "policy-clear"
 METHODS = (*BASELINES, *VARIANTS, SCREENED)
 DEFAULT_METHOD = "policy"
-"""What `generate` and `make_sampler` take where nothing is said, if a checkpoint is embedded for the pool."""
-
 FALLBACK_METHOD = "clear"
+GOOD_SUCCESS = 0.9
+"""Success, as its record tells it, from which an embedded policy is what a user gets unasked."""
 
 
 def default_method(pool: str, checkpoint: str | None = None) -> str:
-    """The method for a pool where none is named: `DEFAULT_METHOD`, or `clear` where it has no checkpoint."""
-    is_trained = checkpoint is not None or f"{pool}-{DEFAULT_METHOD}" in list_policies()
-    return DEFAULT_METHOD if DEFAULT_METHOD in BASELINES or is_trained else FALLBACK_METHOD
+    """The method for a pool where none is named.
+
+    `policy` with a given checkpoint, or where one is embedded that fills most scenes; else `clear`.
+    """
+    if checkpoint is not None:
+        return DEFAULT_METHOD
+    embedded = list_policies().get(f"{pool}-{DEFAULT_METHOD}")
+    if embedded is None:
+        return FALLBACK_METHOD
+    success = read_record(embedded).get("evaluation", {}).get("success", 0.0)
+    return DEFAULT_METHOD if success >= GOOD_SUCCESS else FALLBACK_METHOD
 
 
 def checkpoint_of(method: str, pool: str, checkpoint: str | None = None) -> Path | None:

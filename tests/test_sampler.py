@@ -224,11 +224,21 @@ def test_what_is_not_one_key_is_refused(sample, key):
 def test_the_default_method_follows_what_is_embedded(pool, monkeypatch):
     assert default_method(pool) == FALLBACK_METHOD
     assert default_method(pool, "a/checkpoint") == "policy"
-    monkeypatch.setattr("cluttergen_jax.methods.list_policies", lambda: {"dining-policy": None})
+    success = {"dining": 0.97, "kitchen": 0.4}
+    embedded = {f"{name}-policy": name for name in (*success, "office")}
+    monkeypatch.setattr("cluttergen_jax.methods.list_policies", lambda: embedded)
+    monkeypatch.setattr(
+        "cluttergen_jax.methods.read_record",
+        lambda name: {"evaluation": {"success": success[name]}} if name in success else {},
+    )
     assert default_method("dining") == "policy"
-    assert default_method("study") == FALLBACK_METHOD
+    # A poor policy, one that was not evaluated, and none.
+    assert [default_method(name) for name in ("kitchen", "office", "study")] == [FALLBACK_METHOD] * 3
+
+
+def test_a_method_without_checkpoint_is_refused(pool):
     with pytest.raises(PoolError):
-        cg.make_sampler(pool="study", method="open_loop")
+        cg.make_sampler(pool=pool, method="open_loop")
 
 
 def test_importing_the_package_loads_neither_jax_nor_mujoco():

@@ -58,8 +58,8 @@ class Generate:
       pool: a pool's name or folder (`cluttergen list`).
       num_scenes: scenes to make, failures counted.
       method: how poses are proposed: random, clear, drop, or a trained policy: policy, policy-clear, ranked,
-        beta, normal, open_loop or short_memory. If not given: policy where a checkpoint is embedded for the
-        pool, else clear.
+        beta, normal, open_loop or short_memory. If not given: policy where one is embedded that fills nine
+        of ten scenes of the pool, else clear.
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       num_objects: objects per scene; all of the pool's (40 at most) if not given.
       objects: names of the pool's objects to use.
