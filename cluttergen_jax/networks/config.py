@@ -20,8 +20,9 @@ class NetworkConfig:
     Attributes:
       head: "beta" (the paper's), "normal" or "mixture" (of Betas, over the cells of a grid of heights).
       num_cells, num_turns: of the mixture: cells along each side of the queried region, ranges of turns.
-      height_precision: where z of the other heads begins: 0 anywhere in its range, as in the paper; else about
-        the height at which the object would rest on the bare top, as narrow as a Beta of this concentration.
+      height_precision: where z of the other heads begins: 0 anywhere in its range, as in the paper; else
+        about the height at which the object would rest on the bare top, as narrow as a Beta of this
+        concentration.
       height_clearance: how far above that, metres.
       scene_encoder: "set" attends over the placed objects (their features, sizes and poses); "pointnet" and
         "pointnet2" (the paper's) read the scene's point cloud, made again from the poses. Either of the two
