@@ -308,8 +308,14 @@ def test_checkpoints_are_found_by_pool_variant_and_seed(tmp_path):
     assert found.find(dataclasses.replace(policy, method="normal")) == tmp_path / "dining-normal"
     with pytest.raises(MissingCheckpointError):
         found.find(dataclasses.replace(policy, training_seed=2))
-    with pytest.raises(MissingCheckpointError, match="trained with 5 attempts"):
-        Checkpoints(path=tmp_path / "dining-normal").find(dataclasses.replace(policy, attempts=2))
+    other = dataclasses.replace(policy, attempts=2)
+    assert found.find(other) == tmp_path / "dining-policy-0/policy"
+    (tmp_path / "dining-policy-0").rename(tmp_path / "dining-policy-attempts2-0")
+    assert found.find(other) == tmp_path / "dining-policy-attempts2-0/policy"
+    # What cannot be used is said in the row, and the suite goes on.
+    record = Lab(Store(tmp_path / "results"), found).record(other)
+    assert "cannot be used" in record["missing"]
+    assert str(tmp_path) not in record["missing"]
 
 
 # Suites and reports

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from cluttergen_jax.agent.checkpoint import read_record
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.evaluation.trial import Trial
@@ -45,9 +44,8 @@ class Checkpoints:
         """The folder of the trial's policy; None for a baseline.
 
         Raises:
-          MissingCheckpointError: there is none, or it was trained with other attempts per object.
+          MissingCheckpointError: there is none.
           ConfigError: there is no such method.
-          PoolError: the checkpoint is damaged.
         """
         if trial.method not in METHODS or trial.method in BASELINES:
             return checkpoint_of(trial.method, trial.pool)
@@ -55,12 +53,6 @@ class Checkpoints:
         if path is None:
             raise MissingCheckpointError(
                 f"no checkpoint for method {trial.method!r} on pool {trial.pool!r}", hint=train_command(trial)
-            )
-        trained = read_record(path)["placement"]["max_attempts"]
-        if trained != trial.attempts:
-            raise MissingCheckpointError(
-                f"the checkpoint of {trial.method!r} on {trial.pool!r} was trained with {trained} attempts",
-                hint=train_command(trial),
             )
         return path
 
@@ -79,7 +71,7 @@ class Checkpoints:
 
     def _embedded(self, trial: Trial) -> Path | None:
         """The embedded ones are of training seed 0; a given folder hides them."""
-        if self.folder is not None or trial.training_seed != 0 or trial.attempts != ATTEMPTS:
+        if self.folder is not None or trial.training_seed != 0:
             return None
         try:
             return checkpoint_of(trial.method, trial.pool)
@@ -88,14 +80,17 @@ class Checkpoints:
 
 
 def _names(trial: Trial) -> list[str]:
-    """Run folders that a trial's policy may be in, the likeliest first."""
+    """Run folders that a trial's policy may be in, the best first.
+
+    One trained with the trial's attempts goes before one trained with the usual number.
+    """
     pool = Path(trial.pool).name
     # Methods that are no variant of the network act with the weights of the full method.
     variants = dict.fromkeys((trial.method, trial.method if trial.method in VARIANTS else "policy"))
     attempts = "" if trial.attempts == ATTEMPTS else f"-attempts{trial.attempts}"
-    stems = [f"{pool}-{variant}{attempts}" for variant in variants]
-    names = [f"{stem}-{trial.training_seed}" for stem in stems]
-    return names + (stems if trial.training_seed == 0 else [])
+    stems = [f"{pool}-{variant}{extra}" for extra in dict.fromkeys((attempts, "")) for variant in variants]
+    endings = (f"-{trial.training_seed}", *([""] if trial.training_seed == 0 else []))
+    return [f"{stem}{ending}" for stem in stems for ending in endings]
 
 
 def train_command(trial: Trial) -> str:

@@ -71,7 +71,6 @@ def diversity(result: Result) -> list[Table]:
         "nearest scene: distance to the most similar other scene; Vendi score: effective number of "
         "different scenes",
         "bounding box: the paper's measure, decided by outliers",
-        *result["measure"]["notes"],
     )
     return [Table(result["title"], columns, rows, notes)]
 
@@ -146,7 +145,7 @@ def survival(result: Result) -> list[Table]:
             number(_millimetres(row["median_shift"]), 2),
         ),
     )
-    notes = ("stands: nothing moved over 5 mm or turned over 5 degrees", *result["measure"]["notes"])
+    notes = ("stands: nothing moved over 5 mm or turned over 5 degrees",)
     return [Table(result["title"], columns, rows, notes)]
 
 

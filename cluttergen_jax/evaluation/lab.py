@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -17,8 +18,9 @@ from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.evaluation.changes import draw_region, find_change
-from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError
+from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError, train_command
 from cluttergen_jax.evaluation.episodes import Outcome, run_episodes
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.patience import PatientPhysics, PatientRules
@@ -28,6 +30,7 @@ from cluttergen_jax.evaluation.record import arrays_of, figures_of
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.methods import checkpoint_hash, proposer_of, suited
+from cluttergen_jax.physics import make_physics
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode
@@ -36,6 +39,7 @@ from cluttergen_jax.sampling import BlockSampler
 from cluttergen_jax.types import Array
 
 Record = dict[str, Any]
+_KEPT_PROBLEMS = 4
 
 
 @dataclass(eq=False)
@@ -61,6 +65,7 @@ class Lab:
         self.programs = Programs()
         self._pools: dict[str, Pool] = {}
         self._supports: dict[str, SupportAsset] = {}
+        self._problems: OrderedDict[Any, Problem] = OrderedDict()
         self._made: set[str] = set()
 
     def check(self, trials: Iterable[Trial]) -> None:
@@ -90,7 +95,7 @@ class Lab:
         try:
             sources = self.sources(trial)
         except MissingCheckpointError as error:
-            return {"trial": asdict(trial), "missing": error.given, "hint": error.hint}
+            return _missing(trial, error)
         key = key_of(trial, sources)
         if self.is_fresh and key not in self._made:
             return None
@@ -107,15 +112,20 @@ class Lab:
         if known is not None:
             return known
         self.progress.begin(trial.title)
-        strict = self.run(trial, judge_neighbours=True)
-        figures = figures_of(strict)
-        if trial.paper_count:
-            loose = self.run(trial, judge_neighbours=False)
-            figures["paper"] = figures_of(loose, has_last_check=False)
+        try:
+            strict = self.run(trial, judge_neighbours=True)
+            figures = figures_of(strict)
+            if trial.paper_count:
+                loose = self.run(trial, judge_neighbours=False)
+                figures["paper"] = figures_of(loose, has_last_check=False)
+        except MissingCheckpointError as error:
+            self.progress.skip(trial.num_episodes)
+            self.progress.finish(str(error))
+            return _missing(trial, error)
         sources = self.sources(trial)
         key = key_of(trial, sources)
         record = {
-            "trial": asdict(trial),
+            "trial": trial.shown(),
             "sources": sources,
             "policy": self._policy(trial),
             "figures": figures,
@@ -155,8 +165,20 @@ class Lab:
     def problem(self, trial: Trial, judge_neighbours: bool = True) -> Problem:
         """The trial's compiled world and rules, ready for shared programs."""
         checkpoint = self.checkpoints.find(trial)
-        placement = PlacementConfig(num_objects=trial.num_objects, max_attempts=trial.attempts)
         is_cut = checkpoint is None or read_record(checkpoint)["stability"]["stop_when_decided"]
+        stability = StabilityConfig(
+            stop_when_decided=is_cut and not trial.whole_attempts, judge_neighbours=judge_neighbours
+        )
+        base = self._composed(trial)
+        engine = make_physics(base.world.layout, stability, self.engine, self.num_threads)
+        physics = self.programs.switched(engine)
+        rules = replace(base.rules, config=suited(base.rules.config, checkpoint), physics=physics)
+        if is_cut and trial.whole_attempts:
+            rules = PatientRules(**vars(rules) | {"physics": PatientPhysics(physics)})
+        return replace(base, config=replace(base.config, stability=stability), rules=rules)
+
+    def _composed(self, trial: Trial) -> Problem:
+        """The trial's problem but for method and stability; the latest few are kept."""
         config = ProblemConfig(
             pool=trial.pool,
             repeat=trial.repeat,
@@ -164,21 +186,36 @@ class Lab:
             region=self._largest_region(trial),
             engine=self.engine,
             num_threads=self.num_threads,
-            placement=suited(placement, checkpoint),
-            stability=StabilityConfig(
-                stop_when_decided=is_cut and not trial.whole_attempts, judge_neighbours=judge_neighbours
-            ),
+            placement=PlacementConfig(num_objects=trial.num_objects, max_attempts=trial.attempts),
         )
-        problem = compose(self.pool(trial.pool).objects, self.support(trial.support), config)
-        physics = self.programs.switched(problem.rules.physics)
-        rules = replace(problem.rules, physics=physics)
-        if is_cut and trial.whole_attempts:
-            rules = PatientRules(**vars(rules) | {"physics": PatientPhysics(physics)})
-        return replace(problem, rules=rules)
+        if config not in self._problems:
+            objects, support = self.pool(trial.pool).objects, self.support(trial.support)
+            self._problems[config] = compose(objects, support, config)
+            if len(self._problems) > _KEPT_PROBLEMS:
+                self._problems.popitem(last=False)
+        self._problems.move_to_end(config)
+        return self._problems[config]
 
     def sampler(self, trial: Trial, problem: Problem) -> BlockSampler:
-        """The trial's method in its problem."""
-        propose = proposer_of(trial.method, self.checkpoints.find(trial), problem.rules)
+        """The trial's method in its problem.
+
+        Raises:
+          MissingCheckpointError: its checkpoint is missing, or it cannot be used here.
+        """
+        checkpoint = self.checkpoints.find(trial)
+        try:
+            propose = proposer_of(trial.method, checkpoint, problem.rules)
+        except (ClutterGenError, TypeError) as error:
+            # A record of an older version may hold settings that no network knows any more.
+            if checkpoint is None:
+                raise
+            # Results name no folders.
+            name = f"{checkpoint.parent.name}/{checkpoint.name}"
+            given = error.given if isinstance(error, ClutterGenError) else str(error)
+            raise MissingCheckpointError(
+                f"checkpoint {name} cannot be used: {given.replace(str(checkpoint), name)}",
+                hint=train_command(trial),
+            ) from error
         return BlockSampler(problem.rules, propose, self._begin(trial, problem.rules))
 
     def run(self, trial: Trial, judge_neighbours: bool = True) -> Outcome:
@@ -199,8 +236,9 @@ class Lab:
         checkpoint = self.checkpoints.find(trial)
         if checkpoint is None:
             return None
-        names = ("variant", "preset", "seed", "attempts", "pool")
-        return {name: value for name, value in read_record(checkpoint).items() if name in names}
+        record, names = read_record(checkpoint), ("variant", "preset", "seed", "attempts")
+        known = {name: record[name] for name in names if name in record}
+        return known | {"max_attempts": record["placement"]["max_attempts"]}
 
     def _largest_region(self, trial: Trial) -> Rectangle:
         """The region that the problem is made for: height maps have to hold the largest that is drawn."""
@@ -222,6 +260,10 @@ class Lab:
             top=support.top,
         )
         return partial(_begin_changed, rules, draw)
+
+
+def _missing(trial: Trial, error: MissingCheckpointError) -> Record:
+    return {"trial": trial.shown(), "missing": error.given, "hint": error.hint}
 
 
 def _begin_changed(rules: Rules, draw: Any, key: Array) -> Episode:

@@ -92,7 +92,7 @@ def fig1a(result: Result) -> list[Table]:
             continue
         shares = at_least(record["figures"]["paper"]["placed_histogram"])
         rows.append((*head, *(share(each) for each in shares)))
-    columns = ("pool", "method", *(f"{n} objects" for n in range(1, max(most, 1) + 1)))
+    columns = ("pool", "method", *(f"n = {n}" for n in range(1, max(most, 1) + 1)))
     notes = (
         _LOOSE,
         "an episode of n objects is the beginning of one of ten: orders are uniform, and no method is told "
@@ -131,6 +131,7 @@ def attempts(result: Result) -> list[Table]:
         "pool",
         "method",
         "attempts",
+        "trained with",
         "success, strict [95 %]",
         "success, paper's count [95 %]",
         "stable steps",
@@ -138,6 +139,7 @@ def attempts(result: Result) -> list[Table]:
     rows = [
         (
             *_head(record, "pool", "method", "attempts"),
+            str((record.get("policy") or {}).get("max_attempts", "-")),
             *_both(record),
             _steps([record]) if "figures" in record else "-",
         )
@@ -235,12 +237,26 @@ def diversity_maps(result: Result) -> list[Table]:
 def learning_curves(result: Result) -> list[Table]:
     """Where training ended."""
     rows = tuple(
-        (row["pool"], row["method"], f"{row['attempts']:,}", share(row["success"]))
+        (
+            row["pool"],
+            row["method"],
+            str(row["seed"]),
+            f"{row['attempts']:,}",
+            share(row["success"]),
+            share(row["checked"]),
+        )
         for row in result["measure"]["rows"]
     )
     theirs = f"{published.LEARNING_SUCCESS} after {published.LEARNING_ATTEMPTS:,} attempts"
     note = f"the paper: above {theirs} in every group"
-    columns = ("pool", "method", "training attempts", "success at the end, while training")
+    columns = (
+        "pool",
+        "method",
+        "seed",
+        "training attempts",
+        "success at the end, while training",
+        "by the last check",
+    )
     return [Table(result["title"], columns, rows, (note,))]
 
 

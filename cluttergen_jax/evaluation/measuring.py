@@ -66,7 +66,7 @@ def each_standing(lab: Lab, study: Study, rows: list[dict]) -> Iterator[tuple[Tr
 
 
 def _row(trial: Trial, **figures: Any) -> dict[str, Any]:
-    return {"pool": trial.pool, "support": trial.support, "method": trial.method, **figures}
+    return {"pool": trial.pool_name, "support": trial.support_name, "method": trial.method, **figures}
 
 
 def diversity_maps(lab: Lab, study: Study, folder: Path) -> Found:
@@ -95,7 +95,7 @@ def diversity(lab: Lab, study: Study, folder: Path) -> Found:
     rows: list[dict] = []
     groups: dict[tuple[str, str], list[tuple[Trial, Successes]]] = {}
     for trial, scenes in each_standing(lab, study, rows):
-        groups.setdefault((trial.pool, trial.support), []).append((trial, scenes))
+        groups.setdefault((trial.pool_name, trial.support_name), []).append((trial, scenes))
     for group in groups.values():
         count = min(len(scenes) for _, scenes in group)
         rows += [_row(trial, **_diversity_of(scenes, count)) for trial, scenes in group]

@@ -73,7 +73,7 @@ def closed_loop(lab: Lab, study: Study, stem: Path) -> tuple[list[str], list[str
                 continue
             name = f"{stem.name}.png"
             save_png(image, stem.with_name(name))
-            return [name], [*notes, f"{trial.method} on {trial.pool}, seed {trial.seed}, scene {scene}"]
+            return [name], [*notes, f"{trial.method} on {trial.pool_name}, seed {trial.seed}, scene {scene}"]
         notes.append(f"{trial.method}: in {trial.trials} scenes no object failed twice and then stood")
     return [], notes
 
@@ -86,40 +86,42 @@ def _instructive(arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def learning_curves(lab: Lab, study: Study, stem: Path) -> tuple[list[dict], list[str], list[str]]:
-    """Success against attempts of every run that left its progress."""
-    rows, notes = [], []
-    pools = list(dict.fromkeys(trial.pool for trial in study.trials))
+    """Success against attempts of every run that left its progress; dots are evaluations by the last check."""
+    folders = {trial: lab.checkpoints.run_folder(trial) for trial in study.trials}
+    runs = {trial: folder for trial, folder in folders.items() if folder is not None}
+    names = [
+        f"{each.pool_name} {each.method} {each.training_seed}" for each in study.trials if each not in runs
+    ]
+    notes = (
+        [f"without a training run (--checkpoints names their folder): {', '.join(names)}"] if names else []
+    )
+    if not runs:
+        return [], [], notes
+    pools = list(dict.fromkeys(trial.pool_name for trial in runs))
     figure, axes = grid(len(pools), 3, 3.0, 2.4)
-    for trial in study.trials:
-        folder = lab.checkpoints.run_folder(trial)
-        progress = read_rows(folder / "progress.csv") if folder else []
-        if not progress:
-            notes.append(
-                f"{trial.pool}, {trial.method}: no progress.csv (--checkpoints names a folder of runs)"
-            )
-            continue
-        x = [row["attempts"] / 1000 for row in progress]
-        y = [row["success"] for row in progress]
-        axis = axes[pools.index(trial.pool)]
-        axis.plot(
-            x, y, color=colour(trial.method), label=LABELS.get(trial.method, trial.method), linewidth=1.0
-        )
-        rows.append(
-            {
-                "pool": trial.pool,
-                "method": trial.method,
-                "attempts": int(progress[-1]["attempts"]),
-                "success": progress[-1]["success"],
-            }
-        )
-    if not rows:
-        return rows, [], notes
+    rows = [_curve(axes[pools.index(trial.pool_name)], trial, folder) for trial, folder in runs.items()]
     for axis, pool in zip(axes, pools, strict=True):
         prepare(axis, pool, "attempts (thousands)", "success while training")
-        axis.set_ylim(0, 1)
-        if axis.lines:
-            axis.legend(fontsize=7)
+        axis.set_ylim(0, 1.03)
+        axis.legend(fontsize=7)
     return rows, save(figure, stem), notes
+
+
+def _curve(axis: Any, trial: Trial, folder: Path) -> dict[str, Any]:
+    """Draws one run; where it ended."""
+    progress, checked = (read_rows(folder / name) for name in ("progress.csv", "evaluations.csv"))
+    label = LABELS.get(trial.method, trial.method) if trial.training_seed == 0 else None
+    for rows, style in ((progress, {"linewidth": 1.0, "label": label}), (checked, {"marker": "o", "ls": ""})):
+        x, y = [row["attempts"] / 1000 for row in rows], [row["success"] for row in rows]
+        axis.plot(x, y, color=colour(trial.method), markersize=3, **style)
+    return {
+        "pool": trial.pool_name,
+        "method": trial.method,
+        "seed": trial.training_seed,
+        "attempts": int(progress[-1]["attempts"]) if progress else 0,
+        "success": progress[-1]["success"] if progress else None,
+        "checked": checked[-1]["success"] if checked else None,
+    }
 
 
 def renders(lab: Lab, study: Study, stem: Path) -> tuple[list[str], list[str]]:
@@ -132,16 +134,18 @@ def renders(lab: Lab, study: Study, stem: Path) -> tuple[list[str], list[str]]:
         groups.setdefault((trial.support, trial.change), []).append(trial)
     images, captions = [], []
     for turn, trials in enumerate(groups.values()):
-        for place in range(len(trials)):
-            trial = trials[(turn + place) % len(trials)]
+        first = [trial for trial in trials if trial.method == trials[0].method]
+        others = [trial for trial in trials if trial not in first]
+        turned = turn % len(first)
+        for trial in (*first[turned:], *first[:turned], *others):
             try:
                 scenes = successes_of(lab, trial)
             except MissingCheckpointError:
                 continue
             if len(scenes):
-                what = trial.support if trial.change in ("none", "all") else trial.change
                 images.append(draw(scenes, 0))
-                captions.append(f"{what}: {trial.pool}, {trial.method}")
+                change = "" if trial.change == "none" else f", change: {trial.change}"
+                captions.append(f"{trial.support_name}, {trial.pool_name}, {trial.method}{change}")
                 break
     return _sheet(images, captions, stem)
 
@@ -161,7 +165,10 @@ def relation_pictures(
             if len(hits) and chosen < _EXAMPLES // 3:
                 scene, i, j = (int(each) for each in hits[0])
                 names = scenes.world.names
-                found[f"{names[i]} {kind.label} {names[j]} ({trial.pool}, {trial.method})"] = scenes, scene
+                found[f"{names[i]} {kind.label} {names[j]} ({trial.pool_name}, {trial.method})"] = (
+                    scenes,
+                    scene,
+                )
                 chosen += 1
     return _sheet([draw(*place) for place in found.values()], list(found), stem)
 

@@ -15,16 +15,18 @@ Result = dict[str, Any]
 
 
 def tables_of(result: Result) -> list[Table]:
-    """The study's tables; if it is quick, their titles say so."""
+    """The study's tables; if fewer trials were made than it asks for, their titles say so."""
     tables = LAYOUTS[result["layout"]](result)
     return [Table(_title(result, table.title), table.columns, table.rows, table.notes) for table in tables]
 
 
 def _title(result: Result, title: str) -> str:
-    if not result["quick"]:
+    if min(result["trials"]) >= result["size"]:
         return title
     trials = " or ".join(str(each) for each in result["trials"])
-    return f"{title} (quick: {trials} trials a row instead of {result['size']})"
+    return (
+        f"{title} ({'quick: ' if result['quick'] else ''}{trials} trials a row instead of {result['size']})"
+    )
 
 
 def provenance(result: Result) -> str:
@@ -48,8 +50,7 @@ def markdown(result: Result, level: int = 2, link: str = "") -> str:
         if len(tables) > 1:
             lines += [f"**{table.title}**", ""]
         lines += [table.markdown(), ""]
-    measure = result["measure"]
-    notes = [] if tables or not measure else [f"- {note}" for note in measure["notes"]]
+    notes = [f"- {note}" for note in (result["measure"] or {}).get("notes", ())]
     lines += [*notes, ""] if notes else []
     for name in shown_pictures(result):
         lines += [f"![{result['title']}]({link}{name})", ""]

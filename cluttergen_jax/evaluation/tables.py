@@ -54,7 +54,7 @@ class Table:
             [
                 r"\begin{table}",
                 r"\centering",
-                rf"\caption{{{_latex(self.title)}. {' '.join(_latex(note) for note in self.notes)}}}",
+                rf"\caption{{{_latex(self.title)}. {' '.join(_latex(note) + '.' for note in self.notes)}}}",
                 rf"\begin{{tabular}}{{{'l' * len(self.columns)}}}",
                 r"\toprule",
                 " & ".join(map(_latex, self.columns)) + r" \\",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.errors import ConfigError
@@ -59,9 +60,23 @@ class Trial:
         return self.trials * (2 if self.paper_count else 1)
 
     @property
+    def pool_name(self) -> str:
+        """Without its folder: where a pool lies is nobody's business in a table."""
+        return Path(self.pool).name
+
+    @property
+    def support_name(self) -> str:
+        """Likewise."""
+        return Path(self.support).name
+
+    def shown(self) -> dict[str, Any]:
+        """Its fields for results that others read."""
+        return asdict(self) | {"pool": self.pool_name, "support": self.support_name}
+
+    @property
     def title(self) -> str:
         """For progress and file names."""
-        words = [self.pool.rstrip("/").split("/")[-1], self.support.rstrip("/").split("/")[-1], self.method]
+        words = [self.pool_name, self.support_name, self.method]
         words += [f"seed {self.training_seed}"] if self.training_seed else []
         words += [self.change] if self.change != "none" else []
         return " ".join([*words, f"{self.num_objects} objects", f"{self.attempts} attempts"])
