@@ -15,13 +15,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.section import prose, report, table
+from benchmarks.trained import GOAL, WINDOW, first_good
 from cluttergen_jax.agent.checkpoint import read_record
 from cluttergen_jax.cli.train import Train
 from cluttergen_jax.training.presets import Settings
 from cluttergen_jax.training.records import read_rows
-
-GOAL = 0.95
-WINDOW = 10
 
 
 @dataclass(frozen=True)
@@ -76,12 +74,11 @@ def cells(row: Row, out: Path) -> list[str]:
     """A finished row of the table."""
     rows = read_rows(out / row.name / "progress.csv")
     success = np.array([each["success"] for each in rows])
-    smooth = np.convolve(success, np.ones(WINDOW) / WINDOW, mode="valid")
-    reached = np.flatnonzero(smooth >= GOAL)
-    attempts = f"{rows[reached[0] + WINDOW - 1]['attempts'] / 1000:.0f}" if len(reached) else "not reached"
+    good = first_good(success)
+    attempts = "not reached" if good is None else f"{rows[good]['attempts'] / 1000:.0f}"
     found = read_record(out / row.name / "policy")["evaluation"]
     interval = f"{found['success']:.3f} [{found['low95']:.3f}, {found['high95']:.3f}]"
-    return [row.title, attempts, f"{smooth[-1]:.3f}", interval, f"{rows[-1]['entropy']:.1f}"]
+    return [row.title, attempts, f"{success[-WINDOW:].mean():.3f}", interval, f"{rows[-1]['entropy']:.1f}"]
 
 
 def main() -> None:
