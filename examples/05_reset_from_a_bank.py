@@ -38,12 +38,12 @@ class Push(Env):
     def __init__(self, bank: cg.SceneBank) -> None:
         model = bank.model()
         # Softer contacts and few solver iterations: made for learning, not for verification.
-        model.opt.cone, model.opt.iterations, model.opt.ls_iterations = mujoco.mjtCone.mjCONE_PYRAMIDAL, 4, 8
+        model.opt.cone, model.opt.iterations, model.opt.ls_iterations = mujoco.mjtCone.mjCONE_PYRAMIDAL, 8, 8
         model.geom_condim[:], model.geom_solimp[:, :2] = 3, (0.9, 0.95)
         self.bank, self.model, self.blank = bank, mjx.put_model(model), mjx.make_data(model)
         box = bank.names.index("cereal_box")
         self.body, self.box, self.can = int(model.jnt_bodyid[box]), 7 * box, 7 * (1 - box)
-        self.force = 4 * float(model.body_mass[self.body]) * 9.81  # newtons, at most
+        self.force = 1.5 * float(model.body_mass[self.body]) * 9.81  # newtons, at most
 
     def reset(self, rng: jax.Array) -> State:
         key_scene, key_next = jax.random.split(rng)
@@ -58,8 +58,9 @@ class Push(Env):
         data = jax.lax.fori_loop(0, 4, lambda _, d: mjx.step(self.model, d), data)
         (was, can), (now, can_now) = self._places(before), self._places(data)
         progress, harm = jnp.linalg.norm(was) - jnp.linalg.norm(now), jnp.linalg.norm(can_now - can)
-        fell = ~(data.qpos[self.box + 2] > 0.7)
-        reward = jnp.nan_to_num(10 * progress - 10 * harm - fell, nan=-1.0)
+        # In float32 a hard blow may throw things: whatever is fast or not a number any more has failed too.
+        fell = ~((data.qpos[self.box + 2] > 0.7) & (jnp.abs(data.qvel).max() < 30))
+        reward = jnp.where(fell, -1.0, jnp.clip(10 * progress - 10 * harm, -1.0, 1.0))
         key, count = state.info["key"], state.info["step"] + 1
         done = (fell | (count >= 60)).astype(jnp.float32)
         after = self._state(data, reward, done, {"key": key, "step": count})
@@ -72,7 +73,7 @@ class Push(Env):
 
     def _state(self, data: mjx.Data, reward: jax.Array, done: jax.Array, info: dict) -> State:
         box, can = self._places(data)
-        obs = jnp.nan_to_num(jnp.concatenate([5 * box, 5 * (can - box), data.qvel]))
+        obs = jnp.clip(jnp.nan_to_num(jnp.concatenate([5 * box, 5 * (can - box), data.qvel])), -5, 5)
         near = jnp.linalg.norm(box) < 0.05
         return State(data, obs, reward, done, {"near": near.astype(jnp.float32)}, info)
 
@@ -87,13 +88,13 @@ class Net(nn.Module):  # a Beta policy, and a value
 
 
 # %%
-size = {"num_envs": 4, "num_steps": 4, "num_attempts": 32} if SMALL else {"num_attempts": 120_000}
+size = {"num_envs": 4, "num_steps": 4, "num_attempts": 32} if SMALL else {"num_attempts": 80_000}
 config = PPOConfig(num_minibatches=4, discount=0.97, **size)
 learner = PPO(Push(bank), Net().apply, config)
 state = learner.start(jax.random.key(0), Net().init(jax.random.key(1), jnp.zeros((1, 16))))
+state = jax.device_put(state, jax.devices()[0])  # MJX's arrays are; else the second update compiles anew
 update, started = jax.jit(learner.update), time.monotonic()
 for number in range(1, config.num_updates + 1):
     state, figures = update(state)
-    if number % 5 == 1 or number == config.num_updates:
-        print(f"{time.monotonic() - started:4.0f} s, {number * config.batch_size:6d} steps: "
-              f"reward {figures['reward']:.4f}, in the middle {figures['env/near']:.0%}")  # fmt: skip
+    print(f"{time.monotonic() - started:4.0f} s, {number * config.batch_size:6d} steps: "
+          f"reward {figures['reward']:.4f}, in the middle {figures['env/near']:.0%}")  # fmt: skip
