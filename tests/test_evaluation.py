@@ -295,7 +295,11 @@ def test_missing_checkpoints_are_rows_of_their_own(lab, tmp_path):
 
 
 def test_checkpoints_are_found_by_pool_variant_and_seed(tmp_path):
-    record = {"format": 1, "placement": {"max_attempts": 5, "history_stride": 12}}
+    record = {
+        "format": 1,
+        "placement": {"max_attempts": 5, "history_stride": 12},
+        "stability": {"stop_when_decided": True},
+    }
     for name in ("dining-policy-0/policy", "dining-policy-1/policy", "dining-normal"):
         folder = tmp_path / name
         folder.mkdir(parents=True)
@@ -338,7 +342,8 @@ def test_suites_name_what_exists(suite):
 def test_suites_ask_what_the_paper_asked():
     studies = {study.name: study.trials for study in find_suite("paper", Scale())}
     assert {t.pool for t in studies["table1"]} == set(published.GROUP_OF_POOL)
-    assert {t.method for t in studies["table1"]} == set(published.TABLE_1)
+    twins = {published.TWINS.get(t.method, t.method) for t in studies["table1"]}
+    assert twins == set(published.TABLE_1)
     assert {t.trials for t in studies["table1"]} == {1000}
     assert {t.change for t in studies["table2"]} == set(published.TABLE_2)
     assert {t.trials for t in studies["table2"]} == {500}
@@ -410,7 +415,7 @@ def test_the_papers_figures_stand_beside_ours(lab):
     records = [{"trial": dataclasses.asdict(t), "missing": "none"} for t in study.trials]
     (table,) = tables_of(result_of(study, records))
     column = table.columns.index("paper: success")
-    shown = {row[2]: row[column] for row in table.rows if row[1] == "policy"}
+    shown = {row[2]: row[column] for row in table.rows if row[1] == "beta"}
     assert shown == {change: f"{value:.3f}" for change, value in published.TABLE_2.items()}
 
 
@@ -449,18 +454,19 @@ def test_command_resumes_after_an_interruption(tmp_path, monkeypatch, capsys):
     def stopping(self, trial, judge_neighbours=True):
         if len(made) == 1:
             raise KeyboardInterrupt
-        made.append(trial.method)
+        made.append(trial.support)
         return whole(self, trial, judge_neighbours)
 
     monkeypatch.setattr(Lab, "run", stopping)
-    assert evaluate(tmp_path, methods=("random", "clear")) == 130
+    asked = {"methods": ("random",), "supports": ("table", "round_table")}
+    assert evaluate(tmp_path, **asked) == 130
     assert "takes it up again" in capsys.readouterr().err
     made[:] = []
-    monkeypatch.setattr(Lab, "run", lambda self, *a, **k: made.append(a[0].method) or whole(self, *a, **k))
-    assert evaluate(tmp_path, methods=("random", "clear")) == 0
-    assert made == ["clear"]
+    monkeypatch.setattr(Lab, "run", lambda self, *a, **k: made.append(a[0].support) or whole(self, *a, **k))
+    assert evaluate(tmp_path, **asked) == 0
+    assert made == ["round_table"]
     rows = json.loads((tmp_path / "results.json").read_text())
-    assert [row["method"] for row in rows] == ["random", "clear"]
+    assert [row["support"] for row in rows] == list(asked["supports"])
     assert {path.suffix for path in tmp_path.iterdir() if path.is_file()} == {".md", ".csv", ".tex", ".json"}
     shown = capsys.readouterr().out
     assert shown.startswith("| pool | support | objects | method | success [95 %] |")

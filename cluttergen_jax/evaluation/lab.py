@@ -165,7 +165,8 @@ class Lab:
     def problem(self, trial: Trial, judge_neighbours: bool = True) -> Problem:
         """The trial's compiled world and rules, ready for shared programs."""
         checkpoint = self.checkpoints.find(trial)
-        is_cut = checkpoint is None or read_record(checkpoint)["stability"]["stop_when_decided"]
+        trained = {} if checkpoint is None else read_record(checkpoint).get("stability", {})
+        is_cut = trained.get("stop_when_decided", True)
         stability = StabilityConfig(
             stop_when_decided=is_cut and not trial.whole_attempts, judge_neighbours=judge_neighbours
         )
@@ -238,7 +239,8 @@ class Lab:
             return None
         record, names = read_record(checkpoint), ("variant", "preset", "seed", "attempts")
         known = {name: record[name] for name in names if name in record}
-        return known | {"max_attempts": record["placement"]["max_attempts"]}
+        head = record["network"].get("head") if "network" in record else None
+        return known | {"max_attempts": record["placement"]["max_attempts"], "head": head}
 
     def _largest_region(self, trial: Trial) -> Rectangle:
         """The region that the problem is made for: height maps have to hold the largest that is drawn."""

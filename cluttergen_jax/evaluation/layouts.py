@@ -34,7 +34,7 @@ def table1(result: Result) -> list[Table]:
     rows = []
     for (pool, method), records in _grouped(result, "pool", "method").items():
         made = [record for record in records if "figures" in record]
-        theirs = published.TABLE_1.get(method, {}).get(pool)
+        theirs = published.TABLE_1.get(published.TWINS.get(method, method), {}).get(pool)
         paper = (share(theirs[0]), str(theirs[1])) if theirs else ("-", "-")
         if not made:
             rows.append((pool, method, "0", missing(records[0]), "-", "-", "-", *paper, "-"))
@@ -73,8 +73,10 @@ def differs(result: Result, pool: str, method: str, record: dict) -> str:
         parts.append(f"modelled objects for group {group} ({assets})")
     if method == "random":
         parts.append("let go at the object's own resting height")
-    policy = record.get("policy")
-    if policy and policy.get("attempts"):
+    policy = record.get("policy") or {}
+    if policy.get("head") not in (None, "beta", "normal"):
+        parts.append(f"head: {policy['head']}")
+    if policy.get("attempts"):
         parts.append(f"{policy['attempts']:,} training attempts for 2,500,000")
     return "; ".join(parts)
 
@@ -164,7 +166,7 @@ def table2(result: Result) -> list[Table]:
     for record in result["records"]:
         trial = record["trial"]
         head = _head(record, "pool", "method", "change")
-        paper = share(published.TABLE_2[trial["change"]]) if trial["method"] == "policy" else "-"
+        paper = share(published.TABLE_2[trial["change"]]) if trial["method"] in published.TWINS else "-"
         note = differs(result, trial["pool"], trial["method"], record) if "figures" in record else "-"
         rows.append((*head, *_both(record), paper, note))
     notes = (

@@ -44,6 +44,7 @@ from cluttergen_jax.measures.survival import PEERS, SURVIVAL_SECONDS, movement_e
 Found = dict[str, Any]
 Measure = Callable[[Lab, Study, Path], Found]
 _ENOUGH = 2
+_LEAST_SHARE = 0.25
 
 
 def found(rows: list[dict], pictures: list[str] | None = None, notes: list[str] | None = None) -> Found:
@@ -95,6 +96,10 @@ def diversity(lab: Lab, study: Study, folder: Path) -> Found:
     rows: list[dict] = []
     groups: dict[tuple[str, str], list[tuple[Trial, Successes]]] = {}
     for trial, scenes in each_standing(lab, study, rows):
+        if len(scenes) < trial.trials * _LEAST_SHARE:
+            # A method that hardly ever succeeds would leave the others too few scenes to be compared.
+            rows.append(_row(trial, missing=f"{len(scenes)} of {trial.trials} scenes succeed: too few"))
+            continue
         groups.setdefault((trial.pool_name, trial.support_name), []).append((trial, scenes))
     for group in groups.values():
         count = min(len(scenes) for _, scenes in group)

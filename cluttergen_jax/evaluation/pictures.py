@@ -86,7 +86,7 @@ def _instructive(arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def learning_curves(lab: Lab, study: Study, stem: Path) -> tuple[list[dict], list[str], list[str]]:
-    """Success against attempts of every run that left its progress; dots are evaluations by the last check."""
+    """Success against attempts of every run that left its progress; dots are evaluated by the last check."""
     folders = {trial: lab.checkpoints.run_folder(trial) for trial in study.trials}
     runs = {trial: folder for trial, folder in folders.items() if folder is not None}
     names = [

@@ -20,13 +20,14 @@ COLOURS = {
     "open_loop": "#c9a227",
     "short_memory": "#b5651d",
     "normal": "#7b5ea7",
+    "beta": "#e07b39",
     "policy": "#c8102e",
     "policy-clear": "#1f77b4",
     "ranked": "#e377c2",
 }
 """Of methods, the same in every plot."""
 
-LABELS = {"policy": "policy (Beta)", "normal": "normal"}
+LABELS = {"random": "random (RRS)", "beta": "beta (the paper's)"}
 
 
 def colour(method: str) -> str:

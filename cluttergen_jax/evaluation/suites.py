@@ -12,7 +12,9 @@ from cluttergen_jax.evaluation.changes import CHANGES
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.methods import METHODS
 
-PAPER_METHODS = ("random", "open_loop", "short_memory", "normal", "policy")
+PAPER_METHODS = ("random", "open_loop", "short_memory", "normal", "beta", "policy")
+"""`beta` is the paper's full method; `policy` is ours, which a preset may give another head."""
+
 MAX_ATTEMPTS = (1, 2, 3, 5, 10)
 FURNITURE = (
     "bar_table",
@@ -97,14 +99,14 @@ def paper(scale: Scale) -> tuple[Study, ...]:
         Study(
             "fig1a",
             "Success against the number of objects (figure 1a)",
-            tuple(trial for trial in first if trial.method in ("random", "policy")),
+            _with(first, ("random", "beta", "policy")),
             1000,
         ),
         Study("steps_by_attempt", "Steps of each attempt at objects that took at least three", first, 1000),
         Study(
             "diversity_maps",
             "Where each object lies: Beta beside Normal",
-            tuple(trial for trial in at_home if trial.method in ("policy", "normal")),
+            _with(at_home, ("normal", "beta", "policy")),
             1000,
             measure="diversity_maps",
         ),
@@ -230,7 +232,7 @@ def _table2(scale: Scale) -> tuple[Trial, ...]:
             paper_count=True,
         )
         for pool in scale.chosen(("household",))
-        for method in ("policy", "random")
+        for method in ("policy", "beta", "random")
         for change in CHANGES
     )
 
