@@ -17,9 +17,11 @@ from cluttergen_jax.training.records import read_rows
 ROOT = Path(__file__).parents[1]
 
 
-def start(*arguments, devices=1):
+def start(*arguments, devices=1, programs=""):
+    """A process that sees so many devices; it looks for compiled programs in a folder, if there is one."""
     flags = f"--xla_force_host_platform_device_count={devices}"
     environment = os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
+    environment |= {"JAX_COMPILATION_CACHE_DIR": str(programs)} if programs else {}
     return subprocess.Popen(
         [sys.executable, "-m", "tests.devices", *map(str, arguments)],
         cwd=ROOT,
@@ -57,14 +59,15 @@ def test_two_processes_train_like_one_and_stop_and_go_on_together(tmp_path):
     folders = [tmp_path / name for name in ("first", "second", "alone")]
     for folder in folders:
         folder.mkdir()
+    programs = tmp_path / "programs"
     # The second process asks to stop: both do, and what only the first one has stored is taken up by both.
     port = free_port()
-    pair = [start("host", port, number, 2, folders[number], 1) for number in (0, 1)]
+    pair = [start("host", port, number, 2, folders[number], 1, programs=programs) for number in (0, 1)]
     texts = [process.communicate()[0] for process in pair]
     assert all("KeyboardInterrupt" in text for text in texts), "\n\n".join(texts)
     assert 0 < read_record(folders[0] / "last")["num_updates"] < 4
     port = free_port()
-    pair = [start("host", port, number, 2, folders[number], 0) for number in (0, 1)]
+    pair = [start("host", port, number, 2, folders[number], 0, programs=programs) for number in (0, 1)]
     finish(*pair)
     finish(start("host", 0, 0, 1, folders[2], 0))
     assert sorted(path.name for path in folders[1].iterdir()) == ["weights-1.npy"]

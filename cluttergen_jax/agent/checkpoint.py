@@ -36,6 +36,9 @@ def _is_key(leaf: Any) -> bool:
 def _stored(tree: Any) -> dict[str, Any]:
     """The leaves that can be stored, by number: PRNG keys as plain arrays, empty arrays left out."""
     leaves = [jax.random.key_data(leaf) if _is_key(leaf) else leaf for leaf in jax.tree.leaves(tree)]
+    if jax.process_count() > 1:
+        # Among several processes Orbax takes a JAX array for something that all of them hold together.
+        leaves = [np.asarray(leaf) for leaf in leaves]
     return {f"{number:05d}": leaf for number, leaf in enumerate(leaves) if leaf.size}
 
 
@@ -45,7 +48,7 @@ def _restored(stored: dict[str, Any], like: Any) -> Any:
     for number, leaf in enumerate(leaves):
         if leaf.size:
             value = stored[f"{number:05d}"]
-            leaves[number] = jax.random.wrap_key_data(value) if _is_key(leaf) else value
+            leaves[number] = jax.random.wrap_key_data(jnp.asarray(value)) if _is_key(leaf) else value
     return jax.tree.unflatten(structure, leaves)
 
 
