@@ -169,9 +169,10 @@ def density(records: Sequence[dict], stem: Path) -> list[str]:
     figure = new_figure(5.2, 3.0)
     axis = figure.subplots()
     rungs = list(dict.fromkeys(rung_of(record["trial"]) for record in records))
-    for method in dict.fromkeys(record["trial"]["method"] for record in records):
+    for turn, method in enumerate(dict.fromkeys(record["trial"]["method"] for record in records)):
         rows = [record for record in records if record["trial"]["method"] == method]
-        x = [rungs.index(rung_of(row["trial"])) for row in rows]
+        # Side by side, so that equal rates do not hide one another.
+        x = [rungs.index(rung_of(row["trial"])) + 0.04 * turn for row in rows]
         y = np.array([row["figures"]["success"] for row in rows])
         ends = np.array([[row["figures"]["low95"], row["figures"]["high95"]] for row in rows]).T
         axis.errorbar(
