@@ -106,18 +106,31 @@ def load_policy(path: Path, rules: Rules, is_sampled: bool | None = None) -> Pol
       ConfigError: the world's history is not what the policy reads. Fewer attempts are; more are not.
     """
     record = read_record(path)
-    stored, trained = record["network"], record["placement"]
-    if "cost_scale" in stored:
-        policy = make_policy(rules, RankerConfig(**stored), None, bool(is_sampled))
+    network, trained = _settings_of(path, record)
+    if isinstance(network, RankerConfig):
+        policy = make_policy(rules, network, None, bool(is_sampled))
     else:
         _check_history(trained, rules)
-        policy = make_policy(rules, NetworkConfig(**stored), None, is_sampled is not False)
+        policy = make_policy(rules, network, None, is_sampled is not False)
         policy = replace(policy, num_attempts=trained["max_attempts"])
     # Only shapes are needed: drawing fresh parameters would take longer to compile than acting does.
     seen = jax.eval_shape(lambda: policy.look(rules.begin(jax.random.key(0))))
     shapes = jax.eval_shape(policy.learner.init, jax.random.key(0), seen)
     blank = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
     return replace(policy, params=read_policy(path, blank))
+
+
+def _settings_of(path: Path, record: dict[str, Any]) -> tuple[NetworkConfig | RankerConfig, dict[str, Any]]:
+    """The network's sizes and the decision process that a policy was trained in."""
+    try:
+        stored = record["network"]
+        kind = RankerConfig if "cost_scale" in stored else NetworkConfig
+        return kind(**stored), record["placement"]
+    except (KeyError, TypeError) as error:
+        raise PoolError(
+            f"{path / 'record.json'} does not say what network it holds ({error})",
+            hint="a policy that `python train.py` of this version left",
+        ) from error
 
 
 def _check_history(trained: dict[str, Any], rules: Rules) -> None:
