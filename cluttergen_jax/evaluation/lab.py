@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -173,7 +174,9 @@ class Lab:
         base = self._composed(trial)
         engine = make_physics(base.world.layout, stability, self.engine, self.num_threads)
         physics = self.programs.switched(engine)
-        rules = replace(base.rules, config=suited(base.rules.config, checkpoint), physics=physics)
+        with _usable(checkpoint, trial):
+            config = suited(base.rules.config, checkpoint)
+        rules = replace(base.rules, config=config, physics=physics)
         if is_cut and trial.whole_attempts:
             rules = PatientRules(**vars(rules) | {"physics": PatientPhysics(physics)})
         return replace(base, config=replace(base.config, stability=stability), rules=rules)
@@ -204,19 +207,8 @@ class Lab:
           MissingCheckpointError: its checkpoint is missing, or it cannot be used here.
         """
         checkpoint = self.checkpoints.find(trial)
-        try:
+        with _usable(checkpoint, trial):
             propose = proposer_of(trial.method, checkpoint, problem.rules)
-        except (ClutterGenError, TypeError) as error:
-            # A record of an older version may hold settings that no network knows any more.
-            if checkpoint is None:
-                raise
-            # Results name no folders.
-            name = f"{checkpoint.parent.name}/{checkpoint.name}"
-            given = error.given if isinstance(error, ClutterGenError) else str(error)
-            raise MissingCheckpointError(
-                f"checkpoint {name} cannot be used: {given.replace(str(checkpoint), name)}",
-                hint=train_command(trial),
-            ) from error
         return BlockSampler(problem.rules, propose, self._begin(trial, problem.rules))
 
     def run(self, trial: Trial, judge_neighbours: bool = True) -> Outcome:
@@ -262,6 +254,26 @@ class Lab:
             top=support.top,
         )
         return partial(_begin_changed, rules, draw)
+
+
+@contextmanager
+def _usable(checkpoint: Path | None, trial: Trial) -> Iterator[None]:
+    """What goes wrong with a checkpoint is a row's misfortune: the suite goes on.
+
+    A record of an older version may lack settings, or hold some that no network knows any more.
+    """
+    try:
+        yield
+    except (ClutterGenError, TypeError, KeyError) as error:
+        if checkpoint is None:
+            raise
+        # Results name no folders.
+        name = f"{checkpoint.parent.name}/{checkpoint.name}"
+        given = error.given if isinstance(error, ClutterGenError) else f"{type(error).__name__}: {error}"
+        raise MissingCheckpointError(
+            f"checkpoint {name} cannot be used: {given.replace(str(checkpoint), name)}",
+            hint=train_command(trial),
+        ) from error
 
 
 def _missing(trial: Trial, error: MissingCheckpointError) -> Record:
