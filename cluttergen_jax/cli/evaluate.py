@@ -36,8 +36,8 @@ class Evaluate:
     command takes an interrupted one up again.
 
     Attributes:
-      methods: random, clear, drop, and trained policies: policy, policy-clear, ranked, beta, normal, open_loop,
-        short_memory.
+      methods: random, clear, drop, and trained policies: policy, policy-clear, ranked, beta, normal,
+        open_loop, short_memory.
       checkpoint: the policy's folder, for learned methods; else the embedded ones are taken.
       checkpoints: a folder of training runs, POOL-VARIANT[-attemptsA][-SEED], instead of the embedded ones.
       pools: names or folders; dining if not given, and what each study asks for in a suite.
