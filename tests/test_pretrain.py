@@ -13,9 +13,14 @@ from cluttergen_jax.networks.cloud_encoder import CloudEncoder, init_encoder
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.training import pretrain
 from cluttergen_jax.training.classifier import AugmentConfig, augmented
-from cluttergen_jax.training.encoder_weights import fitted, with_encoder
+from cluttergen_jax.training.encoder_weights import choose_encoder, fitted, with_encoder
 from cluttergen_jax.training.pretrain import PretrainConfig, Pretraining
+from cluttergen_jax.training.run import Run, RunConfig
 from cluttergen_jax.training.shapes import make_clouds, shape_cloud
+from tests.problems import made_up_rules
+from tests.runs import PPO, compiled_once, recipe
+
+__all__ = ["compiled_once"]
 
 TINY = NetworkConfig(scene_encoder="pointnet", object_points=48, object_features=24)
 CONFIG = PretrainConfig(
@@ -129,6 +134,25 @@ def test_weights_end_up_in_both_networks(trained):
         assert same(filled["encoder"][name], half)
         assert not same(filled["encoder"][name], fresh[name])
     np.testing.assert_array_equal(filled["actor"], params["params"]["actor"])
+
+
+def test_a_run_begins_and_ends_with_frozen_weights(trained, tmp_path):
+    small = NetworkConfig(object_points=8, scene_points=64, history_width=8, num_layers=1, width=8)
+    network = choose_encoder(small, "pointnet", str(trained[0]), True)
+    rules = made_up_rules(history_stride=12, reward="compressed")
+    run = Run(rules, network, PPO, RunConfig(), tmp_path, recipe(rules), None, trained[0])
+    begun = run.start().params["params"]["encoder"]
+    assert same(begun["scene_net"], begun["object_net"])
+    half = jax.tree.map(lambda leaf: np.float32(np.float16(leaf)), trained[2].params["encoder"])
+    assert same(begun["scene_net"], half)
+    assert same(run.train(lambda text: None).params["params"]["encoder"], begun)
+
+
+@pytest.mark.parametrize("asked", [(None, None, True), ("pointnet", None, True), ("voxels", None, False)])
+def test_encoders_that_cannot_be_are_refused(asked):
+    with pytest.raises(ConfigError):
+        choose_encoder(NetworkConfig(), *asked)
+    assert choose_encoder(NetworkConfig(), "pointnet2", None, False).scene_encoder == "pointnet2"
 
 
 def test_weights_of_another_kind_are_refused(trained, tmp_path):
