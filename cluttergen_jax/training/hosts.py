@@ -42,6 +42,9 @@ def join(coordinator: str | None, num_processes: int | None, process_id: int | N
             "a HOST:PORT of process 0 that all can reach",
             "the same coordinator and number everywhere, started within five minutes of each other",
         ) from error
+    # Processes on CPUs get to know each other in their first collective, for which they wait half a minute
+    # only: it is made here, where all of them have just arrived.
+    agree(0)
 
 
 def is_writer() -> bool:

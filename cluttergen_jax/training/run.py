@@ -104,8 +104,9 @@ class Run:
           DivergedError: numbers are not finite any more; the last state whose numbers were is saved.
           KeyboardInterrupt: on Ctrl-C, once everything is saved.
         """
+        needed = self.memory()
         if is_writer():
-            show(f"memory     {self.memory()}")
+            show(f"memory     {needed}")
         state = self.start()
         journal = self._journal(int(state.num_updates), show)
         try:
