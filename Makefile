@@ -6,6 +6,7 @@ PYTHON ?= python3
 VENV ?= .venv
 OUT ?= out/demo
 RUN = $(VENV)/bin
+PYTEST = $(RUN)/pytest -n auto --maxprocesses 4 --dist loadfile
 INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
@@ -32,7 +33,7 @@ $(VENV)/.dev: $(VENV)/.core
 	@touch $@
 
 $(VENV)/.all: $(VENV)/.dev
-	$(INSTALL) -e '.[dev,ycb,peers]'
+	$(INSTALL) -e '.[dev,ycb,peers,usd,viewer,video,browser]'
 	@touch $@
 
 demo: $(VENV)/.core ## generate, draw, save and verify 20 scenes of ten dining objects in out/demo
@@ -43,10 +44,10 @@ test: $(VENV)/.dev ## lint, types and the quick tests
 	$(RUN)/ruff check .
 	$(RUN)/ruff format --check .
 	$(RUN)/mypy
-	$(RUN)/pytest -m "not slow"
+	$(PYTEST) -m "not slow"
 
 test-all: $(VENV)/.all ## every test, with the extras; writes tests/last_run.json
-	$(RUN)/pytest --record tests/last_run.json
+	$(PYTEST) --record tests/last_run.json
 
 lint: $(VENV)/.dev ## ruff and mypy alone
 	$(RUN)/ruff check .

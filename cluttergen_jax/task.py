@@ -43,4 +43,4 @@ def make_task(rules: Rules, network: NetworkConfig | RankerConfig) -> Task:
     if isinstance(network, RankerConfig):
         return Task(RankingEnv(PlacementEnv(rules), LowestFit(rules)), RankingLearner(network, *bound))
     env = PlacementEnv(rules, ObservationConfig(num_cells=network.num_cells_read))
-    return Task(env, Learner(network, *bound))
+    return Task(env, Learner(network, *bound, region_side=2 * float(rules.region.half_extents.max())))

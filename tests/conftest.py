@@ -23,6 +23,8 @@ def _skipped(reporter) -> list[tuple[str, str]]:
 
 def pytest_sessionfinish(session, exitstatus):
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if reporter is None:  # One of several processes: the one that started them counts.
+        return
     if os.environ.get("CLUTTERGEN_STRICT_SKIPS"):
         lines = (HERE / "allowed_skips.txt").read_text().splitlines()
         allowed = {line.strip() for line in lines if line.strip() and not line.startswith("#")}

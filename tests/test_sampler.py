@@ -158,6 +158,21 @@ def test_retries_draw_again_until_a_scene_passes(pool):
     np.testing.assert_array_equal(more.poses[passed], once.poses[passed])
 
 
+def test_larger_regions_than_the_samplers_are_refused_or_fail(sample):
+    key, top = jax.random.key(0), 0.7
+    for half in ((0.9, 0.1), (0.0, 0.1), (float("nan"), 0.1)):
+        with pytest.raises(ConfigError, match="sampler's own"):
+            sample(key, region=make_region(jnp.zeros(2), jnp.array(half), 0.0, top))
+
+    @jax.jit
+    def share(half):
+        region = make_region(jnp.zeros(2), half, 0.0, top)
+        return jax.vmap(lambda key: sample(key, region=region))(KEYS).is_success.mean()
+
+    assert share(jnp.array([0.30, 0.35])) > 0.5
+    assert share(jnp.array([0.31, 0.35])) == 0
+
+
 def test_region_and_keep_out_may_be_given_in_the_call_and_mapped(sample):
     offsets = jnp.array([-0.2, 0.2])
 

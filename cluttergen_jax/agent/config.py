@@ -34,7 +34,7 @@ class PPOConfig:
     value_cost: float = 0.1
     entropy_cost: float = 0.002
     max_gradient_norm: float = 0.5
-    num_attempts: int = 150_000
+    num_attempts: int = 100_000
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -9,9 +9,9 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
+from cluttergen_jax.networks.cell_encoder import CellEncoder
 from cluttergen_jax.networks.config import MIXTURE, NetworkConfig
 from cluttergen_jax.networks.distributions import EDGE, HEADS, ActionDistribution, Mixture
-from cluttergen_jax.networks.height_encoder import HeightEncoder
 from cluttergen_jax.networks.points import LENGTH_SCALE, MLP, PointNet
 from cluttergen_jax.networks.set_encoder import SetEncoder
 from cluttergen_jax.types import Array
@@ -74,9 +74,9 @@ class ActorCritic(nn.Module):
         Args:
           cloud: f32[K, P, 3], object frames, metres; half_extents: f32[K, 3], metres. Features of the K
             clouds are computed once for the whole batch.
-          observation: of `placement.observation.observe`, with a leading axis B on every leaf. Where the
-            scene is seen as a point cloud it also holds `encoded`, f32[B, E]: the features of the scene and
-            of the object in hand (see `agent.learner`, which puts them there).
+          observation: of `placement.observation.observe`, with a leading axis B on every leaf. The learner
+            adds what is made from it: where the scene is seen as a point cloud `encoded`, f32[B, E], the
+            features of the scene and of the object in hand; for a mixture `room` (see `room.Room`).
         """
         config = self.config
         focus = observation["focus"]
@@ -96,8 +96,8 @@ class ActorCritic(nn.Module):
             seen = [scene, features[focus]]
         seen += [observation["region"] * LENGTH_SCALE, half_extents[focus] * LENGTH_SCALE]
         if config.head == MIXTURE:
-            scores, summary = HeightEncoder(num_turns=config.num_turns)(
-                observation["heights"], jnp.concatenate(seen[-3:], axis=-1)
+            scores, summary = CellEncoder(config.num_turns)(
+                observation["heights"], observation.get("room"), jnp.concatenate(seen[-3:], axis=-1)
             )
             seen.append(summary)
         if config.history_width:
@@ -111,7 +111,7 @@ class ActorCritic(nn.Module):
         half_height, height_range = half_extents[focus, 2], observation["region"][:, 2]
         if config.head == MIXTURE:
             bottom, width = _windows(observation["heights"], half_height, height_range)
-            raw = raw[:, 2:3] + jnp.array(_JUST_ABOVE_REST)
+            raw = raw.at[:, 2].add(jnp.array(_JUST_ABOVE_REST))
             return Mixture.from_scores(scores, raw, bottom, width), value[..., 0]
         if config.height_precision:
             raw = _about_bare_height(raw, half_height, height_range, config)

@@ -20,6 +20,8 @@ class NetworkConfig:
     Attributes:
       head: "beta" (the paper's), "normal" or "mixture" (of Betas, over the cells of a grid of heights).
       num_cells, num_turns: of the mixture: cells along each side of the queried region, ranges of turns.
+      room: whether a mixture is told how much of the object's footprint would lie over other objects, and
+        beyond the region, at each cell and turn.
       height_precision: where z of the other heads begins: 0 anywhere in its range, as in the paper; else
         about the height at which the object would rest on the bare top, as narrow as a Beta of this
         concentration.
@@ -41,8 +43,9 @@ class NetworkConfig:
     """
 
     head: str = "beta"
-    num_cells: int = 12
+    num_cells: int = 20
     num_turns: int = 8
+    room: bool = True
     height_precision: float = 0.0
     height_clearance: float = 0.002
     scene_encoder: str = "set"
@@ -75,6 +78,11 @@ class NetworkConfig:
     def num_cells_read(self) -> int:
         """Cells along each side of the height grid that observations must hold; 0 if none is read."""
         return self.num_cells if self.head == MIXTURE else 0
+
+    @property
+    def reads_room(self) -> bool:
+        """Whether observations are to hold the room for the object in hand."""
+        return self.room and self.head == MIXTURE
 
     @property
     def reads_clouds(self) -> bool:

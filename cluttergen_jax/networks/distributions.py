@@ -138,26 +138,26 @@ class TruncatedNormal(struct.PyTreeNode):
 class Mixture(struct.PyTreeNode):
     """A mixture of Betas that can say "here or there", and there turned otherwise and higher up.
 
-    A component is one cell of the unit square with one range of turns: x, y and turn are Beta(1, 1) inside
-    it, turn in either of two opposite ranges; z is a Beta on a window about the cell's own height. A = 4.
+    A component is one cell of the unit square with one range of turns: x, y and turn are Betas inside it,
+    turn in either of two opposite ranges; z is a Beta on a window about the cell's own height. A = 4.
 
     Attributes:
       log_weight: f32[..., G * G * T], normalised; axis 0 of the cells is x, turns come last.
       bottom: f32[..., G * G], where the window of z begins; width: f32[...], of the window.
-      height: Beta[..., 1], z inside its window.
+      inside: Beta[..., 4], where in its cell, window and range a draw lies; all components share it.
       side, num_turns: G, T.
     """
 
     log_weight: Array
     bottom: Array
     width: Array
-    height: Beta
+    inside: Beta
     side: int = struct.field(pytree_node=False)
     num_turns: int = struct.field(pytree_node=False)
 
     @staticmethod
     def from_scores(scores: Array, raw: Array, bottom: Array, width: Array) -> Mixture:
-        """The distribution of the components' scores f32[..., G, G, T] and raw outputs f32[..., 1, 2].
+        """The distribution of the components' scores f32[..., G, G, T] and raw outputs f32[..., 4, 2].
 
         Args:
           bottom: f32[..., G, G], as actions; width: f32[...].
@@ -176,43 +176,44 @@ class Mixture(struct.PyTreeNode):
     def _bottom(self, cell: Array) -> Array:
         return jnp.take_along_axis(self.bottom, cell[..., None], axis=-1)[..., 0]
 
-    def _action(self, component: Array, inside: Array, half: Array, height: Array) -> Array:
+    def _action(self, component: Array, inside: Array, half: Array) -> Array:
         cell, turn = component // self.num_turns, component % self.num_turns
         xy = (jnp.stack([cell // self.side, cell % self.side], axis=-1) + inside[..., :2]) / self.side
-        yaw = (half + (turn + inside[..., 2]) / self.num_turns) / 2
-        z = self._bottom(cell) + self.width * height
+        z = self._bottom(cell) + self.width * inside[..., 2]
+        yaw = (half + (turn + inside[..., 3]) / self.num_turns) / 2
         return off_edges(jnp.concatenate([xy, z[..., None], yaw[..., None]], axis=-1))
 
     def sample(self, key: Array) -> Array:
         """One draw, f32[..., 4]."""
-        key_component, key_inside, key_half, key_height = jax.random.split(key, 4)
+        key_component, key_inside, key_half = jax.random.split(key, 3)
         component = jax.random.categorical(key_component, self.log_weight)
-        inside = off_edges(jax.random.uniform(key_inside, (*component.shape, 3)))
-        half = jax.random.bernoulli(key_half, shape=component.shape).astype(inside.dtype)
-        return self._action(component, inside, half, self.height.sample(key_height)[..., 0])
+        half = jax.random.bernoulli(key_half, shape=component.shape).astype(self.width.dtype)
+        return self._action(component, self.inside.sample(key_inside), half)
 
     def mean(self) -> Array:
-        """f32[..., 4]: the middle of the likeliest component, where a mean may lie between two."""
+        """f32[..., 4]: the mean of the likeliest component, where a mean of all may lie between two."""
         component = jnp.argmax(self.log_weight, axis=-1)
-        middle = jnp.full((*component.shape, 3), 0.5)
-        return self._action(component, middle, jnp.zeros(component.shape), self.height.mean()[..., 0])
+        return self._action(component, self.inside.mean(), jnp.zeros(component.shape))
 
     def log_prob(self, action: Array) -> Array:
         """f32[...]."""
-        i, j = (jnp.clip(action[..., a] * self.side, 0, self.side - 1).astype(jnp.int32) for a in (0, 1))
-        turn = jnp.mod(2 * action[..., 3], 1.0) * self.num_turns
-        turn = jnp.clip(turn, 0, self.num_turns - 1).astype(jnp.int32)
-        cell = i * self.side + j
-        component = cell * self.num_turns + turn
+        x, y = (jnp.clip(action[..., axis] * self.side, 0, self.side - EDGE) for axis in (0, 1))
+        turn = jnp.clip(jnp.mod(2 * action[..., 3], 1.0) * self.num_turns, 0, self.num_turns - EDGE)
+        cell = x.astype(jnp.int32) * self.side + y.astype(jnp.int32)
+        component = cell * self.num_turns + turn.astype(jnp.int32)
         weight = jnp.take_along_axis(self.log_weight, component[..., None], axis=-1)[..., 0]
-        inside = (action[..., 2] - self._bottom(cell)) / self.width
-        density = self.height.log_prob(inside[..., None]) - jnp.log(self.width)
-        return weight + jnp.log(self.side**2 * self.num_turns) + density
+        z = (action[..., 2] - self._bottom(cell)) / self.width
+        inside = jnp.stack([x % 1.0, y % 1.0, z, turn % 1.0], axis=-1)
+        return weight + self.inside.log_prob(inside) + self._log_density()
 
     def entropy(self) -> Array:
         """f32[...], differential entropy in nats."""
         weights = -jnp.sum(jnp.exp(self.log_weight) * self.log_weight, axis=-1)
-        return weights - jnp.log(self.side**2 * self.num_turns) + self.height.entropy() + jnp.log(self.width)
+        return weights + self.inside.entropy() - self._log_density()
+
+    def _log_density(self) -> Array:
+        """f32[...]: of draws that are even inside a component, but for its weight."""
+        return jnp.log(self.side**2 * self.num_turns) - jnp.log(self.width)
 
 
 class Categorical(struct.PyTreeNode):

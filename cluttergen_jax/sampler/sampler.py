@@ -62,15 +62,17 @@ class Sampler:
           key: one PRNG key, consumed. `jax.random.fold_in(jax.random.key(seed), i)` makes scene i of the bank
             that `cluttergen generate --seed` writes with the same settings.
           region: a queried region on the same support, no larger than the sampler's own
-            (`placement.region.make_region`).
+            (`placement.region.make_region`). Where it is traced and its size unknown, scenes in a larger one
+            do not count as successes.
           keep_out: where no object may come to lie.
           start: what stands there already: objects of this sampler's world, no more than it was made for.
 
         Raises:
-          ConfigError: `key` is not one key.
+          ConfigError: `key` is not one key, or the region is empty, not finite or too large.
         """
         _check_key(key)
         rules = self.problem.rules
+        fits = jnp.bool_(True) if region is None else _fits(region, rules.region)
         begin = partial(
             rules.begin,
             region=region,
@@ -90,7 +92,8 @@ class Sampler:
 
         first = _Drawing(begin(key), jnp.int32(1))
         last = jax.lax.while_loop(lambda drawing: ~drawing.episode.is_over, advance, first)
-        return sampled_scene(rules, last.episode, last.num_draws, self.num_scene_points)
+        scene = sampled_scene(rules, last.episode, last.num_draws, self.num_scene_points)
+        return scene.replace(is_success=scene.is_success & fits)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -123,6 +126,20 @@ class Sampler:
                 drift=float(sampled.drift),
             ),
         )
+
+
+def _fits(region: Region, usual: Region) -> Array:
+    """bool: the region is one that was asked for when the world was compiled; if that is known, it is so."""
+    half = region.half_extents
+    fits = jnp.all((half > 0) & (half <= usual.half_extents + 1e-6))
+    if not isinstance(fits, jax.core.Tracer) and not fits:
+        raise ConfigError(
+            f"a region of {2 * half[0]:g} x {2 * half[1]:g} m",
+            f"sides up to those of the sampler's own, "
+            f"{2 * usual.half_extents[0]:g} x {2 * usual.half_extents[1]:g} m",
+            "make_sampler(region=...) with the largest that will be asked for",
+        )
+    return fits
 
 
 def _check_key(key: Any) -> None:

@@ -24,7 +24,7 @@ class Settings:
 
 
 _TUNED = NetworkConfig(head="mixture", height_precision=20_000.0)
-"""What the ablation in docs/training.md found best."""
+"""What `python -m benchmarks.ablation` found best (benchmarks/README.md)."""
 
 
 def _training_stability(stop_when_decided: bool) -> StabilityConfig:

@@ -1,0 +1,117 @@
+"""How much room the object in hand would have at every place and turn, from point clouds alone.
+
+A scene is a picture of what is taken; an object is a picture of its footprint. Sliding one over the other is
+a cross-correlation, which a fast Fourier transform does for all places at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+
+from cluttergen_jax.types import Array
+
+_SIDE = 64
+_CELLS_OF_REGION = 48
+_POINTS = 256
+_BARE = 0.003
+"""Metres above the top from which on a cell counts as taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """Footprints of K objects, ready to be slid over scenes. Pictures have S x S cells, axis 0 along x.
+
+    Attributes:
+      spectrum: c64[K, T, S, S / 2 + 1], conjugate, of the footprints at T turns; each sums to 1.
+      below: f32[K, T, S + 1, S + 1], how much of a footprint lies before each corner of a cell.
+      cloud: f32[K, P, 3], every object's, object frames, metres.
+      cell: metres.
+      num_cells: G, of the places along each side of the queried region.
+    """
+
+    spectrum: np.ndarray
+    below: np.ndarray
+    cloud: np.ndarray
+    cell: float
+    num_cells: int
+
+    @staticmethod
+    def of(cloud: Array, region_side: float, num_cells: int, num_turns: int) -> Room:
+        """Takes the footprints of clouds f32[K, P, 3], both ways round.
+
+        Args:
+          region_side: metres, of a region that fills three quarters of a picture. In much larger ones, what
+            is beyond the picture is not seen.
+        """
+        cell = region_side / _CELLS_OF_REGION
+        points = np.asarray(cloud, np.float64)[..., :2] / cell
+        angles = (np.arange(num_turns) + 0.5) / num_turns * np.pi
+        cos, sin = np.cos(angles)[:, None], np.sin(angles)[:, None]
+        pictures = np.zeros((len(points), num_turns, _SIDE, _SIDE))
+        turn = np.arange(num_turns)[:, None]
+        for picture, xy in zip(pictures, points, strict=True):
+            x, y = cos * xy[:, 0] - sin * xy[:, 1], sin * xy[:, 0] + cos * xy[:, 1]
+            for sign in (1, -1):
+                picture[turn, _pixel(sign * x), _pixel(sign * y)] = 1
+        pictures /= pictures.sum((2, 3), keepdims=True)
+        below = np.pad(pictures.cumsum(2).cumsum(3), [(0, 0), (0, 0), (1, 0), (1, 0)])
+        spectrum = np.conj(np.fft.rfft2(np.fft.ifftshift(pictures, axes=(2, 3))))
+        read = np.asarray(cloud)[:, :_POINTS]
+        return Room(spectrum.astype(np.complex64), below.astype(np.float32), read, cell, num_cells)
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Of what it returns."""
+        return (self.num_cells, self.num_cells, self.spectrum.shape[1], 2)
+
+    def __call__(self, observation: Mapping[str, Any]) -> Array:
+        """f32[G, G, T, 2]: shares of the footprint over other objects, and over what is not region.
+
+        Args:
+          observation: of `placement.observation.observe`, without a leading axis.
+        """
+        half, focus = observation["region"][:2] / self.cell, observation["focus"]
+        middle = (jnp.arange(self.num_cells) + 0.5) / self.num_cells * 2 - 1
+        x, y = middle * half[0], middle * half[1]
+        return jnp.stack([self._over(observation, focus, x, y), self._beyond(focus, half, x, y)], axis=-1)
+
+    def _over(self, observation: Mapping[str, Any], focus: Array, x: Array, y: Array) -> Array:
+        """f32[G, G, T]: the correlation at x and y, f32[G], cells; an inverse transform at these alone."""
+        taken = self._taken(observation["T_region_object"], observation["is_placed"])
+        product = jnp.fft.rfft2(taken) * jnp.asarray(self.spectrum)[focus]
+        wave, half_wave = np.fft.fftfreq(_SIDE), np.fft.rfftfreq(_SIDE)
+        twice = np.where((half_wave == 0) | (half_wave == 0.5), 1.0, 2.0)
+        along = jnp.exp(2j * jnp.pi * x[:, None] * wave) / _SIDE
+        across = jnp.exp(2j * jnp.pi * y[:, None] * half_wave) * twice / _SIDE
+        return jnp.real(jnp.einsum("xu,tuv,yv->xyt", along, product, across))
+
+    def _beyond(self, focus: Array, half: Array, x: Array, y: Array) -> Array:
+        """f32[G, G, T]: what of the footprint is outside of the region's rectangle."""
+        below = jnp.asarray(self.below)[focus]
+        low, high = ((_SIDE // 2 + 0.5 + sign * half[:, None] - jnp.stack([x, y])) for sign in (-1, 1))
+        (i0, j0), (i1, j1) = (
+            jnp.clip(jnp.rint(corner), 0, _SIDE).astype(jnp.int32) for corner in (low, high)
+        )
+        rows = below[:, i1] - below[:, i0]
+        return 1 - jnp.moveaxis(rows[..., j1] - rows[..., j0], 0, -1)
+
+    def _taken(self, T_region_object: Array, is_placed: Array) -> Array:
+        """f32[S, S], 1 where an object stands; the region's middle is at [0, 0]."""
+        poses = jnp.where(is_placed[:, None], T_region_object, jnp.eye(7)[3])
+        turn = jaxlie.SO3(poses[:, 3:]).as_matrix()
+        points = jnp.einsum("kij,kpj->kpi", turn, jnp.asarray(self.cloud)) + poses[:, None, :3]
+        at = jnp.rint(points[..., :2] / self.cell).astype(jnp.int32)
+        is_seen = jnp.all(jnp.abs(at) < _SIDE // 2, axis=-1) & (points[..., 2] > _BARE) & is_placed[:, None]
+        index = jnp.where(is_seen, at[..., 0] % _SIDE * _SIDE + at[..., 1] % _SIDE, _SIDE**2)
+        return jnp.zeros(_SIDE**2).at[index.reshape(-1)].set(1.0, mode="drop").reshape(_SIDE, _SIDE)
+
+
+def _pixel(position: np.ndarray) -> np.ndarray:
+    """Of positions in cells from a picture's middle, which is pixel S / 2."""
+    return np.clip(np.rint(position), -_SIDE // 2, _SIDE // 2 - 1).astype(int) + _SIDE // 2

@@ -1,0 +1,77 @@
+"""Room for an object: shares of its footprint, counted here point by point and there by a transform."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cluttergen_jax.networks.room import Room
+
+CELL = 0.01
+SIDE = 48 * CELL
+PLATE, BLOCK = (0.08, 0.02), (0.03, 0.03)
+
+
+def cloud_of(half) -> np.ndarray:
+    """f32[1024, 3]: a flat sheet in no order, at the object's middle height."""
+    line = np.linspace(-1, 1, 32)
+    grid = np.stack(np.meshgrid(line, line, indexing="ij"), -1).reshape(-1, 2) * half
+    return np.random.default_rng(0).permutation(np.c_[grid, np.zeros(1024)]).astype(np.float32)
+
+
+def observation(at=(0.1, -0.05, 0.02), turn=0.0, half=(0.24, 0.24)):
+    """The plate is in hand; the block stands at `at`, turned."""
+    pose = jnp.array([*at, np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)])
+    return {
+        "region": jnp.array([*half, 0.3]),
+        "focus": jnp.int32(0),
+        "is_placed": jnp.array([False, True]),
+        "T_region_object": jnp.zeros((2, 7)).at[1].set(pose),
+    }
+
+
+@pytest.fixture(scope="module")
+def room():
+    return Room.of(jnp.array([cloud_of(PLATE), cloud_of(BLOCK)]), SIDE, 12, 4)
+
+
+def test_shares_are_those_of_the_footprint(room):
+    shares = np.asarray(jax.jit(room)(observation()))
+    assert shares.shape == room.shape == (12, 12, 4, 2)
+    line = (np.arange(12) + 0.5) / 12 * SIDE - SIDE / 2
+    inside = np.random.default_rng(1).uniform(-1, 1, (4000, 2)) * (np.array(PLATE) + CELL)
+    worst = 0.0
+    for turn, angle in enumerate((np.arange(4) + 0.5) / 4 * np.pi):
+        turned = inside @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        for i, x in enumerate(line):
+            for j, y in enumerate(line):
+                points = turned + np.array([x, y])
+                over = np.mean(np.all(np.abs(points - [0.1, -0.05]) < BLOCK, axis=1))
+                beyond = np.mean(np.any(np.abs(points) > SIDE / 2, axis=1))
+                worst = max(worst, *np.abs(shares[i, j, turn] - [over, beyond]))
+    # A cell is half as wide as the plate.
+    assert worst < 0.12
+
+
+def test_a_place_is_free_or_not(room):
+    shares = np.asarray(room(observation()))[..., 0]
+    assert shares[8, 4].max() > 0.3
+    assert np.abs(shares[:5]).max() < 5e-3
+    assert np.abs(shares[:, 9:]).max() < 5e-3
+
+
+def test_the_block_may_turn_a_quarter(room):
+    straight, turned = (np.asarray(room(observation(turn=turn))) for turn in (0.0, np.pi / 2))
+    np.testing.assert_allclose(straight, turned, atol=0.03)
+
+
+def test_flat_ground_and_far_objects_take_no_room(room):
+    for at in ((0.1, 0.0, 0.001), (0.9, 0.0, 0.02), (0.0, -5.0, 0.02)):
+        assert np.abs(np.asarray(room(observation(at=at)))[..., 0]).max() < 1e-6
+
+
+def test_larger_regions_are_told_of_at_their_edge_what_the_picture_shows(room):
+    shares = np.asarray(room(observation(half=(0.5, 0.5))))
+    assert np.isfinite(shares).all()
+    # Between pixels the transform rings a little.
+    assert (np.abs(shares - 0.5) < 0.51).all()
