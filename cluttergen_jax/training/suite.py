@@ -10,7 +10,7 @@ from cluttergen_jax.errors import ConfigError
 
 SUITES = ("paper",)
 POOLS = ("dining", "study", "office", "kitchen", "household")
-VARIANTS = ("policy", "open_loop", "short_memory", "normal")
+VARIANTS = ("policy", "open_loop", "short_memory", "normal", "beta")
 SEEDS = (0, 1, 2)
 ATTEMPTS_POOL = "dining"
 ATTEMPTS = (1, 2, 3, 5, 10)
