@@ -70,8 +70,10 @@ def test_flat_ground_and_far_objects_take_no_room(room):
         assert np.abs(np.asarray(room(observation(at=at)))[..., 0]).max() < 1e-6
 
 
-def test_larger_regions_are_told_of_at_their_edge_what_the_picture_shows(room):
+def test_larger_regions_are_told_beyond_the_picture_what_is_over_its_edge(room):
     shares = np.asarray(room(observation(half=(0.5, 0.5))))
-    assert np.isfinite(shares).all()
     # Between pixels the transform rings a little.
     assert (np.abs(shares - 0.5) < 0.51).all()
+    assert shares[7, 5, :, 0].max() > 0.3
+    # The picture repeats every 0.64 m: the block at x = 0.1 must not be seen again at x = -0.54 + cells.
+    assert np.abs(shares[:4, :, :, 0]).max() < 5e-3

@@ -46,8 +46,8 @@ class Room:
         """Takes the footprints of clouds f32[K, P, 3], both ways round.
 
         Args:
-          region_side: metres, of a region that fills three quarters of a picture. In much larger ones, what
-            is beyond the picture is not seen.
+          region_side: metres, of a region that fills three quarters of a picture. In larger ones, places
+            beyond the picture are told what is over its edge.
         """
         cell = region_side / _CELLS_OF_REGION
         points = np.asarray(cloud, np.float64)[..., :2] / cell
@@ -85,6 +85,7 @@ class Room:
         """f32[G, G, T]: the correlation at x and y, f32[G], cells; an inverse transform at these alone."""
         taken = self._taken(observation["T_region_object"], observation["is_placed"])
         product = jnp.fft.rfft2(taken) * jnp.asarray(self.spectrum)[focus]
+        x, y = (jnp.clip(axis, -_SIDE // 2, _SIDE // 2 - 1) for axis in (x, y))
         wave, half_wave = np.fft.fftfreq(_SIDE), np.fft.rfftfreq(_SIDE)
         twice = np.where((half_wave == 0) | (half_wave == 0.5), 1.0, 2.0)
         along = jnp.exp(2j * jnp.pi * x[:, None] * wave) / _SIDE
