@@ -5,6 +5,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.baselines import make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.problem import ProblemConfig, make_problem
@@ -46,8 +47,6 @@ def main() -> None:
     """Draws every picture."""
     captions = [f"{pool}: {n} objects on {support}, {method}" for pool, support, n, method in SCENES]
     save_png(contact_sheet([draw(*scene) for scene in SCENES], captions, columns=3), HERE / "scenes.png")
-    from cluttergen_jax.assets.pool import find_pool
-
     save_png(object_sheet(find_pool("dining").objects, columns=5), HERE / "dining.png")
 
 

@@ -173,7 +173,7 @@ def test_gradient_stays_finite_with_padding():
 @pytest.mark.parametrize(("number", "objects", "size"), [(20480, 10, 1024), (2048, 10, 1024), (64, 40, 8)])
 def test_layout_shares_points_equally(number, objects, size):
     layout = CloudLayout.of(number, objects, size)
-    assert layout.num_points == number
+    assert layout.num_ground + objects * layout.share == number
     assert layout.share <= size
     for wanted in (number // 2, 41, 1):
         index = layout.prefixes(wanted)

@@ -34,7 +34,6 @@ SCENES = {
     "not a number": ({BOX: (0, np.nan, TOP + 0.051)}, {}, BOX),
     "inactive": ({BOX: (0, 0, TOP + 0.051)}, {}, BOX),
 }
-NUM = len(SCENES)
 
 
 @functools.cache

@@ -20,7 +20,7 @@ from cluttergen_jax.policies import load_policy
 from cluttergen_jax.policies.policy import Policy
 from cluttergen_jax.policies.ranked import Ranked
 from cluttergen_jax.ranking.env import RankingEnv
-from cluttergen_jax.ranking.menu import NUM_FEATURES
+from cluttergen_jax.ranking.menu import PATCH_SIDE
 from cluttergen_jax.search import LowestFit, SearchConfig
 from cluttergen_jax.task import make_task
 from tests.problems import trio_problem
@@ -53,7 +53,7 @@ def with_one_placed(rules, search, key):
 def test_menu_holds_what_the_search_found(rules, search):
     episode = jax.jit(lambda key: with_one_placed(rules, search, key))(jax.random.key(1))
     menu = jax.jit(lambda e: look(search, e))(episode)["menu"]
-    assert menu["features"].shape == (8, NUM_FEATURES)
+    assert menu["features"].shape == (8, 16 + PATCH_SIDE**2)
     assert menu["action"].shape == (8, 4)
     assert bool(menu["is_allowed"].all())
     assert np.isfinite(menu["features"]).all()

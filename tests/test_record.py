@@ -10,7 +10,7 @@ from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.region import pose_of_action
 from cluttergen_jax.problem import ProblemConfig, compose
 from cluttergen_jax.sampling import BlockSampler
-from cluttergen_jax.sampling.record import Recorder, record_episode, rectangle_of
+from cluttergen_jax.sampling.record import Recorder, rectangle_of
 from cluttergen_jax.types import Verdict
 from tests.problems import region
 from tests.worlds import trio
@@ -89,7 +89,7 @@ def test_attempts_begin_where_proposed_and_hang_together(problem, recordings):
 
 
 def test_geometric_methods_do_not_depend_on_the_width(problem, sampler, recordings):
-    alone = record_episode(sampler, problem.world, 7, 4, width=1)
+    alone = Recorder(sampler, problem.world, width=1).record(7, 4)
     assert [each.verdict for each in alone.attempts] == [each.verdict for each in recordings[4].attempts]
     np.testing.assert_array_equal(alone.poses, recordings[4].poses)
 

@@ -40,11 +40,6 @@ class CloudLayout:
         share = min(num_points // (num_objects + 1), object_points)
         return CloudLayout(num_points - num_objects * share, share, num_objects)
 
-    @property
-    def num_points(self) -> int:
-        """N."""
-        return self.num_ground + self.num_objects * self.share
-
     def prefixes(self, number: int) -> np.ndarray:
         """i32[<= number]: points of the cloud, again in equal shares: the first of each owner."""
         inner = CloudLayout.of(number, self.num_objects, self.share)

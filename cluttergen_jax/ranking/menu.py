@@ -20,16 +20,13 @@ _PATCH_STEP = 0.03
 _DEEPEST, _HIGHEST = -0.05, 0.3
 _FAR = 0.2
 
-NUM_FEATURES = 16 + PATCH_SIDE**2
-"""F of `menu_of`."""
-
 
 def menu_of(rules: Rules, episode: Episode, found: Shortlist) -> dict[str, Array]:
     """A shortlist of M poses as a network reads it; lengths in decimetres, so that they are about 1.
 
     Returns:
-      features: f32[M, F]: how it would lie, where it is, how far from the failed attempts, and the heights
-        of the scene around it in the object's frame, relative to the support's top.
+      features: f32[M, 16 + PATCH_SIDE**2]: how it would lie, where it is, how far from the failed attempts,
+        and the heights of the scene around it in the object's frame, relative to the support's top.
       cost: f32[M], the search's own, metres; is_allowed: bool[M].
       action: f32[M, 4].
     """

@@ -155,10 +155,3 @@ def close_points(
     if not points:
         raise ConfigError("a close view of neither objects nor a support")
     return np.concatenate(points)
-
-
-def render_support(
-    support: SupportAsset, *, width: int = 640, height: int = 480, samples: int = 32
-) -> np.ndarray:
-    """uint8[height, width, 3]: the empty support."""
-    return render_scene([], np.zeros((0, 7)), support, width=width, height=height, samples=samples)

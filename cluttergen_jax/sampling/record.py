@@ -95,13 +95,6 @@ class Recorder:
         return after, action, settling
 
 
-def record_episode(
-    sampler: BlockSampler, world: World, seed: int, index: int, width: int = BLOCK_SIZE
-) -> Recording:
-    """One episode with all of its attempts; see `Recorder`, which is quicker for several."""
-    return Recorder(sampler, world, width).record(seed, index)
-
-
 def _row(episodes: Episode, row: int) -> Any:
     """One episode as NumPy arrays."""
     return jax.device_get(jax.tree.map(lambda leaf: leaf[row], episodes.replace(key=None)))

@@ -64,14 +64,6 @@ class Updates:
         rows = [{name: values[row] for name, values in figures.items()} for row in range(int(num_done))]
         return done.state, rows, health
 
-    @property
-    def num_bytes(self) -> int | None:
-        """What the compiler says it needs on each device, constants aside; None if it does not say."""
-        analysis = self._compiled.memory_analysis()
-        if analysis is None:
-            return None
-        return int(analysis.temp_size_in_bytes + analysis.argument_size_in_bytes)
-
 
 def _many(ppo: PPO, most: int) -> Callable[[TrainState, Array], Progress]:
     update = jax.jit(ppo.checked_update)
