@@ -8,8 +8,9 @@ import numpy as np
 import pyarrow as pa
 
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.bank.table import BLOCK_ROWS, COUNTED, SCHEMA
+from cluttergen_jax.bank.table import COUNTED, SCHEMA
 from cluttergen_jax.bank.writer import BankWriter
+from cluttergen_jax.sampling import BLOCK_SIZE
 from tests.worlds import trio
 
 NAMES = tuple(asset.name for asset in trio())
@@ -22,10 +23,10 @@ RECIPE = {
 }
 
 
-def rows(block: int, num_rows: int = BLOCK_ROWS) -> pa.Table:
+def rows(block: int, num_rows: int = BLOCK_SIZE) -> pa.Table:
     """A block of scenes that depend on nothing but their number; every fourth one fails."""
     return pa.Table.from_pylist(
-        [_row(block * BLOCK_ROWS + place) for place in range(num_rows)], schema=SCHEMA
+        [_row(block * BLOCK_SIZE + place) for place in range(num_rows)], schema=SCHEMA
     )
 
 
@@ -61,9 +62,9 @@ def writer(path, num_scenes: int, recipe=None, objects=None, **kwargs) -> BankWr
 
 def write(path, num_blocks: int = 2) -> None:
     """Writes what is missing of a bank of whole blocks."""
-    with writer(path, num_blocks * BLOCK_ROWS) as bank:
+    with writer(path, num_blocks * BLOCK_SIZE) as bank:
         for block in range(num_blocks):
-            if not bank.has_block(block, BLOCK_ROWS):
+            if not bank.has_block(block, BLOCK_SIZE):
                 bank.write_block(block, rows(block))
 
 

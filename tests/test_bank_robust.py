@@ -23,7 +23,6 @@ from cluttergen_jax.bank.bank import block_path
 from cluttergen_jax.bank.card import CARD, write_card
 from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.bank.stats import stats_of, stats_text
-from cluttergen_jax.bank.table import BLOCK_ROWS
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.sampling import BLOCK_SIZE
@@ -51,10 +50,6 @@ def assert_complete(path, whole):
     assert names == {each.relative_to(whole) for each in whole.rglob("*") if each.is_file()}
     for name in names:
         assert (path / name).read_bytes() == (whole / name).read_bytes(), name
-
-
-def test_blocks_are_those_of_the_sampler():
-    assert BLOCK_ROWS == BLOCK_SIZE
 
 
 @pytest.mark.parametrize("name", ["bank.json", "scenes-000000.parquet", "scenes-000001.parquet"])
@@ -262,7 +257,7 @@ def test_a_killed_writer_loses_nothing(tmp_path):
         assert all((path / name).read_bytes() == data for name, data in before.items())
         if wanted:
             # Whatever a killed writer leaves can be read as it is.
-            assert read_bank(path).table.num_rows >= wanted * BLOCK_ROWS
+            assert read_bank(path).table.num_rows >= wanted * BLOCK_SIZE
     # A late one may have been done before the signal came.
     assert kills >= 4
     banks.write(path, num_blocks)

@@ -6,8 +6,9 @@ import pytest
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.bank.bank import block_path
 from cluttergen_jax.bank.card import CARD
-from cluttergen_jax.bank.table import BLOCK_ROWS, CERTIFICATE
+from cluttergen_jax.bank.table import CERTIFICATE
 from cluttergen_jax.cli.main import main
+from cluttergen_jax.sampling import BLOCK_SIZE
 from tests import banks
 
 
@@ -50,7 +51,7 @@ def test_a_bank_that_grows_is_certified_as_it_grows(tmp_path, capsys):
     path = tmp_path / "bank"
     banks.two_scenes(path)
     assert main(["certify", str(path), "--seconds", "0.1"]) == 0
-    with banks.writer(path, BLOCK_ROWS + 1) as writer:
+    with banks.writer(path, BLOCK_SIZE + 1) as writer:
         # The block is there, certified or not.
         assert writer.has_block(0, 3)
         writer.write_block(

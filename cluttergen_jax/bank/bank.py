@@ -29,8 +29,9 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash, read_object
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash
-from cluttergen_jax.bank.table import BLOCK_ROWS, CERTIFICATE, SCHEMA, is_certified
+from cluttergen_jax.bank.table import CERTIFICATE, SCHEMA, is_certified
 from cluttergen_jax.errors import BankError
+from cluttergen_jax.placement.scenes import BLOCK_SIZE
 
 FORMAT = 1
 INDEX = "bank.json"
@@ -159,7 +160,7 @@ def _check_rows(table: pa.Table, block: int) -> None:
             raise ValueError(f"its column {field.name!r} is missing or of another type")
         if table[field.name].null_count:
             raise ValueError(f"its column {field.name!r} has gaps")
-    first = block * BLOCK_ROWS
+    first = block * BLOCK_SIZE
     if table["index"].to_pylist() != list(range(first, first + table.num_rows)):
         raise ValueError(f"its scenes are not those from {first} on")
     lists = [table[field.name].combine_chunks() for field in SCHEMA if pa.types.is_list(field.type)]

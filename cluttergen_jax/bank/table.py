@@ -11,9 +11,6 @@ import pyarrow as pa
 from cluttergen_jax.placement.scenes import Scenes
 from cluttergen_jax.types import Verdict
 
-BLOCK_ROWS = 256
-"""Scenes of a full block; block b begins with scene 256 b (contract.md)."""
-
 COUNTED = tuple(Verdict(code) for code in range(int(Verdict.NON_FINITE) + 1))
 
 SCHEMA = pa.schema(

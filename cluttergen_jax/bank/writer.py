@@ -32,8 +32,8 @@ from cluttergen_jax.bank.bank import (
 )
 from cluttergen_jax.bank.disk import PARTIAL, fill_atomically, remove_partial, write_atomically, writing
 from cluttergen_jax.bank.lock import LOCK, BankLock
-from cluttergen_jax.bank.table import BLOCK_ROWS
 from cluttergen_jax.errors import BankError, ClutterGenError
+from cluttergen_jax.placement.scenes import BLOCK_SIZE
 
 
 class BankWriter:
@@ -137,7 +137,7 @@ class BankWriter:
         except BankError as error:
             blocks, record = block_numbers(self.path), recovered_record(self.path)
             if record is not None:
-                return {"num_scenes": blocks[-1] * BLOCK_ROWS + 1, **record}
+                return {"num_scenes": blocks[-1] * BLOCK_SIZE + 1, **record}
             if blocks or _is_json(self.path / INDEX):
                 raise BankError(
                     f"{self.path} holds a bank of which nothing tells how it was made ({error.given})",

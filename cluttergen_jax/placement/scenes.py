@@ -8,6 +8,9 @@ from flax import struct
 from cluttergen_jax.placement.types import Counts, Episode
 from cluttergen_jax.types import Array
 
+BLOCK_SIZE = 256
+"""Scenes of a full block, sampled and stored as one; block b begins with scene 256 b (docs/contract.md)."""
+
 
 class Scenes(struct.PyTreeNode):
     """Finished episodes, failures included. S slots, any leading axes.

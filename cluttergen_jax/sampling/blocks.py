@@ -14,8 +14,6 @@ from cluttergen_jax.placement.scenes import Scenes, scenes_of
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
-BLOCK_SIZE = 256
-
 
 @dataclass(frozen=True, eq=False)
 class BlockSampler:

@@ -11,10 +11,12 @@ import jax
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.recording import Attempt, Recording
 from cluttergen_jax.placement.region import Region, pose_of_action
+from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.types import Episode
-from cluttergen_jax.sampling.blocks import BLOCK_SIZE, BlockSampler
+from cluttergen_jax.sampling.blocks import BlockSampler
 from cluttergen_jax.types import Array, Settling, Verdict
 from cluttergen_jax.world import World
 
@@ -38,7 +40,7 @@ class Recorder:
         """Scene number `index` of `seed`, as `sampling.sample_blocks` makes it.
 
         Raises:
-          RuntimeError: what was recorded and what the rules did differ (physics that is not pure).
+          BankError: what was recorded and what the rules did differ (physics that is not pure).
         """
         row = index % self.width
         places = index - row + np.arange(self.width)
@@ -76,7 +78,7 @@ class Recorder:
     def _recorded_step(self, episodes: Episode, row: Array) -> tuple[Episode, Array, Settling]:
         """One attempt of all; the action of one row, and that row's attempt settled once more by itself.
 
-        Physics is pure (contract.md), so settling again gives what the rules saw and do not hand out.
+        Physics is pure (docs/contract.md), so settling again gives what the rules saw and do not hand out.
         """
         rules = self.sampler.rules
         keys = jax.vmap(jax.random.split)(episodes.key)
@@ -104,7 +106,10 @@ def _attempt(before: Any, after: Any, action: np.ndarray, settling: Any) -> Atte
     is_stable = bool(after.slot > before.slot)
     focus = int(before.object_index[before.slot])
     if is_stable and not np.array_equal(settling.poses[focus], after.poses[focus]):
-        raise RuntimeError(f"object {focus} settled elsewhere when its attempt was made again")
+        raise BankError(
+            f"object {focus} settled elsewhere when its attempt was made again",
+            hint="--engine native, whose equal attempts end equally; the stored scene itself is unharmed",
+        )
     return Attempt(
         object_index=focus,
         ordinal=int(before.attempt) + 1,

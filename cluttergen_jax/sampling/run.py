@@ -8,8 +8,8 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from cluttergen_jax.placement.scenes import Scenes
-from cluttergen_jax.sampling.blocks import BLOCK_SIZE, BlockSampler
+from cluttergen_jax.placement.scenes import BLOCK_SIZE, Scenes
+from cluttergen_jax.sampling.blocks import BlockSampler
 
 
 def blocks_of(num_scenes: int) -> list[tuple[int, int]]:
