@@ -30,5 +30,5 @@ class Physics(Protocol):
         ...
 
     def stand(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
-        """The last check of a finished scene, everything awake (contract: staged, 60 then 480 steps)."""
+        """The last check of a finished scene, everything awake (docs/contract.md: staged)."""
         ...

@@ -12,5 +12,5 @@ class Proposer(Protocol):
     """Proposes poses for the object in hand; pure, one episode at a time."""
 
     def __call__(self, key: Array, episode: Episode) -> Array:
-        """An action f32[4] in [0, 1] (contract.md) for `episode`, drawn with `key`."""
+        """An action f32[4] in [0, 1] (docs/contract.md) for `episode`, drawn with `key`."""
         ...

@@ -19,7 +19,7 @@ class Attempt:
     Attributes:
       object_index: which object.
       ordinal: its first attempt is 1.
-      action: f32[4], what was proposed (contract.md).
+      action: f32[4], what was proposed (docs/contract.md).
       verdict: how it was judged.
       trajectory: f32[T + 1, 13], the object at release and after each of T steps (`types.Settling`).
       poses: f32[K, 7] and is_placed: bool[K], the scene before the attempt.

@@ -71,7 +71,7 @@ def action_scale(region: Region, height_range: Array) -> tuple[Array, Array]:
 
 
 def pose_of_action(action: Array, region: Region, height_range: Array) -> Array:
-    """The world pose f32[7] that an action in (0,1)^4 proposes for the object's origin (contract.md)."""
+    """The world pose f32[7] that an action in (0,1)^4 proposes for the object's origin (docs/contract.md)."""
     lower, size = action_scale(region, height_range)
     yaw = 2 * jnp.pi * action[3]
     T_region_object = jaxlie.SE3.from_rotation_and_translation(

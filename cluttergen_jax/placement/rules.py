@@ -127,7 +127,7 @@ class Rules:
         """One attempt: propose, let go, judge, commit or revert. A finished episode is left as it is.
 
         Args:
-          action: f32[4] in (0, 1): x, y, z and turn in the queried region (contract.md).
+          action: f32[4] in (0, 1): x, y, z and turn in the queried region (docs/contract.md).
 
         Returns:
           The episode after the attempt, and its reward, f32.
