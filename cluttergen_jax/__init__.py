@@ -3,35 +3,47 @@
     sample = cluttergen_jax.make_sampler(pool="dining", num_objects=10)    # sample(key) -> SampledScene
     bank = cluttergen_jax.load_bank("out")                                 # bank.reset(key) -> StoredScene
 
-sampler: both of these. methods: baselines and policies by name.
-problem: from names to a compiled world, its physics and its rules (`make_problem`).
-placement: the decision process; `placement.env.PlacementEnv` is a Brax environment.
-baselines, policies: who proposes poses. sampling: whole episodes in compiled blocks.
-bank: scenes on disk. render: pictures. importing: from any mesh to a sound body. training: PPO.
-Below them: world, agent; assets, physics, networks; types, config, errors.
+`Rectangle` tells `make_sampler` of a region or a keep-out box; `make_region` and `KeepOut` are for those of
+`sample(key, region=..., keep_out=...)`, which may be traced. README.md, "The house",
+says what the packages are.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cluttergen_jax.assets.support import Rectangle
+    from cluttergen_jax.placement.region import KeepOut, make_region
     from cluttergen_jax.sampler import (
         SampledScene,
         Sampler,
         SceneBank,
+        StoredArrays,
         StoredScene,
         load_bank,
         make_sampler,
     )
 
-__all__ = ["SampledScene", "Sampler", "SceneBank", "StoredScene", "load_bank", "make_sampler"]
+__all__ = [
+    "KeepOut",
+    "Rectangle",
+    "SampledScene",
+    "Sampler",
+    "SceneBank",
+    "StoredArrays",
+    "StoredScene",
+    "load_bank",
+    "make_region",
+    "make_sampler",
+]
+
+_ELSEWHERE = {"Rectangle": "assets.support", "KeepOut": "placement.region", "make_region": "placement.region"}
 
 
 def __getattr__(name: str) -> Any:
     """The names of `__all__`, imported when first asked for: JAX and MuJoCo take a second to load."""
     if name in __all__:
-        from cluttergen_jax import sampler
-
-        return getattr(sampler, name)
+        return getattr(import_module(f"cluttergen_jax.{_ELSEWHERE.get(name, 'sampler')}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

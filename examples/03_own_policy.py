@@ -19,8 +19,8 @@ num_attempts = 2048 if SMALL else 40_000
 
 # %% [markdown]
 # A run leaves `runs/my_pool/policy` (the weights), `curve.png` and everything that is needed to go on after
-# Ctrl-C. Keep the number of attempts per object (5): the policy reads its failed attempts, and counts on as
-# many.
+# Ctrl-C. The policy reads the failed attempts of the object in hand: it may be allowed fewer than it was
+# trained with (5), but not more.
 
 # %%
 Train(

@@ -9,9 +9,7 @@ import jax
 import jax.numpy as jnp
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.cli.generate import Generate
-from cluttergen_jax.placement.region import KeepOut, make_region
 
 SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 num_scenes, num_objects = (4, 2) if SMALL else (32, 4)
@@ -34,7 +32,7 @@ top = sample.problem.world.support.top
 
 def turned(key: jax.Array, angle: jax.Array) -> cg.SampledScene:
     center = 0.05 * jnp.array([jnp.cos(angle), jnp.sin(angle)])
-    return sample(key, region=make_region(center, jnp.array([0.15, 0.2]), angle, top))
+    return sample(key, region=cg.make_region(center, jnp.array([0.15, 0.2]), angle, top))
 
 
 tell("turned regions", jax.jit(jax.vmap(turned))(keys, jnp.linspace(0, 3, num_scenes)))
@@ -43,7 +41,7 @@ tell("turned regions", jax.jit(jax.vmap(turned))(keys, jnp.linspace(0, 3, num_sc
 # Keep the robot's side of the table free.
 
 # %%
-robot = KeepOut(jnp.array([[0.0, -0.25]]), jnp.array([[0.3, 0.1]]), jnp.zeros(1))
+robot = cg.KeepOut(jnp.array([[0.0, -0.25]]), jnp.array([[0.3, 0.1]]), jnp.zeros(1))
 tell("kept free", jax.jit(jax.vmap(lambda key: sample(key, keep_out=robot)))(keys))
 
 # %% [markdown]
@@ -53,7 +51,7 @@ tell("kept free", jax.jit(jax.vmap(lambda key: sample(key, keep_out=robot)))(key
 Generate(out="served", num_scenes=2, objects=("dinner_plate", "mug"), method="clear", max_files=0).run()
 around = cg.make_sampler(
     objects=("fork", "wine_glass", "bowl"), num_objects=2, method="clear", start="served:0",
-    keep_out=[Rectangle((0.25, 0.0), (0.05, 0.35))],
+    keep_out=[cg.Rectangle((0.25, 0.0), (0.05, 0.35))],
 )  # fmt: skip
 tell("around a plate and a mug", jax.jit(jax.vmap(around))(keys))
 

@@ -259,12 +259,16 @@ def test_a_method_without_checkpoint_is_refused(pool):
 def test_importing_the_package_loads_neither_jax_nor_mujoco():
     code = (
         "import sys, cluttergen_jax as cg; names = dir(cg); "
-        "assert {'make_sampler', 'load_bank'} <= set(names); "
+        "assert {'make_sampler', 'load_bank'} <= set(cg.__all__) <= set(names); "
         "assert not {'jax', 'mujoco', 'numpy', 'trimesh'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
     with pytest.raises(AttributeError, match="nothing"):
         _ = cg.nothing
+
+
+def test_every_public_name_is_what_it_says():
+    assert {getattr(cg, name).__name__ for name in cg.__all__} == set(cg.__all__)
 
 
 @pytest.mark.slow

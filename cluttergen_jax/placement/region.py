@@ -37,7 +37,14 @@ class KeepOut(struct.PyTreeNode):
 
 
 def make_region(center: Array, half_extents: Array, yaw: Array, top: Array) -> Region:
-    """A region on a flat top: f32[2] metres, f32[2] metres, radians, metres."""
+    """A region on a flat top; all arguments may be traced.
+
+    Args:
+      center: f32[2], metres, world x and y.
+      half_extents: f32[2], metres, half its sides, along its own x and y.
+      yaw: f32, radians, from world x to its own x.
+      top: f32, metres, the height of the support's top (`SupportAsset.top`).
+    """
     position = jnp.append(jnp.asarray(center, jnp.float32), jnp.asarray(top, jnp.float32))
     rotation = jaxlie.SO3.from_z_radians(jnp.asarray(yaw, jnp.float32))
     return Region(

@@ -3,6 +3,6 @@
 from cluttergen_jax.sampler.make import make_sampler
 from cluttergen_jax.sampler.sampled import SampledScene
 from cluttergen_jax.sampler.sampler import Sampler
-from cluttergen_jax.sampler.stored import SceneBank, StoredScene, load_bank
+from cluttergen_jax.sampler.stored import SceneBank, StoredArrays, StoredScene, load_bank
 
-__all__ = ["SampledScene", "Sampler", "SceneBank", "StoredScene", "load_bank", "make_sampler"]
+__all__ = ["SampledScene", "Sampler", "SceneBank", "StoredArrays", "StoredScene", "load_bank", "make_sampler"]

@@ -41,25 +41,28 @@ def make_sampler(
 ) -> Sampler:
     """A function `sample(key) -> SampledScene` that may be compiled, mapped, scanned and sharded.
 
-    Nothing random is decided here: equal keys give equal scenes, within contract.md's limits.
+    Nothing random is decided here: equal keys give equal scenes, within the limits that docs/contract.md
+    names.
 
     Args:
       pool: a pool's name or folder.
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
-      num_objects: objects per scene; all of the pool's (40 at most) if not given.
+      num_objects: objects per scene, 1 to 40; all of the pool's (40 at most) if not given.
       method: "random", "clear", "drop", or a trained policy. If not given: "policy" where a checkpoint is
         given or embedded for the pool, else "clear".
       checkpoint: a policy's folder, such as `cluttergen train` leaves; the embedded one if not given.
-      max_retries: a scene that fails is drawn again so often, inside the compiled code, until one passes.
+      max_retries: a scene that fails is drawn again up to so often, inside the compiled code, until one
+        passes; 0 to 10,000.
       objects: names of the pool's objects to use; all of them if empty.
       repeat: let objects stand there more than once.
-      region: the queried region; the support's own if not given.
-      keep_out: upright boxes that objects must stay out of.
+      region: the queried region on the support's top: a `Rectangle` with its centre (world x, y) and half
+        extents in metres, its yaw in radians; the support's own if not given.
+      keep_out: `Rectangle`s, likewise, that no object may meet once it has settled, seen from above.
       start: a saved scene, "BANK:INDEX", whose objects stand there and count as neighbours.
       containment: what must lie in the region: the bounding box's "center" or the whole "footprint".
       order: "random", or "fixed" to the pool's order.
-      max_attempts: per object.
-      num_scene_points: points of each scene's cloud; 0 for none.
+      max_attempts: per object, 1 to 10; a policy of poses allows as many as it was trained with at most.
+      num_scene_points: points of each scene's cloud, up to 200,000; 0 for none.
       engine: "auto", "native", "warp" or "jax".
       num_threads: of the native engine; 0 takes every core.
 

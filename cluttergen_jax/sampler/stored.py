@@ -41,8 +41,17 @@ class StoredScene(struct.PyTreeNode):
     xfrc_applied: Array
 
 
-class _Arrays(struct.PyTreeNode):
-    """What is stored of S scenes, and the weights f32[nbody, 6] of the model's objects, upwards."""
+class StoredArrays(struct.PyTreeNode):
+    """What is stored of the S scenes of a bank that stand. N slots, K objects in `SceneBank.model`.
+
+    Attributes:
+      index: i32[S], their numbers in the bank.
+      object_index: i32[S, N], the model's object in each slot, -1 for none.
+      poses: f32[S, N, 7], world pose of each slot's object, metres, wxyz; the identity where there is none.
+      is_present: bool[S, K], the model's objects that belong to the scene.
+      qpos: f32[S, 7 K], the model's configuration.
+      weight: f32[nbody, 6], newtons, upwards: what keeps an object that does not belong where it waits.
+    """
 
     index: Array
     object_index: Array
@@ -64,7 +73,7 @@ class SceneBank:
 
     bank: Bank
     collection: SceneCollection
-    arrays: _Arrays
+    arrays: StoredArrays
 
     def __len__(self) -> int:
         return len(self.collection.qpos)
@@ -119,7 +128,7 @@ def load_bank(path: str | Path) -> SceneBank:
     model = collection.model
     weight = np.zeros((model.nbody, 6))
     weight[model.jnt_bodyid, :3] = -model.opt.gravity * model.body_mass[model.jnt_bodyid, None]
-    arrays = _Arrays(
+    arrays = StoredArrays(
         index=jnp.array([scene.origin.index for scene in scenes], jnp.int32),
         object_index=jnp.asarray(object_index, jnp.int32),
         poses=jnp.asarray(poses, jnp.float32),
