@@ -1,6 +1,7 @@
 """The house's floors: a module imports only from floors below it, or from its own package."""
 
 import ast
+import re
 from pathlib import Path
 
 import cluttergen_jax
@@ -67,6 +68,19 @@ def _files() -> list[Path]:
 
 def test_every_module_has_a_floor():
     assert {_module(path) for path in _files()} == set(FLOORS)
+
+
+def test_the_readme_puts_every_package_on_its_floor():
+    house = (ROOT.parent / "README.md").read_text().split("## The house")[1].split("\n\n")[1]
+    listed, floor = {}, 0.0
+    for line in house.splitlines():
+        if number := re.match(r" +([\d.]+) ", line):
+            floor = float(number[1])
+        # What stands in brackets explains.
+        listed |= dict.fromkeys(re.sub(r"\([^)]*\)", " ", line).split(), floor)
+    listed["cli"] = listed.pop("cluttergen_jax/cli")
+    packages = {name: floor for name, floor in FLOORS.items() if name != "__main__"}
+    assert {name: listed.get(name) for name in packages} == packages
 
 
 def test_imports_look_down():
