@@ -40,7 +40,8 @@ def test_write_and_read_are_inverse(name, tmp_path):
     assert {f.name for f in tmp_path.iterdir()} == {"any", "again"}
 
 
-def test_embedded_supports_are_what_the_modeller_makes():
+def test_embedded_supports_are_what_the_modeller_makes(tmp_path, monkeypatch):
+    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path))
     assert set(list_supports()) == set(SUPPORTS)
     for name in SUPPORTS:
         assert_same(find_support(name), make_support(name))

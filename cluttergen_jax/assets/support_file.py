@@ -1,6 +1,7 @@
 """One support on disk: `support.json`, and one OBJ per coloured piece.
 
-`find_support` looks among the embedded supports first, then takes its argument for a folder.
+`find_support` looks among the embedded supports first, then among the user's own, then takes its argument for
+a folder.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.pool import embedded_root
+from cluttergen_jax.assets.pool import embedded_root, user_root
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
 from cluttergen_jax.errors import PoolError
@@ -82,15 +83,39 @@ def support_hash(support: SupportAsset) -> str:
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
+def is_support_name(text: str) -> bool:
+    """Whether a support may be called so: in the letters of names, and not as cuboids are."""
+    return bool(_NAME.fullmatch(text)) and not _CUBOID.fullmatch(text)
+
+
+def user_supports() -> Path:
+    """The folder of the user's own supports, beside that of the user's pools."""
+    return user_root().parent / "supports"
+
+
+def embedded_supports() -> dict[str, Path]:
+    """Every support that comes with the package, with its folder."""
+    return _supports_in(embedded_root() / "supports")
+
+
 def list_supports() -> dict[str, Path]:
-    """Every embedded support by name, with its folder."""
-    root = embedded_root() / "supports"
+    """Every support that can be named, with its folder: embedded ones first, then the user's."""
+    embedded = embedded_supports()
+    own = _supports_in(user_supports())
+    return embedded | {name: folder for name, folder in own.items() if name not in embedded}
+
+
+def _supports_in(root: Path) -> dict[str, Path]:
     folders = sorted(root.iterdir()) if root.is_dir() else []
-    return {folder.name: folder for folder in folders if (folder / _RECORD).is_file()}
+    return {
+        folder.name: folder
+        for folder in folders
+        if not folder.name.startswith(".") and (folder / _RECORD).is_file()
+    }
 
 
 def find_support(name_or_path: str | Path) -> SupportAsset:
-    """The embedded support of that name, or the one in that folder; `table-WxD[xH]` is a cuboid (metres).
+    """The support of that name, or the one in that folder; `table-WxD[xH]` is a cuboid (metres).
 
     Raises:
       PoolError: nothing is called so (the message lists what exists), or its files are damaged.
@@ -106,7 +131,7 @@ def find_support(name_or_path: str | Path) -> SupportAsset:
     raise PoolError(
         f"no support is called {str(name_or_path)!r}, and there is none at that path",
         ", ".join(supports) or "none is installed",
-        f"a folder that holds {_RECORD}, or a cuboid such as table-0.40x0.50",
+        "a cuboid such as table-0.40x0.50, or cluttergen import --support FILE, which makes one of a mesh",
     )
 
 

@@ -1,4 +1,4 @@
-"""`cluttergen import`: from meshes, URDF, MJCF or YCB to a pool of measured bodies."""
+"""`cluttergen import`: from meshes, URDF, MJCF or YCB to a pool of measured bodies, or to a support."""
 
 from __future__ import annotations
 
@@ -12,17 +12,21 @@ from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.assets.decompose import DecompositionConfig
 from cluttergen_jax.assets.readers import ReadOptions
 from cluttergen_jax.cli.pool_table import pool_table
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing.run import ImportConfig, ImportReport, import_sources
+from cluttergen_jax.importing.table import import_support
 from cluttergen_jax.importing.worker import ObjectConfig
 
 
 @dataclass(frozen=True)
 class Import:
-    """Import objects as a pool: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, MJCF, folders of them, or `ycb`.
+    """Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, MJCF, folders, or `ycb`.
 
     Attributes:
       sources: files or folders; the word ycb stands for the 78 YCB objects (extra `ycb`).
       pool: the new pool's name.
+      support: instead of sources and a pool, the file of one table with a level top, 2 m across at most.
+      name: the new support's name; the file's own if not given.
       tier: standard (up to 32 convex parts), or light (one hull) for MJX in pure JAX.
       scale: factor from the files' unit to metres.
       up: the files' vertical axis; auto is y for GLTF, what a DAE file says, and z for all others.
@@ -31,12 +35,14 @@ class Import:
       decomposition: CoACD's parameters.
       trials: placements by which solo stability is measured.
       jobs: worker processes; 0 takes one for each core.
-      force: make everything again, and replace a pool of that name.
+      force: make everything again, and replace a pool or a support of that name.
       progress: show a progress bar (--no-progress to hide).
     """
 
-    sources: tyro.conf.Positional[tuple[str, ...]]
-    pool: str
+    sources: tyro.conf.Positional[tuple[str, ...]] = ()
+    pool: str | None = None
+    support: str | None = None
+    name: str | None = None
     tier: Literal["standard", "light"] = "standard"
     scale: float = 1.0
     up: Literal["auto", "y", "z"] = "auto"
@@ -51,12 +57,30 @@ class Import:
     def run(self) -> int:
         """Runs the command: 0, or 1 if an object could not be imported."""
         read = ReadOptions(self.scale, self.up, self.density, self.mass)
+        if self.support is not None:
+            return self._import_support(self.support, read)
+        if self.pool is None or self.name is not None:
+            raise ConfigError(
+                "import with neither --pool nor --support" if self.pool is None else "--name with --pool",
+                "SOURCES --pool NAME for objects, or --support FILE [--name NAME] for a table",
+            )
         config = ObjectConfig(read, BodyConfig(self.tier, self.decomposition), self.trials)
         report = import_sources(
             self.sources, self.pool, ImportConfig(config, self.jobs, self.force, self.progress)
         )
         print_report(report)
         return report.status
+
+    def _import_support(self, path: str, read: ReadOptions) -> int:
+        if self.sources or self.pool is not None:
+            raise ConfigError("--support together with sources or --pool", "one of them", "two commands")
+        folder, support = import_support(path, self.name, read, self.force)
+        x, y = support.region.half_extents
+        print(
+            f"{folder}: top at {support.top:.3f} m, made of {len(support.boxes)} boxes; "
+            f"the queried region is {2 * x:.3f} x {2 * y:.3f} m\nUse it: --support {support.name}"
+        )
+        return 0
 
 
 def print_report(report: ImportReport) -> None:

@@ -1,0 +1,94 @@
+"""`cluttergen import --support`: a table's file becomes a support that can be named like any other."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.modeller.furniture import make_support
+from cluttergen_jax.assets.support_file import find_support, list_supports, user_supports
+from cluttergen_jax.bank import read_bank
+from cluttergen_jax.cli.main import main
+
+DESK = make_support("drawer_desk")
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path, monkeypatch):
+    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
+    return tmp_path / "home"
+
+
+@pytest.fixture
+def file(tmp_path):
+    """A desk of our own as a bare mesh, in centimetres, somewhere."""
+    mesh = joined([piece.mesh for piece in DESK.pieces])
+    path = tmp_path / "Old Desk.obj"
+    trimesh.Trimesh(100 * (mesh.vertices + np.array([3, -2, 0])), mesh.faces, process=False).export(path)
+    return path
+
+
+def area(support):
+    return float(np.prod(support.region.half_extents))
+
+
+def test_a_table_is_imported_listed_and_carries_objects(file, tmp_path, capsys):
+    assert main(["import", "--support", str(file), "--scale", "0.01"]) == 0
+    assert "--support old_desk" in capsys.readouterr().out
+    found = find_support("old_desk")
+    assert found.top == pytest.approx(DESK.top, abs=1e-5)
+    assert area(found) == pytest.approx(area(DESK), rel=0.05)
+    assert main(["list"]) == 0
+    assert "  old_desk\n" in capsys.readouterr().out
+    bank = tmp_path / "bank"
+    asked = ["--support", "old_desk", "--objects", "soup_can", "--method", "random", "--max-files", "0"]
+    assert main(["generate", "-n", "4", *asked, "--out", str(bank)]) == 0
+    scenes = read_bank(bank)
+    assert scenes.support.name == "old_desk"
+    for scene in scenes.scenes():
+        assert scene.is_success
+        assert scene.poses[0, 2] > found.top
+
+
+def test_a_name_stands_for_one_table(file, tmp_path, capsys):
+    asked = ["import", "--support", str(file), "--scale", "0.01", "--name", "mine"]
+    assert main(asked) == 0
+    assert main(asked) == 0
+    stool = tmp_path / "stool.stl"
+    trimesh.creation.box((0.3, 0.4, 0.5)).export(stool)
+    other = ["import", "--support", str(stool), "--name", "mine"]
+    assert main(other) == 2
+    assert "--force" in capsys.readouterr().err
+    assert find_support("mine").top == pytest.approx(DESK.top, abs=1e-5)
+    assert main([*other, "--force"]) == 0
+    assert find_support("mine").top == pytest.approx(0.5)
+    np.testing.assert_allclose(sorted(find_support("mine").region.half_extents), [0.15, 0.2], atol=1e-6)
+    assert [each.name for each in user_supports().iterdir()] == ["mine"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        (["--support", "{file}", "--name", "round_table"], "round_table"),
+        (["--support", "{file}", "--name", "table-1x2"], "table-WxD"),
+        (["--support", "{file}", "--name", "../x"], "a-z"),
+        (["--support", "{file}"], "2 m"),
+        (["--support", "{file}", "--pool", "mine"], "--support"),
+        (["{file}", "--support", "{file}"], "--support"),
+        (["{file}", "--pool", "mine", "--name", "desk"], "--name"),
+        (["{file}"], "--pool NAME"),
+        (["--support", "nowhere.obj"], "does not exist"),
+    ],
+)
+def test_what_cannot_be_is_said(file, asked, says, capsys):
+    scale = ["--scale", "0.01"] if "--name" in asked else []
+    assert main(["import", *(each.format(file=file) for each in asked), *scale]) == 2
+    assert says in capsys.readouterr().err
+    assert not user_supports().exists()
+    assert "drawer_desk" in list_supports()
+
+
+def test_a_file_of_several_objects_is_no_table(file, capsys):
+    trimesh.creation.box((0.3, 0.4, 0.5)).export(file.parent / "stool.stl")
+    assert main(["import", "--support", str(file.parent)]) == 2
+    assert "2 objects" in capsys.readouterr().err
