@@ -23,7 +23,7 @@ print("objects of the first:", [sample.names[index] for index in scenes.object_i
 print("where they stand (metres):", scenes.T_world_object.translation()[0].round(3), sep="\n")
 
 # %% [markdown]
-# One of them on the host: as a MuJoCo specification to build upon, and as a file that opens in any MuJoCo.
+# One of them on the host, as a MuJoCo specification to build upon. Files for MuJoCo and others: 06.
 
 # %%
 scene = sample.scene(scenes, 0)

@@ -12,7 +12,6 @@ import trimesh
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.cli.pool_table import pool_table
 from cluttergen_jax.importing.run import ImportConfig, import_sources
-from cluttergen_jax.importing.worker import ObjectConfig
 
 SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 
@@ -37,11 +36,13 @@ def make_meshes(folder: Path) -> None:
 #
 #     cluttergen import my_meshes/ --pool my_pool
 #     cluttergen inspect my_pool --out my_pool.png
+#
+# Your own table too: `cluttergen import --support my_table.obj`, then `--support my_table` where one is named.
 
 # %%
 if __name__ == "__main__":
     make_meshes(Path("my_meshes"))
-    config = ImportConfig(ObjectConfig(), jobs=1 if SMALL else 0, progress=not SMALL)
+    config = ImportConfig(jobs=1 if SMALL else 0, progress=not SMALL)
     report = import_sources(["my_meshes"], "my_pool", config)
     for failure in report.failures:
         print(f"not imported: {failure.name}: {failure.reason}")

@@ -23,7 +23,7 @@ Generate(
 ).run()  # fmt: skip
 
 # %% [markdown]
-# Each saved file, loaded afresh in plain MuJoCo, everything awake, for ten seconds.
+# Each saved file (at most `max_files`), loaded afresh in plain MuJoCo, everything awake, for ten seconds.
 
 # %%
 assert Verify("bank").run() == 0

@@ -4,6 +4,7 @@
 
 # %%
 import os
+from pathlib import Path
 
 import mujoco
 
@@ -28,7 +29,8 @@ for kind in ("mjcf", "urdf", "sdf", "glb"):
     print(f"{kind:5} {folder}: opens in {FORMATS[kind].opens_in}")
 
 # %%
-model = mujoco.MjModel.from_xml_path(str(next(iter(sorted(folder.parent.glob("mjcf/**/*.xml"))))))
+first = min(Path("exported/mjcf/scenes").glob("*.xml"))
+model = mujoco.MjModel.from_xml_path(str(first))
 print(f"read back by MuJoCo: {model.nbody} bodies, {model.nmesh} meshes")
 
 # %% [markdown]
