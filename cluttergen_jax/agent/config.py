@@ -32,7 +32,7 @@ class PPOConfig:
     gae_lambda: float = 0.9
     clip: float = 0.2
     value_cost: float = 0.1
-    entropy_cost: float = 0.002
+    entropy_cost: float = 0.01
     max_gradient_norm: float = 0.5
     num_attempts: int = 100_000
 
