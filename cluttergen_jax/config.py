@@ -4,19 +4,39 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from numbers import Real
 
 from cluttergen_jax.errors import ConfigError
 
 
-def _check_positive(config: object, names: tuple[str, ...]) -> None:
+def _is_positive(value: object) -> bool:
+    return isinstance(value, Real) and 0 < float(value) < math.inf
+
+
+def check_positive(config: object, *names: str) -> None:
+    """Refuses fields of a config that are not finite numbers above zero.
+
+    Raises:
+      ConfigError: it names the field.
+    """
     for name in names:
         value = getattr(config, name)
-        if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
+        if not _is_positive(value):
             raise ConfigError(
                 f"{type(config).__name__}.{name} = {value!r}",
                 "a finite number above zero",
                 f"leaving {name} at its default",
             )
+
+
+def check_workers(option: str, number: int) -> None:
+    """Refuses a negative number of threads or processes; 0 takes every core.
+
+    Raises:
+      ConfigError: it names the option.
+    """
+    if number < 0:
+        raise ConfigError(f"{option} {number}", "0 or more", f"{option} 0, which takes every core")
 
 
 @dataclass(frozen=True)
@@ -70,7 +90,7 @@ class StabilityConfig:
 
     def __post_init__(self) -> None:
         flags = ("per_axis", "stop_when_decided", "judge_neighbours")
-        _check_positive(self, tuple(f.name for f in fields(self) if f.name not in flags))
+        check_positive(self, *(f.name for f in fields(self) if f.name not in flags))
         if self.decision_step > self.max_steps:
             raise ConfigError(
                 f"settle_steps + quiet_steps = {self.decision_step} with max_steps = {self.max_steps}",
@@ -117,3 +137,16 @@ class ContactConfig:
     iterations: int = 100
     noslip_iterations: int = 0
     gravity: float = 9.81
+
+    def __post_init__(self) -> None:
+        check_positive(self, "impratio", "iterations", "gravity")
+        for name, length in (("friction", 3), ("solref", 2), ("solimp", 5)):
+            value = getattr(self, name)
+            if not (isinstance(value, tuple) and len(value) == length and all(map(_is_positive, value))):
+                allowed = f"a tuple of {length} finite numbers above zero"
+                raise ConfigError(f"ContactConfig.{name} = {value!r}", allowed)
+        for name, choices in (("condim", (1, 3, 4, 6)), ("cone", ("elliptic", "pyramidal"))):
+            if (value := getattr(self, name)) not in choices:
+                raise ConfigError(f"ContactConfig.{name} = {value!r}", ", ".join(map(str, choices)))
+        if self.noslip_iterations != 0:
+            check_positive(self, "noslip_iterations")

@@ -25,26 +25,30 @@ GOOD_SUCCESS = 0.9
 """Success, as its record tells it, from which an embedded policy is what a user gets unasked."""
 
 
-def default_method(pool: str, checkpoint: str | None = None) -> str:
-    """The method for a pool where none is named.
+def default_method(pool: str, support: str, num_objects: int, checkpoint: str | None = None) -> str:
+    """The method where none is named.
 
-    `policy` with a given checkpoint, or where one is embedded that fills most scenes; else `clear`.
+    With a checkpoint its own. Else `policy` where one is embedded that was trained for this pool on this
+    support with at least as many objects, and that fills most scenes; else `clear`.
+
+    Raises:
+      PoolError: there is no checkpoint in the given folder.
     """
     if checkpoint is not None:
-        return DEFAULT_METHOD
+        return str(read_record(Path(checkpoint)).get("variant", DEFAULT_METHOD))
     embedded = list_policies().get(f"{pool}-{DEFAULT_METHOD}")
-    if embedded is None:
-        return FALLBACK_METHOD
-    success = read_record(embedded).get("evaluation", {}).get("success", 0.0)
-    return DEFAULT_METHOD if success >= GOOD_SUCCESS else FALLBACK_METHOD
+    record = {} if embedded is None else read_record(embedded)
+    is_trained = record.get("support") == support and num_objects <= record["placement"]["num_objects"]
+    is_good = record.get("evaluation", {}).get("success", 0.0) >= GOOD_SUCCESS
+    return DEFAULT_METHOD if is_trained and is_good else FALLBACK_METHOD
 
 
 def checkpoint_of(method: str, pool: str, checkpoint: str | None = None) -> Path | None:
     """The checkpoint behind a method; None for a baseline.
 
     Raises:
-      ConfigError: there is no such method, or a checkpoint is given for a baseline.
-      PoolError: no checkpoint is embedded for it.
+      ConfigError: there is no such method, or the given checkpoint is of another.
+      PoolError: no checkpoint is embedded for it, or there is none in the given folder.
     """
     if method not in METHODS:
         raise ConfigError(f"method {method!r}", ", ".join(METHODS), "--method clear")
@@ -52,8 +56,22 @@ def checkpoint_of(method: str, pool: str, checkpoint: str | None = None) -> Path
         if checkpoint is not None:
             raise ConfigError(f"--checkpoint with method {method!r}, which has none", ", ".join(VARIANTS))
         return None
-    variant = DEFAULT_METHOD if method == SCREENED else method
-    return Path(checkpoint) if checkpoint is not None else find_policy(variant, pool)
+    if checkpoint is None:
+        return find_policy(DEFAULT_METHOD if method == SCREENED else method, pool)
+    _check_variant(method, Path(checkpoint))
+    return Path(checkpoint)
+
+
+def _check_variant(method: str, checkpoint: Path) -> None:
+    """Refuses a checkpoint of another method; the screen takes every policy of poses."""
+    variant = read_record(checkpoint).get("variant", method)
+    if variant == method or (method == SCREENED and variant != "ranked"):
+        return
+    raise ConfigError(
+        f"method {method!r} with {checkpoint}, which was trained as {variant!r}",
+        "a policy of poses" if method == SCREENED else f"method {variant!r}",
+        f"--method {variant}",
+    )
 
 
 def checkpoint_hash(checkpoint: Path) -> str:

@@ -11,9 +11,9 @@ import numpy as np
 from cluttergen_jax.assets.columns import Columns
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.placement.config import PlacementConfig
@@ -23,6 +23,8 @@ from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.world import World, make_world, repeated
 
 SMALLEST_REGION = 0.02
+_OVERHANG = 0.01
+_LEVEL = 0.002
 _RUN = 64
 
 
@@ -37,6 +39,7 @@ class ProblemConfig:
       support: a support's name or folder; "table" is the paper's, "table-0.40x0.50" one of that size.
       region: the queried region; None takes the support's own.
       engine: "auto", "native", "warp" or "jax".
+      num_threads: of the native engine; 0 takes every core.
     """
 
     pool: str = "dining"
@@ -49,6 +52,9 @@ class ProblemConfig:
     placement: PlacementConfig = field(default_factory=PlacementConfig)
     stability: StabilityConfig = field(default_factory=StabilityConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
+
+    def __post_init__(self) -> None:
+        check_workers("--threads", self.num_threads)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +76,9 @@ def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) ->
     """
     pool = find_pool(config.pool)
     chosen = [pool[name] for name in config.objects] if config.objects else list(pool.objects)
-    return compose(chosen, find_support(config.support), config, standing)
+    support = find_support(config.support)
+    check_reach(config.region or support.region, support)
+    return compose(chosen, support, config, standing)
 
 
 def compose(
@@ -79,7 +87,7 @@ def compose(
     config: ProblemConfig,
     standing: Sequence[ObjectAsset] = (),
 ) -> Problem:
-    """`make_problem` for assets that are at hand already.
+    """`make_problem` for assets that are at hand already; the region may reach beyond the support.
 
     Args:
       standing: objects that stand there when an episode begins; they are the last ones of the world.
@@ -89,12 +97,13 @@ def compose(
         if not config.repeat:
             raise ConfigError(
                 f"{wanted} objects asked for, {len(objects)} in pool {config.pool!r}",
-                f"1 to {len(objects)}, or more with --repeat",
-                "--repeat, the pool 'all' with its 50 objects, or fewer objects",
+                f"1 to {len(objects)}, or more where objects may stand there more than once",
+                "fewer objects, the pool 'all' with its 50, or --repeat (of generate and evaluate)",
             )
         objects = repeated(objects, wanted)
     region = config.region or support.region
-    _check_region(region, support)
+    if min(region.half_extents) * 2 < SMALLEST_REGION:
+        raise ConfigError(f"a region of {region}", f"sides from {SMALLEST_REGION} m", "--region 0.4x0.5")
     world = make_world([*objects, *standing], support, config.stability, config.contact)
     physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
     rules = Rules(config.placement, physics, geometry_of(world), region_of(region, support), len(standing))
@@ -149,16 +158,24 @@ def _surface_runs(columns: Columns) -> np.ndarray:
     return np.concatenate([columns.surface, padding]).reshape(-1, _RUN, 3)
 
 
-def _check_region(region: Rectangle, support: SupportAsset) -> None:
-    """Refuses a region that is not a finite rectangle over the support's top."""
-    numbers = np.array([*region.center, *region.half_extents, region.yaw])
-    corners = np.array(region.center) + np.array(region.half_extents) * [[-1, -1], [-1, 1], [1, -1], [1, 1]]
-    reach = [np.hypot(*(np.abs(box.center[:2]) + np.hypot(*box.half_extents[:2]))) for box in support.boxes]
-    if not np.all(np.isfinite(numbers)) or min(region.half_extents) * 2 < SMALLEST_REGION:
-        raise ConfigError(
-            f"a region of {region}", f"finite, sides from {SMALLEST_REGION} m", "--region 0.4x0.5"
-        )
-    if np.abs(corners).max() > max(reach):
+def _is_top(box: Box, support: SupportAsset) -> bool:
+    return abs(box.center[2] + box.half_extents[2] - support.top) < _LEVEL
+
+
+def check_reach(region: Rectangle, support: SupportAsset) -> None:
+    """Refuses a region that reaches over the edges of the support's top by more than a centimetre.
+
+    The top is the smallest rectangle, along the sides of the support's own region, that holds its boxes.
+
+    Raises:
+      ConfigError: it does.
+    """
+    level = [box for box in support.boxes if _is_top(box, support)]
+    tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level or support.boxes]
+    side = np.array([np.cos(support.region.yaw), np.sin(support.region.yaw)])
+    axes = np.stack([side, [-side[1], side[0]]], axis=1)
+    rim, corners = np.concatenate([top.corners for top in tops]) @ axes, region.corners @ axes
+    if (corners < rim.min(0) - _OVERHANG).any() or (corners > rim.max(0) + _OVERHANG).any():
         raise ConfigError(
             f"a region of {region} reaches beyond support {support.name!r}",
             f"a rectangle on its top, by default {support.region}",

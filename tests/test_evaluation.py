@@ -36,6 +36,7 @@ from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.suites import FURNITURE, SUITES, Scale, find_suite
 from cluttergen_jax.evaluation.tables import Table
 from cluttergen_jax.evaluation.trial import Trial, key_of
+from cluttergen_jax.policies import list_policies
 from cluttergen_jax.sampling import BlockSampler, sample_blocks
 from tests.problems import HalfTable, made_up_rules
 
@@ -287,9 +288,14 @@ def test_missing_checkpoints_are_rows_of_their_own(lab, tmp_path):
     trial = dataclasses.replace(SMALL, method="policy", pool="study", training_seed=41)
     record = lab.record(trial)
     assert "no checkpoint" in record["missing"]
-    assert record["hint"] == "python train.py --pool study --variant policy --seed 41"
+    assert record["hint"] == "cluttergen train --pool study --variant policy --seed 41"
     other = dataclasses.replace(trial, training_seed=0, attempts=3)
     assert "--attempts 3 --out runs/study-policy-attempts3-0" in lab.record(other)["hint"]
+    # A given checkpoint is no other method's.
+    given = Lab(Store(tmp_path / "given"), Checkpoints(path=list_policies()["dining-normal"]))
+    assert given.checkpoints.find(dataclasses.replace(SMALL, method="policy-clear")) is not None
+    with pytest.raises(MissingCheckpointError, match="trained as 'normal'"):
+        given.checkpoints.find(dataclasses.replace(SMALL, method="policy"))
     with pytest.raises(ConfigError, match="folder of training runs"):
         Checkpoints(folder=tmp_path / "nowhere")
 
@@ -445,7 +451,8 @@ def test_progress_tells_time_left():
 
 
 def evaluate(tmp_path, **options):
-    return run(Evaluate(num_objects=2, trials=4, out=str(tmp_path), **options))
+    objects = {} if "suite" in options else {"num_objects": 2}
+    return run(Evaluate(trials=4, out=str(tmp_path), **objects, **options))
 
 
 def test_command_resumes_after_an_interruption(tmp_path, monkeypatch, capsys):
@@ -482,7 +489,15 @@ def test_command_resumes_after_an_interruption(tmp_path, monkeypatch, capsys):
         ({"suite": "paper", "only": ("table3",)}, "table1"),
         ({"quick": True}, "--suite"),
         ({"checkpoints": "nowhere"}, "training runs"),
-        ({"methods": ("policy",), "pools": ("study",), "attempts": 9}, "python train.py"),
+        ({"methods": ("policy",), "pools": ("study",), "attempts": 9}, "cluttergen train"),
+        ({"methods": ()}, "one name or more"),
+        ({"supports": ()}, "one name or more"),
+        ({"threads": -1}, "0 or more"),
+        ({"seeds": 2}, "without a suite"),
+        (
+            {"suite": "paper", "supports": ("round_table",), "repeat": True},
+            "--supports, --repeat with a suite",
+        ),
     ],
 )
 def test_mistakes_are_explained(tmp_path, capsys, options, said):
@@ -494,7 +509,7 @@ def test_commands_name_themselves():
     (study,) = find_suite("paper", Scale(), ("table2",))
     args = Evaluate(suite="paper", quick=True, seeds=1, pools=("my pool", "dining"))
     assert command.command_of(args, study) == (
-        "python evaluate.py --pools 'my pool' dining --suite paper --quick --seeds 1 --only table2"
+        "cluttergen evaluate --pools 'my pool' dining --suite paper --quick --seeds 1 --only table2"
     )
 
 

@@ -6,6 +6,7 @@ import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.baselines import make_proposer
+from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.region import pose_of_action
 from cluttergen_jax.problem import ProblemConfig, compose
@@ -54,6 +55,19 @@ def test_recordings_end_as_the_sampler_does(scenes, recordings):
         assert recording.is_success == scenes.is_success[place]
         assert recording.verdict == Verdict(int(scenes.verdict[place])).label
         assert recording.drift == scenes.drift[place]
+
+
+def test_an_attempt_that_settles_elsewhere_is_not_passed_off(problem, sampler, recordings, monkeypatch):
+    honest = Recorder._recorded_step
+
+    def moved(self, episodes, row):
+        after, action, settling = honest(self, episodes, row)
+        return after, action, settling.replace(poses=settling.poses + 1e-6)
+
+    monkeypatch.setattr(Recorder, "_recorded_step", moved)
+    index = next(place for place, each in enumerate(recordings) if len(each.placed))
+    with pytest.raises(BankError, match="settled elsewhere"):
+        Recorder(sampler, problem.world, WIDTH).record(7, index)
 
 
 def test_attempts_are_those_that_the_rules_counted(scenes, recordings):

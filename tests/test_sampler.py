@@ -1,8 +1,10 @@
 """The sampler as a JAX function: the same scene however it is mapped, and what is asked of it holds."""
 
+import dataclasses
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +19,10 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError, PoolError
-from cluttergen_jax.methods import FALLBACK_METHOD, default_method
+from cluttergen_jax.methods import FALLBACK_METHOD, checkpoint_of, default_method
 from cluttergen_jax.placement.region import KeepOut, make_region
+from cluttergen_jax.placement.rules import empty_start
+from cluttergen_jax.policies import list_policies
 from cluttergen_jax.types import Verdict
 from tests.worlds import trio
 
@@ -164,13 +168,55 @@ def test_larger_regions_than_the_samplers_are_refused_or_fail(sample):
         with pytest.raises(ConfigError, match="sampler's own"):
             sample(key, region=make_region(jnp.zeros(2), jnp.array(half), 0.0, top))
 
-    @jax.jit
-    def share(half):
-        region = make_region(jnp.zeros(2), half, 0.0, top)
-        return jax.vmap(lambda key: sample(key, region=region))(KEYS).is_success.mean()
+    # Sides are compared one by one, along the region's own axes; a place that is no number fits nowhere.
+    with pytest.raises(ConfigError, match="one by one"):
+        sample(key, region=make_region(jnp.zeros(2), jnp.array([0.35, 0.30]), jnp.pi / 2, top))
+    with pytest.raises(ConfigError, match="finite place"):
+        sample(key, region=make_region(jnp.array([jnp.nan, 0.0]), jnp.array([0.1, 0.1]), 0.0, top))
 
-    assert share(jnp.array([0.30, 0.35])) > 0.5
-    assert share(jnp.array([0.31, 0.35])) == 0
+    @jax.jit
+    def drawn(half, center):
+        region = make_region(center, half, 0.0, top)
+        return jax.vmap(lambda key: retrying(key, region=region))(KEYS)
+
+    retrying = dataclasses.replace(sample, max_retries=3)
+    assert drawn(jnp.array([0.30, 0.35]), jnp.zeros(2)).is_success.mean() > 0.5
+    for half, center in (([0.31, 0.35], [0.0, 0.0]), ([0.1, 0.1], [jnp.nan, 0.0])):
+        scenes = drawn(jnp.array(half), jnp.array(center))
+        assert not scenes.is_success.any()
+        assert (scenes.verdict == Verdict.OUTSIDE).all()
+        assert (scenes.num_draws == 1).all()
+
+
+def test_more_standing_objects_than_the_sampler_was_made_for(sample):
+    crowd = empty_start(3)
+    crowd = crowd.replace(is_placed=crowd.is_placed.at[0].set(True))
+    with pytest.raises(ConfigError, match="start of 1 objects"):
+        sample(jax.random.key(0), start=crowd)
+
+    @jax.jit
+    def drawn(is_placed):
+        start = crowd.replace(is_placed=is_placed)
+        return jax.vmap(lambda key: sample(key, start=start))(KEYS)
+
+    assert drawn(jnp.zeros(3, bool)).is_success.any()
+    scenes = drawn(crowd.is_placed)
+    assert not scenes.is_success.any()
+    assert (scenes.verdict == Verdict.OUTSIDE).all()
+
+
+def test_scenes_that_a_batch_does_not_hold_are_refused(sample, scenes):
+    one = jax.tree.map(lambda leaf: leaf[0], scenes)
+    nested = jax.tree.map(lambda leaf: leaf.reshape(2, 3, *leaf.shape[1:]), scenes)
+    for sampled, index, says in (
+        (scenes, 6, "0 to 5"),
+        (scenes, -1, "0 to 5"),
+        (one, 1, "0"),
+        (nested, 0, "one"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            sample.scene(sampled, index)
+    assert sample.scene(one).names == sample.scene(scenes, 0).names
 
 
 def test_region_and_keep_out_may_be_given_in_the_call_and_mapped(sample):
@@ -237,18 +283,45 @@ def test_what_is_not_one_key_is_refused(sample, key):
 
 
 def test_the_default_method_follows_what_is_embedded(pool, monkeypatch):
-    assert default_method(pool) == FALLBACK_METHOD
-    assert default_method(pool, "a/checkpoint") == "policy"
+    assert default_method(pool, "table", 2) == FALLBACK_METHOD
+    assert default_method("dining", "table", 10) == "policy"
+    # An embedded policy is for the support and the number of objects that it was trained with.
+    assert default_method("dining", "table", 4) == "policy"
+    assert default_method("dining", "table", 11) == FALLBACK_METHOD
+    assert default_method("dining", "table-0.30x0.40", 10) == FALLBACK_METHOD
+    # A given checkpoint brings its own method.
+    assert default_method("dining", "table-0.30x0.40", 40, str(list_policies()["dining-ranked"])) == "ranked"
     success = {"dining": 0.97, "kitchen": 0.4}
     embedded = {f"{name}-policy": name for name in (*success, "office")}
     monkeypatch.setattr("cluttergen_jax.methods.list_policies", lambda: embedded)
     monkeypatch.setattr(
         "cluttergen_jax.methods.read_record",
-        lambda name: {"evaluation": {"success": success[name]}} if name in success else {},
+        lambda name: {
+            "support": "table",
+            "placement": {"num_objects": 10},
+            **({"evaluation": {"success": success[name]}} if name in success else {}),
+        },
     )
-    assert default_method("dining") == "policy"
+    assert default_method("dining", "table", 10) == "policy"
     # A poor policy, one that was not evaluated, and none.
-    assert [default_method(name) for name in ("kitchen", "office", "study")] == [FALLBACK_METHOD] * 3
+    assert [default_method(name, "table", 10) for name in ("kitchen", "office", "study")] == [
+        FALLBACK_METHOD
+    ] * 3
+
+
+@pytest.mark.parametrize(
+    ("method", "trained"), [("policy", "ranked"), ("normal", "policy"), ("policy-clear", "ranked")]
+)
+def test_a_checkpoint_of_another_method_is_refused(method, trained):
+    folder = str(list_policies()[f"dining-{trained}"])
+    with pytest.raises(ConfigError, match=f"--method {trained}"):
+        checkpoint_of(method, "dining", folder)
+    assert checkpoint_of(trained, "dining", folder) == Path(folder)
+
+
+def test_the_screen_takes_every_policy_of_poses():
+    normal = list_policies()["dining-normal"]
+    assert checkpoint_of("policy-clear", "dining", str(normal)) == normal
 
 
 def test_a_method_without_checkpoint_is_refused(pool):

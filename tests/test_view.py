@@ -126,6 +126,13 @@ def test_live_source_makes_the_scene_of_a_seed():
     np.testing.assert_array_equal(recording.poses, live.sample("random", 3).poses)
 
 
+def test_live_source_takes_the_embedded_policy():
+    live = LiveSource(LiveConfig(method="policy", num_objects=2))
+    assert live.methods[0] == "policy"
+    with pytest.raises(PoolError, match="no checkpoint"):
+        LiveSource(LiveConfig(method="open_loop", num_objects=2))
+
+
 def test_scenes_to_draw(source):
     assert chosen_numbers(source, 2, None, 1) == [2]
     assert chosen_numbers(source, None, None, 1) == [source.successes[0]]

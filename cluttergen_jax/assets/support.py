@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +30,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A queried region as it lies on a support's top.
+    """A queried region as it lies on a support's top; finite, its sides above zero.
 
     Attributes:
       center: metres, world x and y.
@@ -40,6 +41,22 @@ class Rectangle:
     center: tuple[float, float] = (0.0, 0.0)
     half_extents: tuple[float, float] = (0.3, 0.35)
     yaw: float = 0.0
+
+    def __post_init__(self) -> None:
+        numbers = (*self.center, *self.half_extents, self.yaw)
+        if not all(map(math.isfinite, numbers)) or min(self.half_extents) <= 0:
+            x, y = self.half_extents
+            raise ConfigError(
+                f"a rectangle of {2 * x:g} x {2 * y:g} m about {tuple(self.center)}, turned by {self.yaw:g}",
+                "finite numbers, sides above zero",
+            )
+
+    @property
+    def corners(self) -> np.ndarray:
+        """f64[4, 2], metres, world x and y."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        signs = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+        return np.array(self.center) + signs * self.half_extents @ np.array([[cos, sin], [-sin, cos]])
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.rotation import turn_between
@@ -30,6 +31,9 @@ class VerifyConfig:
     seconds: float = 10.0
     max_shift: float = 0.005
     max_turn_deg: float = 5.0
+
+    def __post_init__(self) -> None:
+        check_positive(self, "seconds", "max_shift", "max_turn_deg")
 
 
 @dataclass(frozen=True, eq=False)

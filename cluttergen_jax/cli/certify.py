@@ -19,11 +19,12 @@ from cluttergen_jax.bank.lock import BankLock
 from cluttergen_jax.bank.scene import config_of
 from cluttergen_jax.bank.table import CERTIFICATE, SCHEMA, is_certified
 from cluttergen_jax.bank.writer import write_rows
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.measures.arrangement import by_object
 from cluttergen_jax.measures.certificate import certificates
 from cluttergen_jax.measures.scene_models import SceneModels
+from cluttergen_jax.measures.simulate import horizons_of
 from cluttergen_jax.world import base_name, make_world
 
 _RENAMED = {"drift": "horizon_drift", "drift_turn": "horizon_turn", "drift_seconds": "horizon_seconds"}
@@ -50,6 +51,8 @@ class Certify:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        check_workers("--jobs", self.jobs)
+        horizons_of((self.seconds,))
         bank = read_bank(self.path)
         with writing(bank.path):
             lock = BankLock(bank.path)

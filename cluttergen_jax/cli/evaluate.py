@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.bank.disk import write_atomically
+from cluttergen_jax.cli.parse import refuse_given
+from cluttergen_jax.config import check_workers
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.evaluation.checkpoints import Checkpoints
 from cluttergen_jax.evaluation.document import document
@@ -25,6 +27,8 @@ from cluttergen_jax.evaluation.tables import Table, interval, missing, number, s
 from cluttergen_jax.evaluation.trial import Trial
 
 _DEFAULT_TRIALS = 1000
+_OF_SUITES = ("only", "quick", "seeds")
+_OF_COMPARISONS = ("methods", "supports", "num_objects", "attempts", "repeat", "change")
 
 
 @dataclass(frozen=True)
@@ -87,8 +91,13 @@ class Evaluate:
             raise ConfigError(f"--trials {self.trials}", "1 to 1000000")
         if self.seeds is not None and not 1 <= self.seeds <= 100:
             raise ConfigError(f"--seeds {self.seeds}", "1 to 100")
-        if self.suite is None and (self.only or self.quick):
-            raise ConfigError("--only or --quick without a suite", "--suite paper or --suite honest")
+        check_workers("--threads", self.threads)
+        if self.suite is None:
+            refuse_given(self, _OF_SUITES, "without a suite", "--suite paper or --suite honest")
+            if not self.methods or not self.supports:
+                raise ConfigError("--methods or --supports with nothing after it", "one name or more")
+        else:
+            refuse_given(self, _OF_COMPARISONS, "with a suite", "leaving it out: each study has its own")
         return _compare(self) if self.suite is None else _run_suite(self, self.suite)
 
 
@@ -103,6 +112,8 @@ def _lab(args: Evaluate, out: Path, trials: tuple[Trial, ...]) -> Lab:
         Store(out / "results", progress.say), checkpoints, args.engine, args.threads, args.fresh, progress
     )
     lab.check(trials)
+    # Before hours of work: a place that cannot be written to.
+    out.mkdir(parents=True, exist_ok=True)
     progress.total = sum(trial.num_episodes for trial in dict.fromkeys(trials) if lab.at_hand(trial) is None)
     return lab
 
@@ -157,7 +168,7 @@ def _run_suite(args: Evaluate, suite: str) -> int:
 
 def command_of(args: Evaluate, study: Study) -> str:
     """What makes one study again."""
-    words = ["python evaluate.py"]
+    words = ["cluttergen evaluate"]
     for each in dataclasses.fields(args):
         value = getattr(args, each.name)
         if each.name in ("only", "out", "fresh") or value == each.default:

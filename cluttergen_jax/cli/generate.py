@@ -58,8 +58,8 @@ class Generate:
       pool: a pool's name or folder (`cluttergen list`).
       num_scenes: scenes to make, failures counted.
       method: how poses are proposed: random, clear, drop, or a trained policy: policy, policy-clear, ranked,
-        beta, normal, open_loop or short_memory. If not given: policy where one is embedded that fills nine
-        of ten scenes of the pool, else clear.
+        beta, normal, open_loop or short_memory. If not given: the checkpoint's own; else policy where one
+        is embedded for this pool, support and number of objects that fills nine of ten scenes, else clear.
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       num_objects: objects per scene; all of the pool's (40 at most) if not given.
       objects: names of the pool's objects to use.
@@ -111,10 +111,11 @@ def _generate(args: Generate) -> int:
         raise ConfigError(f"--num-scenes {args.num_scenes}", f"1 to {MAX_SCENES}")
     if not 0 <= args.seed < 2**32:
         raise ConfigError(f"--seed {args.seed}", "0 to 4294967295")
-    method = args.method or default_method(args.pool, args.checkpoint)
+    config = problem_config(args)
+    num_objects = config.placement.num_objects
+    method = args.method or default_method(args.pool, args.support, num_objects, args.checkpoint)
     args = dataclasses.replace(args, method=method)
     checkpoint = checkpoint_of(method, args.pool, args.checkpoint)
-    config = problem_config(args)
     config = dataclasses.replace(config, placement=suited(config.placement, checkpoint))
     standing, poses = read_start(args.start)
     problem = make_problem(config, standing)

@@ -30,9 +30,9 @@ class List:
         for name in list_supports():
             print(f"  {name}")
         print("  table-WxD[xH] is a cuboid of that size in metres, such as table-0.40x0.50")
-        print("checkpoints (--method)")
+        print("trained policies, POOL-METHOD")
         for name in list_policies():
             print(f"  {name}")
         if not list_policies():
-            print("  none yet: python train.py makes one")
+            print("  none yet: cluttergen train makes one")
         return 0

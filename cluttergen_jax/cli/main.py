@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from typing import Annotated, Any
@@ -9,6 +10,17 @@ from typing import Annotated, Any
 import tyro
 
 from cluttergen_jax.errors import ClutterGenError
+
+_ADVICE = {
+    errno.EEXIST: "another --out: where a folder has to be, there is a file",
+    errno.ENOTDIR: "another --out: where a folder has to be, there is a file",
+    errno.EISDIR: "another --out: where a file has to be, there is a folder",
+    errno.ENOENT: "a path that exists",
+    errno.EACCES: "a folder that you may write to",
+    errno.EPERM: "a folder that you may write to",
+    errno.EROFS: "a folder on a disk that can be written",
+    errno.ENOSPC: "making room on the disk, then the same command again",
+}
 
 
 def commands() -> Any:
@@ -57,9 +69,19 @@ def run(command: Any) -> int:
         # Whoever read the output has seen enough; nothing more may be written to it, not even at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        print(f"error: {_told(error)}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("\nstopped; the same command takes it up again", file=sys.stderr)
         return 130
+
+
+def _told(error: OSError) -> str:
+    """What the operating system refused, and what to try."""
+    path = error.filename2 or error.filename
+    advice = _ADVICE.get(error.errno or 0, "mending that, then the same command again")
+    return str(ClutterGenError(f"{f'{path}: ' if path else ''}{error.strerror or error}", hint=advice))
 
 
 def main(args: list[str] | None = None) -> int:

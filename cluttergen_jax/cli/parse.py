@@ -1,9 +1,12 @@
-"""Small grammars of the command line: sizes, rectangles, boxes."""
+"""Small grammars of the command line: sizes, rectangles, boxes, options that do not go together."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
+from collections.abc import Sequence
+from typing import Any
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
@@ -46,3 +49,16 @@ def parse_keep_out(text: str) -> Rectangle:
     if len(values) not in (4, 5):
         raise ConfigError(f"keep-out box {text!r}", form)
     return parse_region(text, Rectangle())
+
+
+def refuse_given(command: Any, names: Sequence[str], where: str, hint: str) -> None:
+    """Refuses options of a command that are not at their defaults and would not count.
+
+    Raises:
+      ConfigError: it names them.
+    """
+    defaults = {field.name: field.default for field in dataclasses.fields(command)}
+    given = [name for name in names if getattr(command, name) != defaults[name]]
+    if given:
+        flags = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        raise ConfigError(f"{flags} {where}", hint=hint)

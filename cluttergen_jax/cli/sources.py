@@ -14,6 +14,7 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.bank.bank import Bank, read_bank
 from cluttergen_jax.cli.remake import Workshop, remade, workshop_of
 from cluttergen_jax.errors import BankError, ClutterGenError, PoolError
+from cluttergen_jax.methods import checkpoint_of
 from cluttergen_jax.placement.recording import Recording, still
 from cluttergen_jax.sampler import make_sampler
 from cluttergen_jax.viewer.source import Source
@@ -170,6 +171,7 @@ class LiveSource:
 
     Raises:
       PoolError: the checkpoint, the pool or the support cannot be found or read.
+      ConfigError: there is no such method, or the checkpoint is of another.
     """
 
     def __init__(self, config: LiveConfig, checkpoint: Path | None = None) -> None:
@@ -177,15 +179,16 @@ class LiveSource:
         placement = record.get("placement", {})
         pool = config.pool or record.get("pool", "dining")
         method = config.method or record.get("variant", "drop")
+        path = checkpoint_of(method, pool, None if checkpoint is None else str(checkpoint))
         sampler = make_sampler(
             pool=pool,
             support=config.support or record.get("support", "table"),
             num_objects=config.num_objects or placement.get("num_objects"),
             method=method,
-            checkpoint=checkpoint,
+            checkpoint=path,
             max_attempts=placement.get("max_attempts", 5),
         )
-        trained = {} if checkpoint is None else {method: checkpoint}
+        trained = {} if path is None else {method: path}
         self._workshop = Workshop(sampler.problem, sampler.keep_out, sampler.start, trained)
         self.name = pool if checkpoint is None else f"{method} of {checkpoint.resolve().name}"
         self.numbers = range(_MOST)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 from cluttergen_jax.agent.checkpoint import has_state, read_record
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.cli.parse import refuse_given
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.problem import ProblemConfig, make_problem
@@ -19,6 +21,8 @@ from cluttergen_jax.training.presets import Settings, make_settings
 from cluttergen_jax.training.suite import POOLS, SEEDS
 
 ACTIONS = ("sampled", "mean")
+_OF_SUITES = ("suite_list", "suite_only", "pools", "seeds")
+_OF_RUNS = ("pool", "variant", "attempts", "seed")
 
 
 @dataclass(frozen=True)
@@ -173,8 +177,14 @@ class Train:
         for name in ("eval_every", "eval_episodes"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"--{name.replace('_', '-')} {getattr(self, name)}", "0 or more")
-        if self.suite is None and (self.suite_list or self.suite_only is not None):
-            raise ConfigError("--suite-list or --suite-only without a suite", hint="--suite paper")
+        if not all(0 <= seed < 2**32 for seed in (self.seed, *self.seeds)):
+            raise ConfigError(f"--seed {self.seed}, --seeds {self.seeds}", "0 to 4294967295 each")
+        if self.memory_limit is not None and not 0 < self.memory_limit < math.inf:
+            raise ConfigError(f"--memory-limit {self.memory_limit}", "finite GB above zero, such as 8")
+        if self.suite is None:
+            refuse_given(self, _OF_SUITES, "without a suite", "--suite paper")
+        else:
+            refuse_given(self, _OF_RUNS, "with a suite", "leaving it out: each run has its own")
         if self.suite is not None and self.coordinator is not None:
             raise ConfigError("a suite on several processes", "one run at a time there", "--suite-list")
 

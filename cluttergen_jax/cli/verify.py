@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.bank.verify import Verification, VerifyConfig, scene_files, verify_scene
+from cluttergen_jax.config import check_workers
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,7 @@ class Verify:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        check_workers("--jobs", self.jobs)
         files = scene_files(self.path)
         jobs = self.jobs or os.cpu_count() or 1
         with ThreadPoolExecutor(jobs) as pool:

@@ -26,7 +26,8 @@ class Checkpoints:
     Attributes:
       folder: of training runs, POOL-VARIANT[-attemptsA][-SEED], each with its `policy`; None takes embedded
         checkpoints.
-      path: the one checkpoint of all learned methods; goes before everything else.
+      path: the one checkpoint of all learned methods; goes before everything else. A row whose method it
+        was not trained as has none.
     """
 
     folder: Path | None = None
@@ -37,7 +38,7 @@ class Checkpoints:
             raise ConfigError(
                 f"--checkpoints {self.folder}",
                 "a folder of training runs, such as runs",
-                "python train.py, which makes runs/POOL-VARIANT-SEED",
+                "cluttergen train, which makes runs/POOL-VARIANT-SEED",
             )
 
     def find(self, trial: Trial) -> Path | None:
@@ -49,7 +50,7 @@ class Checkpoints:
         """
         if trial.method not in METHODS or trial.method in BASELINES:
             return checkpoint_of(trial.method, trial.pool)
-        path = self.path or self._in_folder(trial) or self._embedded(trial)
+        path = self._given(trial) or self._in_folder(trial) or self._embedded(trial)
         if path is None:
             raise MissingCheckpointError(
                 f"no checkpoint for method {trial.method!r} on pool {trial.pool!r}", hint=train_command(trial)
@@ -62,6 +63,17 @@ class Checkpoints:
             if self.folder is not None and (self.folder / name / "progress.csv").is_file():
                 return self.folder / name
         return None
+
+    def _given(self, trial: Trial) -> Path | None:
+        if self.path is None:
+            return None
+        try:
+            return checkpoint_of(trial.method, trial.pool, str(self.path))
+        except ConfigError as error:
+            # Results name no folders.
+            name = f"{self.path.parent.name}/{self.path.name}"
+            given = error.given.replace(str(self.path), name)
+            raise MissingCheckpointError(given, hint=train_command(trial)) from error
 
     def _in_folder(self, trial: Trial) -> Path | None:
         if self.folder is None:
@@ -96,7 +108,7 @@ def _names(trial: Trial) -> list[str]:
 def train_command(trial: Trial) -> str:
     """The command that trains what a row lacks."""
     variant = trial.method if trial.method in VARIANTS else "policy"
-    words = [f"python train.py --pool {trial.pool} --variant {variant}"]
+    words = [f"cluttergen train --pool {trial.pool} --variant {variant}"]
     if trial.training_seed:
         words.append(f"--seed {trial.training_seed}")
     if trial.attempts != ATTEMPTS:

@@ -30,7 +30,7 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     order = [(suite, study.name) for suite, make in SUITES.items() for study in make(Scale())]
     results = []
     if not folder.is_dir():
-        raise ConfigError(f"{folder} is not a folder", "one that `evaluate.py --suite` made")
+        raise ConfigError(f"{folder} is not a folder", "one that `cluttergen evaluate --suite` made")
     for path in sorted(folder.glob("*.json")):
         try:
             result = json.loads(path.read_text(encoding="utf-8"))

@@ -14,6 +14,7 @@ from cluttergen_jax.assets.object_files import NAME_PATTERN
 from cluttergen_jax.assets.pool import ALL, EMBEDDED, Pool, read_pool, user_root, write_pool
 from cluttergen_jax.assets.readers import Source, find_sources, ycb_sources
 from cluttergen_jax.assets.readers.source import named_apart
+from cluttergen_jax.config import check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.processes import run_all
@@ -37,6 +38,9 @@ class ImportConfig:
     jobs: int = 0
     force: bool = False
     progress: bool = True
+
+    def __post_init__(self) -> None:
+        check_workers("--jobs", self.jobs)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.assets.readers import ReadOptions, Source, read_shape
+from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.solo import NUM_TRIALS, measured_object
@@ -25,6 +26,9 @@ class ObjectConfig:
     read: ReadOptions = field(default_factory=ReadOptions)
     body: BodyConfig = field(default_factory=BodyConfig)
     trials: int = NUM_TRIALS
+
+    def __post_init__(self) -> None:
+        check_positive(self, "trials")
 
 
 @dataclass(frozen=True)

@@ -62,11 +62,24 @@ def each_scene(function: Callable[[int], Result], num_scenes: int, num_threads: 
             return list(pool.map(function, range(num_scenes)))
 
 
-def no_movement(is_placed: np.ndarray, seconds: Sequence[float]) -> Movement:
-    """A movement of zeros, for bool[N, K] and horizons in seconds, which have to ascend from above zero."""
+def horizons_of(seconds: Sequence[float]) -> np.ndarray:
+    """Horizons in seconds as f64[H].
+
+    Raises:
+      ConfigError: they are not finite, or do not ascend from above zero.
+    """
     horizons = np.asarray(seconds, np.float64)
-    if horizons.ndim != 1 or not len(horizons) or (np.diff(horizons, prepend=0.0) <= 0).any():
-        raise ConfigError(f"horizons of {seconds} s", "ascending times above zero", "(1.0, 10.0, 60.0)")
+    is_good = horizons.ndim == 1 and len(horizons) > 0 and bool(np.isfinite(horizons).all())
+    if not (is_good and (np.diff(horizons, prepend=0.0) > 0).all()):
+        raise ConfigError(
+            f"horizons of {seconds} s", "finite, ascending times above zero", "(1.0, 10.0, 60.0)"
+        )
+    return horizons
+
+
+def no_movement(is_placed: np.ndarray, seconds: Sequence[float]) -> Movement:
+    """A movement of zeros, for bool[N, K] and horizons in seconds; see `horizons_of`."""
+    horizons = horizons_of(seconds)
     shape = (len(is_placed), len(horizons), is_placed.shape[1])
     return Movement(horizons, np.zeros(shape), np.zeros(shape))
 
@@ -87,7 +100,7 @@ def movement(
       seconds: horizons, ascending.
 
     Raises:
-      ConfigError: the arrays are not scenes of the world, or the horizons do not ascend from above zero.
+      ConfigError: the arrays are not scenes of the world, or `horizons_of` refuses the horizons.
     """
     models.check(poses, is_placed)
     poses, is_placed = np.asarray(poses, np.float64), np.asarray(is_placed, bool)

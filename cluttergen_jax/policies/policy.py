@@ -47,7 +47,7 @@ def find_policy(variant: str, pool: str) -> Path:
     raise PoolError(
         f"no checkpoint for method {variant!r} on pool {pool!r}",
         ", ".join(policies) or "none is embedded",
-        f"python train.py --pool {pool} --variant {variant}, then --checkpoint runs/{name}-0/policy",
+        f"cluttergen train --pool {pool} --variant {variant}, then --checkpoint runs/{name}-0/policy",
     )
 
 
@@ -129,7 +129,7 @@ def _settings_of(path: Path, record: dict[str, Any]) -> tuple[NetworkConfig | Ra
     except (KeyError, TypeError) as error:
         raise PoolError(
             f"{path / 'record.json'} does not say what network it holds ({error})",
-            hint="a policy that `python train.py` of this version left",
+            hint="a policy that `cluttergen train` of this version left",
         ) from error
 
 
@@ -140,7 +140,7 @@ def _check_history(trained: dict[str, Any], rules: Rules) -> None:
         raise ConfigError(
             f"max_attempts = {rules.config.max_attempts} with a policy trained with {most}",
             f"1 to {most}",
-            f"python train.py --attempts {rules.config.max_attempts}",
+            f"cluttergen train --attempts {rules.config.max_attempts}",
         )
     if rules.config.history_stride != stride:
         raise ConfigError(

@@ -48,8 +48,8 @@ def make_sampler(
       pool: a pool's name or folder.
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
       num_objects: objects per scene, 1 to 40; all of the pool's (40 at most) if not given.
-      method: "random", "clear", "drop", or a trained policy. If not given: "policy" where a checkpoint is
-        given or embedded for the pool, else "clear".
+      method: "random", "clear", "drop", or a trained policy. If not given: the checkpoint's own; else
+        "policy" where a good one is embedded for this pool, support and number of objects, else "clear".
       checkpoint: a policy's folder, such as `cluttergen train` leaves; the embedded one if not given.
       max_retries: a scene that fails is drawn again up to so often, inside the compiled code, until one
         passes; 0 to 10,000.
@@ -75,10 +75,10 @@ def make_sampler(
         raise ConfigError(f"max_retries = {max_retries}", f"0 to {MAX_RETRIES}", "max_retries=5")
     ObservationConfig(num_scene_points=num_scene_points)
     pool, given = str(pool), None if checkpoint is None else str(checkpoint)
-    method = method or default_method(pool, given)
-    policy = checkpoint_of(method, pool, given)
     if num_objects is None:
         num_objects = min(len(objects) or len(find_pool(pool)), MAX_SLOTS)
+    method = method or default_method(pool, str(support), num_objects, given)
+    policy = checkpoint_of(method, pool, given)
     placement = PlacementConfig(
         num_objects=num_objects, max_attempts=max_attempts, containment=containment, order=order
     )

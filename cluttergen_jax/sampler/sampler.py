@@ -62,17 +62,22 @@ class Sampler:
           key: one PRNG key, consumed. `jax.random.fold_in(jax.random.key(seed), i)` makes scene i of the bank
             that `cluttergen generate --seed` writes with the same settings.
           region: a queried region on the same support, no larger than the sampler's own
-            (`placement.region.make_region`). Where it is traced and its size unknown, scenes in a larger one
-            do not count as successes.
+            (`placement.region.make_region`), its sides compared one by one, along its own axes.
           keep_out: where no object may come to lie.
           start: what stands there already: objects of this sampler's world, no more than it was made for.
 
+        A region or a start that does not fit is refused where it is known. Where it is traced, the scene is
+        no success, its verdict is OUTSIDE, and it is not drawn again.
+
         Raises:
-          ConfigError: `key` is not one key, or the region is empty, not finite or too large.
+          ConfigError: `key` is not one key, the region is empty, not finite or too large, or too many objects
+            stand there already.
         """
         _check_key(key)
         rules = self.problem.rules
         fits = jnp.bool_(True) if region is None else _fits(region, rules.region)
+        if start is not None:
+            fits &= _has_room(start, rules.num_started)
         begin = partial(
             rules.begin,
             region=region,
@@ -84,7 +89,7 @@ class Sampler:
             episode, num_draws = self.steps.step_one(drawing.episode), drawing.num_draws
             if not self.max_retries:
                 return drawing.replace(episode=episode)
-            again = episode.is_over & ~episode.is_success & (num_draws <= self.max_retries)
+            again = fits & episode.is_over & ~episode.is_success & (num_draws <= self.max_retries)
             # The key of an episode that is over has not been used.
             fresh = begin(episode.key)
             episode = jax.tree.map(lambda new, old: jnp.where(again, new, old), fresh, episode)
@@ -93,7 +98,10 @@ class Sampler:
         first = _Drawing(begin(key), jnp.int32(1))
         last = jax.lax.while_loop(lambda drawing: ~drawing.episode.is_over, advance, first)
         scene = sampled_scene(rules, last.episode, last.num_draws, self.num_scene_points)
-        return scene.replace(is_success=scene.is_success & fits)
+        return scene.replace(
+            is_success=scene.is_success & fits,
+            verdict=jnp.where(fits, scene.verdict, int(Verdict.OUTSIDE)),
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -105,8 +113,15 @@ class Sampler:
 
         Args:
           sampled: a scene without leading axes, or a batch with one, of which number `index` is taken.
+
+        Raises:
+          ConfigError: the batch has no such scene, or more than one leading axis.
         """
-        if np.ndim(sampled.is_success):
+        shape = np.shape(sampled.is_success)
+        if len(shape) > 1 or not 0 <= index < (shape[0] if shape else 1):
+            allowed = f"0 to {shape[0] - 1}" if len(shape) == 1 else "0" if not shape else "one leading axis"
+            raise ConfigError(f"scene {index} of scenes of shape {shape}", allowed)
+        if shape:
             sampled = jax.tree.map(lambda leaf: leaf[index], sampled)
         world, config = self.problem.world, self.problem.config
         placed = np.asarray(sampled.is_placed)
@@ -130,14 +145,28 @@ class Sampler:
 
 def _fits(region: Region, usual: Region) -> Array:
     """bool: the region is one that was asked for when the world was compiled; if that is known, it is so."""
-    half = region.half_extents
-    fits = jnp.all((half > 0) & (half <= usual.half_extents + 1e-6))
+    half, place = region.half_extents, region.T_world_region.wxyz_xyz
+    fits = jnp.all((half > 0) & (half <= usual.half_extents + 1e-6)) & jnp.all(jnp.isfinite(place))
     if not isinstance(fits, jax.core.Tracer) and not fits:
         raise ConfigError(
-            f"a region of {2 * half[0]:g} x {2 * half[1]:g} m",
-            f"sides up to those of the sampler's own, "
-            f"{2 * usual.half_extents[0]:g} x {2 * usual.half_extents[1]:g} m",
+            f"a region of {2 * half[0]:g} x {2 * half[1]:g} m about ({place[4]:g}, {place[5]:g})",
+            f"a finite place, and sides up to those of the sampler's own, "
+            f"{2 * usual.half_extents[0]:g} x {2 * usual.half_extents[1]:g} m, "
+            "compared one by one along the region's own axes",
             "make_sampler(region=...) with the largest that will be asked for",
+        )
+    return fits
+
+
+def _has_room(start: Start, most: int) -> Array:
+    """bool: no more objects stand there than the sampler was made for; if their number is known, it is so."""
+    number = start.is_placed.sum()
+    fits = number <= most
+    if not isinstance(fits, jax.core.Tracer) and not fits:
+        raise ConfigError(
+            f"a start of {number} objects",
+            f"up to {most}, as the sampler was made",
+            "make_sampler(start=...)",
         )
     return fits
 

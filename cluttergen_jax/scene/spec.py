@@ -92,11 +92,16 @@ def attach_to(
       support: whether the support comes along.
 
     Raises:
-      ConfigError: the model has something of that name already, or the quaternion is not of unit length.
+      ConfigError: the scene has no objects, the model has something of that name already, the position is not
+        finite, or the quaternion is not of unit length.
     """
+    if not scene.names:
+        raise ConfigError("a scene without objects", "at least one", "a scene that stands")
     turn = np.array(quaternion, np.float64)
-    if abs(np.linalg.norm(turn) - 1) > 1e-6:
-        raise ConfigError(f"quaternion {tuple(quaternion)}", "unit length, wxyz")
+    if turn.shape != (4,) or not abs(np.linalg.norm(turn) - 1) <= 1e-6:
+        raise ConfigError(f"quaternion {tuple(quaternion)}", "four numbers of unit length, wxyz")
+    if np.shape(position) != (3,) or not np.isfinite(position).all():
+        raise ConfigError(f"position {tuple(position)}", "three finite numbers, metres")
     taken = {body.name for body in spec.bodies} & {prefix + name for name in (*scene.names, "support")}
     if taken:
         raise ConfigError(

@@ -121,7 +121,8 @@ def _support(
     level = level[np.abs(level[:, 2] - top) < _FLAT]
     outline = level if len(level) > 2 else standing
     low, high = outline[:, :2].min(0), outline[:, :2].max(0)
-    center, half = (low + high) / 2, (high - low) / 2
+    # What stands on an edge leaves no area to be seen.
+    center, half = (low + high) / 2, np.maximum((high - low) / 2, _FLAT)
     region = Rectangle((float(center[0]), float(center[1])), (float(half[0]), float(half[1])))
     return SupportAsset("support", "support", (), top, region, provenance, pieces)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from cluttergen_jax.assets.shape import Provenance
+from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import AssetError
 
 # In order of preference where a folder offers one object in several formats.
@@ -36,6 +37,11 @@ class ReadOptions:
     up: str = "auto"
     density: float = 500.0
     mass: float | None = None
+
+    def __post_init__(self) -> None:
+        check_positive(self, "scale", "density")
+        if self.mass is not None:
+            check_positive(self, "mass")
 
 
 @dataclass(frozen=True)
