@@ -37,7 +37,7 @@ def make_meshes(folder: Path) -> None:
 #     cluttergen import my_meshes/ --pool my_pool
 #     cluttergen inspect my_pool --out my_pool.png
 #
-# Your own table too: `cluttergen import --support my_table.obj`, then `--support my_table` where one is named.
+# Your own table too: `cluttergen import --support my_table.obj`, then `--support my_table`.
 
 # %%
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ FLOORS = {
     "errors": 0,
     "types": 0,
     "config": 0,
+    "files": 0,
     "assets": 1,
     "physics": 1,
     "networks": 1,

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from cluttergen_jax.errors import PoolError
+from cluttergen_jax.files import folder_whole, put_back, write_atomically
 
 FORMAT = 1
 _CRITIC = ("params/critic/", "params/value/")
@@ -52,33 +51,17 @@ def _restored(stored: dict[str, Any], like: Any) -> Any:
     return jax.tree.unflatten(structure, leaves)
 
 
-def write_whole(path: Path, data: bytes) -> None:
-    """Writes a file so that it is there whole or not at all."""
-    fresh = path.with_name(f".{path.name}.partial")
-    fresh.write_bytes(data)
-    os.replace(fresh, path)
-
-
 def save_state(path: Path, state: Any, record: dict[str, Any]) -> None:
     """Stores a pytree of arrays and a JSON record as one folder, whole or not at all."""
-    fresh = path.with_name(f".{path.name}.partial").absolute()
-    shutil.rmtree(fresh, ignore_errors=True)
-    with _checkpointer() as checkpointer:
-        checkpointer.save(fresh / "state", _stored(state))
-    (fresh / "record.json").write_text(json.dumps({"format": FORMAT, **record}, indent=1) + "\n")
-    aside = path.with_name(f".{path.name}.old")
-    shutil.rmtree(aside, ignore_errors=True)
-    if path.exists():
-        os.rename(path, aside)
-    os.rename(fresh, path)
-    shutil.rmtree(aside, ignore_errors=True)
+    with folder_whole(path.absolute(), is_only_writer=True) as fresh:
+        with _checkpointer() as checkpointer:
+            checkpointer.save(fresh / "state", _stored(state))
+        (fresh / "record.json").write_text(json.dumps({"format": FORMAT, **record}, indent=1) + "\n")
 
 
 def has_state(path: Path) -> bool:
     """Whether a state is stored there; one whose replacement was interrupted is put back first."""
-    aside = path.with_name(f".{path.name}.old")
-    if not path.exists() and aside.exists():
-        os.rename(aside, path)
+    put_back(path)
     return path.exists()
 
 
@@ -91,7 +74,7 @@ def read_record(path: Path) -> dict[str, Any]:
     try:
         record = json.loads((path / "record.json").read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise PoolError(f"{path} is not a checkpoint ({error})", hint="python train.py makes one") from error
+        raise PoolError(f"{path} is not a checkpoint ({error})", hint="cluttergen train makes one") from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PoolError(f"{path} is not a checkpoint of format {FORMAT}")
     return record
@@ -116,8 +99,10 @@ def save_policy(path: Path, params: Any, record: dict[str, Any]) -> None:
     }
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **weights)  # type: ignore[arg-type]
-    write_whole(path / "weights.npz", buffer.getvalue())
-    write_whole(path / "record.json", (json.dumps({"format": FORMAT, **record}, indent=1) + "\n").encode())
+    write_atomically(path / "weights.npz", buffer.getvalue())
+    write_atomically(
+        path / "record.json", (json.dumps({"format": FORMAT, **record}, indent=1) + "\n").encode()
+    )
 
 
 def read_policy(path: Path, like: Any) -> Any:

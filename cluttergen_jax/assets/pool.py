@@ -10,8 +10,6 @@ import hashlib
 import importlib.resources
 import json
 import os
-import shutil
-import tempfile
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +18,7 @@ from typing import Any
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import PoolError
+from cluttergen_jax.files import folder_whole
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
 ALL = "all"
@@ -84,28 +83,12 @@ def write_pool(path: str | Path, pool: Pool, *, overwrite: bool = False) -> Path
     path = Path(path)
     if path.exists() and not (overwrite and (path / _INDEX).is_file()):
         raise PoolError(f"{path} exists", "a new folder" if not overwrite else "a new folder or a pool's")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    fresh = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-    try:
+    with folder_whole(path) as fresh:
+        fresh.mkdir()
         for asset in pool.objects:
             write_object(fresh / asset.name, asset)
         (fresh / _INDEX).write_text(json.dumps(_index(pool), indent=1) + "\n", encoding="utf-8")
-        fresh.chmod(0o755)
-        _swap(fresh, path)
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
     return path
-
-
-def _swap(fresh: Path, path: Path) -> None:
-    """Puts `fresh` where `path` is, and `path`, if it exists, where `fresh` was."""
-    if not path.exists():
-        os.rename(fresh, path)
-        return
-    aside = fresh.with_name(fresh.name + "-old")
-    os.rename(path, aside)
-    os.rename(fresh, path)
-    shutil.rmtree(aside, ignore_errors=True)
 
 
 def _index(pool: Pool) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import tempfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from cluttergen_jax.assets.pool import embedded_root, user_root
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
 from cluttergen_jax.errors import PoolError
+from cluttergen_jax.files import folder_whole
 
 FORMAT = 1
 _RECORD = "support.json"
@@ -40,22 +40,11 @@ def write_support(folder: str | Path, support: SupportAsset, *, overwrite: bool 
         raise PoolError(f"a support called {support.name!r}", "names of a-z, 0-9, '_' and '-'")
     if folder.exists() and not (overwrite and (folder / _RECORD).is_file()):
         raise PoolError(f"{folder} exists", "a support's folder" if overwrite else "a new folder")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as scratch:
-        fresh = Path(scratch) / "fresh"
+    with folder_whole(folder) as fresh:
         fresh.mkdir()
         for index, piece in enumerate(support.pieces):
             (fresh / f"visual-{index}.obj").write_text(_obj_text(piece.mesh), encoding="ascii")
         (fresh / _RECORD).write_text(json.dumps(_record(support), indent=1) + "\n", encoding="utf-8")
-        old = Path(scratch) / "old"
-        if folder.exists():
-            folder.rename(old)
-        try:
-            fresh.rename(folder)
-        except OSError:
-            if old.exists():
-                old.rename(folder)
-            raise
     return folder
 
 

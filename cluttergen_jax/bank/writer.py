@@ -6,7 +6,6 @@ import io
 import json
 import shutil
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -30,9 +29,10 @@ from cluttergen_jax.bank.bank import (
     recovered_record,
     with_record,
 )
-from cluttergen_jax.bank.disk import PARTIAL, fill_atomically, remove_partial, write_atomically, writing
+from cluttergen_jax.bank.disk import remove_partial, writing
 from cluttergen_jax.bank.lock import LOCK, BankLock
 from cluttergen_jax.errors import BankError, ClutterGenError
+from cluttergen_jax.files import PARTIAL, folder_whole, write_atomically
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 
 
@@ -151,9 +151,11 @@ class BankWriter:
         for name, asset in objects.items():
             folder = root / "objects" / name
             if not _is_sound(folder, asset, hashes["objects"][name]):
-                fill_atomically(folder, partial(_write_object, asset))
+                with folder_whole(folder, is_only_writer=True) as fresh:
+                    _write_object(asset, fresh)
         if _stored_support(root / "support") != hashes["support"]:
-            fill_atomically(root / "support", partial(write_support, support=support))
+            with folder_whole(root / "support", is_only_writer=True) as fresh:
+                write_support(fresh, support)
 
 
 def write_rows(path: Path, block: int, table: pa.Table, record: dict[str, Any]) -> None:

@@ -10,9 +10,6 @@ from __future__ import annotations
 
 import importlib.resources
 import json
-import os
-import shutil
-import tempfile
 from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -31,6 +28,7 @@ from cluttergen_jax.export.manifest import (
     scene_record,
 )
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, object_folder
+from cluttergen_jax.files import folder_whole
 from cluttergen_jax.scene import Scene
 
 
@@ -54,14 +52,8 @@ def export_scenes(
     """
     kind, out = find_format(format), Path(out)
     _check_place(out, overwrite)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    fresh = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    try:
+    with folder_whole(out) as fresh:
         _Folder(fresh, kind).write(scenes)
-        fresh.chmod(0o755)
-        _swap(fresh, out)
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
     return out
 
 
@@ -78,14 +70,6 @@ def _check_place(out: Path, overwrite: bool) -> None:
         )
 
 
-def _swap(fresh: Path, out: Path) -> None:
-    aside = fresh.with_name(fresh.name + "-old")
-    if out.exists():
-        os.rename(out, aside)
-    os.rename(fresh, out)
-    shutil.rmtree(aside, ignore_errors=True)
-
-
 class _Folder:
     """The folder while it grows."""
 
@@ -97,7 +81,7 @@ class _Folder:
 
     def write(self, scenes: Iterable[Scene]) -> None:
         """Writes everything."""
-        (self._path / "scenes").mkdir()
+        (self._path / "scenes").mkdir(parents=True)
         for scene in scenes:
             self._add(scene)
         if self._first is None:

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.render.files import written_whole
+from cluttergen_jax.files import file_whole
 
 _GAP = 8
 _CAPTION_HEIGHT = 24
@@ -70,6 +70,6 @@ def contact_sheet(
 
 def save_png(image: np.ndarray, path: str | os.PathLike[str]) -> Path:
     """Writes uint8[H, W, 3] as a PNG; the file appears whole or not at all. Folders are made as needed."""
-    with written_whole(path) as fresh:
+    with file_whole(path) as fresh:
         Image.fromarray(np.ascontiguousarray(image)).save(fresh, format="PNG")
     return Path(path)

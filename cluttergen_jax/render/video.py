@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from cluttergen_jax.errors import ClutterGenError, ConfigError, MissingExtraError
-from cluttergen_jax.render.files import written_whole
+from cluttergen_jax.files import file_whole
 
 FORMATS = ("gif", "mp4")
 
@@ -56,7 +56,7 @@ def save_film(frames: Iterable[np.ndarray], path: Path, fps: float) -> Path:
     name = path.suffix.removeprefix(".")
     check_format(name)
     write: Callable[[Iterable[np.ndarray], Path, float], None] = _write_gif if name == "gif" else _write_mp4
-    with written_whole(path) as fresh:
+    with file_whole(path) as fresh:
         write(frames, fresh, fps)
     return path
 
@@ -64,7 +64,7 @@ def save_film(frames: Iterable[np.ndarray], path: Path, fps: float) -> Path:
 def _write_gif(frames: Iterable[np.ndarray], path: Path, fps: float) -> None:
     hundredths = round(100 / fps)
     if hundredths < 2:
-        raise ConfigError(f"a GIF of {fps:g} frames per second", "50 at most", "--fps 20, or --format mp4")
+        raise ConfigError(f"a GIF of {fps:g} frames per second", "50 at most", "--fps 20, or --film mp4")
     images = [Image.fromarray(frame) for frame in frames]
     if not images:
         raise ConfigError("a film without frames", "at least one")

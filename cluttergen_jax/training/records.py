@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from cluttergen_jax.agent.checkpoint import write_whole
+from cluttergen_jax.files import write_atomically
 
 Row = dict[str, float]
 
@@ -60,7 +60,7 @@ class Records:
             writer = csv.DictWriter(text, fieldnames=list(self.rows[0]))
             writer.writeheader()
             writer.writerows(self.rows)
-        write_whole(self.path, text.getvalue().encode())
+        write_atomically(self.path, text.getvalue().encode())
 
 
 class TensorBoard:
@@ -123,7 +123,7 @@ def draw_curve(rows: list[Row], path: Path, title: str, evaluations: Sequence[Ro
     FigureCanvasAgg(figure)
     picture = io.BytesIO()
     figure.savefig(picture, dpi=120)
-    write_whole(path, picture.getvalue())
+    write_atomically(path, picture.getvalue())
 
 
 def _draw_evaluations(axis: Any, evaluations: Sequence[Row]) -> None:
