@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -35,3 +36,17 @@ def test_wheel_generates_outside_the_checkout(tmp_path):
     )
     run(cluttergen, "generate", "-n", "1", "--method", "clear", "--out", "bank", "--no-render", cwd=tmp_path)
     assert "1 of 1 scenes stand" in run(cluttergen, "verify", "bank", cwd=tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_source_distribution_carries_what_the_documents_speak_of(tmp_path):
+    run(sys.executable, "-m", "build", "--sdist", "--outdir", tmp_path, ROOT, cwd=tmp_path)
+    (sdist,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        held = {name.partition("/")[2] for name in archive.getnames()}
+    for path in ROOT.iterdir():
+        if path.suffix in (".md", ".cff", ".py"):
+            assert path.name in held
+    for folder, kind in (("docs", "*"), ("examples", "*.py"), ("benchmarks", "*.py"), ("tests", "*.py")):
+        assert {str(path.relative_to(ROOT)) for path in (ROOT / folder).glob(kind) if path.is_file()} <= held
