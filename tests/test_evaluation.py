@@ -290,7 +290,9 @@ def test_missing_checkpoints_are_rows_of_their_own(lab, tmp_path):
     assert "no checkpoint" in record["missing"]
     assert record["hint"] == "cluttergen train --pool study --variant policy --seed 41"
     other = dataclasses.replace(trial, training_seed=0, attempts=3)
-    assert "--attempts 3 --out runs/study-policy-attempts3-0" in lab.record(other)["hint"]
+    # A folder of runs hides what is embedded.
+    elsewhere = Lab(Store(tmp_path / "runs"), Checkpoints(folder=tmp_path))
+    assert "--attempts 3 --out runs/study-policy-attempts3-0" in elsewhere.record(other)["hint"]
     # A given checkpoint is no other method's.
     given = Lab(Store(tmp_path / "given"), Checkpoints(path=list_policies()["dining-normal"]))
     assert given.checkpoints.find(dataclasses.replace(SMALL, method="policy-clear")) is not None
