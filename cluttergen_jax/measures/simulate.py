@@ -48,7 +48,7 @@ class Movement:
         return self.turn.max(-1, initial=0.0)
 
     def survives(self, max_shift: float = MAX_SHIFT, max_turn: float = MAX_TURN) -> np.ndarray:
-        """bool[N, H]: nothing went farther than metres and radians allow (contract: 5 mm, 5 deg)."""
+        """bool[N, H]: nothing went farther than metres and radians allow (docs/contract.md: 5 mm, 5 deg)."""
         return (self.largest_shift <= max_shift) & (self.largest_turn <= max_turn)
 
 

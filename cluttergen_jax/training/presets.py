@@ -28,7 +28,7 @@ _TUNED = NetworkConfig(head="mixture", height_precision=20_000.0)
 
 
 def _training_stability(stop_when_decided: bool) -> StabilityConfig:
-    """In training the awake stage of 60 steps suffices as the last check (contract.md)."""
+    """In training the awake stage of 60 steps suffices as the last check (docs/contract.md)."""
     stability = StabilityConfig(stop_when_decided=stop_when_decided)
     return replace(stability, stand_full_steps=stability.stand_steps)
 
