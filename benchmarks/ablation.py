@@ -43,13 +43,11 @@ ROWS = (
         "preset",
         "preset `cpu`: mixture of Betas over 20 x 20 cells and 8 turns that sees the room for the object",
     ),
-    Row("blind", "it does not see the room, only heights", network={"room": False}),
+    Row("blind", "it is told of heights alone", network={"room": False}),
     Row("beta", "one Beta a coordinate (the paper's head), z about rest on the bare top", variant="beta"),
     Row("normal", "one truncated normal a coordinate, z about rest on the bare top", variant="normal"),
     Row("open_loop", "no history", variant="open_loop"),
-    Row("slow", "learning rate 0.0003, not 0.001", ppo={"learning_rate": 3e-4}),
     Row("narrow", "a fifth of the entropy bonus", ppo={"entropy_cost": 0.002}),
-    Row("far", "discount 0.97, not 0.9", ppo={"discount": 0.97}),
 )
 
 
