@@ -46,20 +46,17 @@ def card(record: dict[str, Any], rows: list[dict[str, float]]) -> str:
     success = f"{found['success']:.3f} [{found['low95']:.3f}, {found['high95']:.3f}]"
     return f"""# {name_of(record)}
 
-A placement policy of cluttergen_jax (variant `{record["variant"]}`, preset `{record["preset"]}`) for pool
-`{record["pool"]}`: {placement["num_objects"]} objects on `{record["support"]}`, {placement["max_attempts"]}
-attempts each.
+A placement policy of cluttergen_jax (variant `{record["variant"]}`, preset `{record["preset"]}`).
 
+- For pool `{record["pool"]}`: {placement["num_objects"]} objects on `{record["support"]}`,
+  {placement["max_attempts"]} attempts each; on other pools it is untested
 - Made by `{command_of(record)}`
-- {rows[-1]["attempts"]:,.0f} attempts in {seconds / 60:.0f} minutes, compilation not counted, on two cores
-  that other work shared
-- Success with the whole last check: {success} of {found["episodes"]} fresh episodes, action
-  {found["action"]}
+- {rows[-1]["attempts"]:,.0f} attempts in {seconds / 60:.0f} minutes, compilation not counted,
+  on two cores that other work shared
+- Success with the whole last check: {success} of {found["episodes"]} fresh episodes, action {found["action"]}
 - Trained with {versions}
-- `weights.npz`: what acting needs, half precision; `record.json`: every setting; `curve.png`: its learning
-  curve
-
-It has seen the objects of this pool only; on others it is untested.
+- `weights.npz`: what acting needs, half precision; `record.json`: every setting; `curve.png`: its
+  learning curve
 """
 
 
