@@ -136,8 +136,8 @@ def test_an_interrupted_import_leaves_nothing_half_written(tree, home, here):
     while time.time() < deadline and not list((home / "cache").glob("[0-9a-f]*")):
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
-    process.communicate(timeout=60)
-    assert process.returncode == 130
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130, said.decode()
     assert not (home / "pools" / "mine").exists()
     report = import_sources([tree], "mine", QUICK)
     assert 1 <= report.num_cached <= 4

@@ -130,7 +130,7 @@ def test_live_source_takes_the_embedded_policy():
     live = LiveSource(LiveConfig(method="policy", num_objects=2))
     assert live.methods[0] == "policy"
     with pytest.raises(PoolError, match="no checkpoint"):
-        LiveSource(LiveConfig(method="open_loop", num_objects=2))
+        LiveSource(LiveConfig(method="beta", num_objects=2))
 
 
 def test_scenes_to_draw(source):

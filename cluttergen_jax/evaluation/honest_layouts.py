@@ -24,13 +24,13 @@ def density(result: Result) -> list[Table]:
         "simulated steps per valid scene",
         "valid scenes per CPU-second",
     )
-    rows = []
+    rows, lacking = [], []
     for record in result["records"]:
         trial = record["trial"]
-        head = (trial["pool"], rung_of(trial), trial["method"])
         if "figures" not in record:
-            rows.append((*head, missing(record), "-", "-", "-", "-"))
+            lacking.append(record)
             continue
+        head = (trial["pool"], rung_of(trial), trial["method"])
         figures = record["figures"]
         rows.append(
             (
@@ -48,6 +48,7 @@ def density(result: Result) -> list[Table]:
         "can fall",
         "per valid scene: all attempts and steps of the row, rejected scenes included; speeds leave "
         "compilation out",
+        *dict.fromkeys(map(missing, lacking)),
     )
     return [Table(result["title"], columns, tuple(rows), notes)]
 
