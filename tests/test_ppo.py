@@ -69,6 +69,7 @@ def equal(one, two) -> bool:
     return all(np.array_equal(data(a), data(b)) for a, b in pairs)
 
 
+@pytest.mark.slow
 def test_resumed_run_is_the_same_run_bit_for_bit(tmp_path):
     ppo = learner(Bandit())
     whole, half = train(ppo, 6), train(ppo, 3)

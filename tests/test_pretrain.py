@@ -136,6 +136,7 @@ def test_weights_end_up_in_both_networks(trained):
     np.testing.assert_array_equal(filled["actor"], params["params"]["actor"])
 
 
+@pytest.mark.slow
 def test_a_run_begins_and_ends_with_frozen_weights(trained, tmp_path):
     small = NetworkConfig(object_points=8, scene_points=64, history_width=8, num_layers=1, width=8)
     network = choose_encoder(small, "pointnet", str(trained[0]), True)

@@ -102,6 +102,7 @@ def test_env_takes_the_chosen_candidate(rules, search):
     assert env.observation_size == jax.tree.map(lambda leaf: leaf.shape, state.obs)
 
 
+@pytest.mark.slow
 def test_learning_changes_the_order(rules, search):
     learner = make_task(rules, CONFIG).learner
     env = RankingEnv(PlacementEnv(rules), search)

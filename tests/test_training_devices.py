@@ -44,6 +44,7 @@ def free_port() -> int:
         return listener.getsockname()[1]
 
 
+@pytest.mark.slow
 def test_two_devices_train_like_one():
     finish(start("probe", devices=2))
 
