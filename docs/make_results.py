@@ -1,4 +1,4 @@
-"""Writes docs/results.md from the JSON files in docs/results.
+"""Writes docs/results.md from the JSON files in docs/results, and docs/missed.md below them.
 
 python docs/make_results.py                          from what is there
 python docs/make_results.py out/paper out/honest     after taking over what those suites made
@@ -15,6 +15,7 @@ from cluttergen_jax.evaluation.report import shown_pictures
 
 HERE = Path(__file__).parent
 FOLDER, PAGE = HERE / "results", HERE / "results.md"
+NOTES = HERE / "missed.md"
 
 
 def take_over(folder: Path) -> None:
@@ -30,7 +31,7 @@ def main() -> None:
     for folder in sys.argv[1:]:
         take_over(Path(folder))
     results = read_results(FOLDER)
-    PAGE.write_text(document(results), encoding="utf-8")
+    PAGE.write_text(document(results, NOTES.read_text(encoding="utf-8")), encoding="utf-8")
     print(f"{PAGE}: {len(results)} studies")
 
 

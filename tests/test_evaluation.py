@@ -433,7 +433,9 @@ def test_tables_refuse_ragged_rows():
 
 
 def test_results_page_agrees_with_its_json():
-    assert (DOCS / "results.md").read_text(encoding="utf-8") == document(read_results(DOCS / "results"))
+    results, notes = read_results(DOCS / "results"), (DOCS / "missed.md").read_text(encoding="utf-8")
+    assert len(results) > 5
+    assert (DOCS / "results.md").read_text(encoding="utf-8") == document(results, notes)
 
 
 def test_damaged_results_are_named(tmp_path):

@@ -43,11 +43,11 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     return sorted(known, key=lambda result: order.index((result["suite"], result["name"])))
 
 
-def document(results: list[dict[str, Any]], link: str = "results/") -> str:
-    """The whole page."""
+def document(results: list[dict[str, Any]], notes: str = "", link: str = "results/") -> str:
+    """The whole page; `notes`, Markdown, stand at its end."""
     parts = [_INTRODUCTION]
     for suite in SUITES:
         of_suite = [result for result in results if result["suite"] == suite]
         if of_suite:
             parts += [f"## {_HEADINGS[suite]}\n", *(markdown(result, 3, link) for result in of_suite)]
-    return "\n".join(parts)
+    return "\n".join([*parts, notes] if notes else parts)
