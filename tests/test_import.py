@@ -131,6 +131,8 @@ def test_an_interrupted_import_leaves_nothing_half_written(tree, home, here):
         [sys.executable, "-c", code, "import", str(tree), "--pool", "mine", "--jobs", "1", "--trials", "8"],
         start_new_session=True,
         stderr=subprocess.PIPE,
+        # Ctrl-C is ignored in what a shell runs in its background, and children inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     deadline = time.time() + 120
     while time.time() < deadline and not list((home / "cache").glob("[0-9a-f]*")):
