@@ -12,7 +12,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.checkpoints import MissingCheckpointError
 from cluttergen_jax.evaluation.episodes import width_of
 from cluttergen_jax.evaluation.lab import Lab
-from cluttergen_jax.evaluation.plots import LABELS, colour, grid, plan_view, prepare, save
+from cluttergen_jax.evaluation.plots import LABELS, add_legend, colour, grid, plan_view, prepare, save
 from cluttergen_jax.evaluation.record import LEAST_ATTEMPTS
 from cluttergen_jax.evaluation.scenes import Successes, successes_of
 from cluttergen_jax.evaluation.suites import Study
@@ -103,7 +103,7 @@ def learning_curves(lab: Lab, study: Study, stem: Path) -> tuple[list[dict], lis
     for axis, pool in zip(axes, pools, strict=True):
         prepare(axis, pool, "attempts (thousands)", "success while training")
         axis.set_ylim(0, 1.03)
-        axis.legend(fontsize=7)
+    add_legend(figure)
     return rows, save(figure, stem), notes
 
 

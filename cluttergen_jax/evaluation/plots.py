@@ -27,6 +27,9 @@ COLOURS = {
 }
 """Of methods, the same in every plot."""
 
+_FEWEST = 5
+_APART = 0.04
+
 LABELS = {"random": "random (RRS)", "beta": "beta (the paper's)"}
 
 
@@ -66,6 +69,17 @@ def prepare(axis: Any, title: str, x: str, y: str = "") -> None:
     axis.set_ylabel(y, fontsize=8)
     axis.tick_params(labelsize=7)
     axis.grid(alpha=0.25, linewidth=0.6)
+
+
+def add_legend(figure: Any) -> None:
+    """One legend beside all panels, in the order of `COLOURS`; a panel may lack some of its lines."""
+    lines: dict[str, Any] = {}
+    for axis in figure.axes:
+        handles, labels = axis.get_legend_handles_labels()
+        lines |= {label: handle for label, handle in zip(labels, handles, strict=True) if label not in lines}
+    ranks = [LABELS.get(method, method) for method in COLOURS]
+    labels = sorted(lines, key=ranks.index)
+    figure.legend([lines[label] for label in labels], labels, fontsize=7, loc="outside right center")
 
 
 def grid(number: int, columns: int, width: float, height: float) -> tuple[Any, list[Any]]:
@@ -111,7 +125,7 @@ def fig1a(records: Sequence[dict], stem: Path) -> list[str]:
                 )
         prepare(axis, pool, "objects", "success")
         axis.set_ylim(-0.03, 1.03)
-    axes[0].legend(fontsize=7)
+    add_legend(figure)
     return save(figure, stem)
 
 
@@ -126,12 +140,14 @@ def at_least(histogram: Sequence[int]) -> list[float]:
 
 
 def steps_by_attempt(records: Sequence[dict], stem: Path) -> list[str]:
-    """Mean steps of each attempt with its standard error, a panel for each pool."""
+    """Mean steps of each attempt, of at least five, with its standard error; a panel for each pool."""
     pools = list(dict.fromkeys(record["trial"]["pool"] for record in records))
     figure, axes = grid(len(pools), 3, 3.0, 2.4)
     for axis, pool in zip(axes, pools, strict=True):
         for record in (each for each in records if each["trial"]["pool"] == pool):
-            steps = [each for each in record["figures"]["paper"]["steps_by_attempt"] if each["count"]]
+            steps = [
+                each for each in record["figures"]["paper"]["steps_by_attempt"] if each["count"] >= _FEWEST
+            ]
             method = record["trial"]["method"]
             if steps:
                 error = [each["std"] / np.sqrt(each["count"]) for each in steps]
@@ -141,13 +157,13 @@ def steps_by_attempt(records: Sequence[dict], stem: Path) -> list[str]:
         prepare(axis, pool, "attempt", "steps")
         axis.set_xticks(range(1, ATTEMPTS + 1))
         axis.set_ylim(0, 250)
-    axes[0].legend(fontsize=7)
+    add_legend(figure)
     return save(figure, stem)
 
 
 def attempts(records: Sequence[dict], stem: Path) -> list[str]:
     """Success (the paper's count) against the attempts allowed, with 95 % intervals."""
-    figure = new_figure(4.2, 2.8)
+    figure = new_figure(5.0, 2.8)
     axis = figure.subplots()
     for method in dict.fromkeys(record["trial"]["method"] for record in records):
         rows = [record for record in records if record["trial"]["method"] == method]
@@ -160,19 +176,20 @@ def attempts(records: Sequence[dict], stem: Path) -> list[str]:
         )
     prepare(axis, "", "attempts per object", "success")
     axis.set_ylim(-0.03, 1.03)
-    axis.legend(fontsize=7)
+    add_legend(figure)
     return save(figure, stem)
 
 
 def density(records: Sequence[dict], stem: Path) -> list[str]:
     """Strict success along the rows of the study, a line for each method."""
-    figure = new_figure(5.2, 3.0)
+    figure = new_figure(6.4, 3.0)
     axis = figure.subplots()
     rungs = list(dict.fromkeys(rung_of(record["trial"]) for record in records))
-    for turn, method in enumerate(dict.fromkeys(record["trial"]["method"] for record in records)):
+    methods = list(dict.fromkeys(record["trial"]["method"] for record in records))
+    for turn, method in enumerate(methods):
         rows = [record for record in records if record["trial"]["method"] == method]
         # Side by side, so that equal rates do not hide one another.
-        x = [rungs.index(rung_of(row["trial"])) + 0.04 * turn for row in rows]
+        x = [rungs.index(rung_of(row["trial"])) + _APART * (turn - (len(methods) - 1) / 2) for row in rows]
         y = np.array([row["figures"]["success"] for row in rows])
         ends = np.array([[row["figures"]["low95"], row["figures"]["high95"]] for row in rows]).T
         axis.errorbar(
@@ -181,7 +198,7 @@ def density(records: Sequence[dict], stem: Path) -> list[str]:
     prepare(axis, "", "", "success")
     axis.set_xticks(range(len(rungs)), rungs)
     axis.set_ylim(-0.03, 1.03)
-    axis.legend(fontsize=7)
+    add_legend(figure)
     return save(figure, stem)
 
 
