@@ -20,8 +20,8 @@ from cluttergen_jax.training.display import clock_text, short
 from cluttergen_jax.training.records import read_rows
 from cluttergen_jax.training.suite import PAPER_BUDGET, PlannedRun, plan
 
-RATE = 750.0
-"""Attempts per second until a run of the suite has told its own: preset `cpu`, dining, two quiet cores."""
+RATE = 450.0
+"""Attempts per second until a run of the suite has told its own: preset `cpu`, dining, beside another run."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import flax.linen as nn
 import jax.numpy as jnp
 
+from cluttergen_jax.networks.clouds import BARE
 from cluttergen_jax.networks.points import LENGTH_SCALE
 from cluttergen_jax.types import Array
 
-_BARE = 0.003
 _NEAR, _FAR = 3, 9
 """Cells along the sides of the squares around a cell whose crowding it is told."""
 
@@ -38,7 +38,7 @@ class CellEncoder(nn.Module):
           context: f32[B, C], of the object in hand and the region.
         """
         side = heights.shape[-1]
-        is_taken = (heights > _BARE).astype(jnp.float32)[..., None]
+        is_taken = (heights > BARE).astype(jnp.float32)[..., None]
         line = (jnp.arange(side) + 0.5) / side * 2 - 1
         place = jnp.stack(jnp.meshgrid(line, line, indexing="ij"), axis=-1)
         seen = [

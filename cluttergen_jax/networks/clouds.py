@@ -14,6 +14,9 @@ from cluttergen_jax.types import Array
 MAX_POINTS = 200_000
 """Of a scene's cloud."""
 
+BARE = 0.003
+"""Metres above the top from which on a place counts as taken."""
+
 _NOT_TURNED = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -79,6 +82,17 @@ def scene_cloud(
     top = jnp.concatenate([top, jnp.zeros((layout.num_ground, 1))], axis=1)
     cloud = jnp.concatenate([top, jnp.where(is_point[:, None], points.reshape(-1, 3), 0.0)])
     return cloud, jnp.concatenate([jnp.ones(layout.num_ground, bool), is_point])
+
+
+def placed_points(clouds: Array, T_region_object: Array, is_placed: Array) -> Array:
+    """f32[K, P, 3], metres: every object's points in the region frame; of those not placed, the object's own.
+
+    Args:
+      clouds: f32[K, P, 3], object frames, metres; T_region_object: f32[K, 7]; is_placed: bool[K].
+    """
+    poses = jnp.where(is_placed[:, None], T_region_object, jnp.array((0.0, 0.0, 0.0, *_NOT_TURNED)))
+    turn = jaxlie.SO3(poses[:, 3:]).as_matrix()
+    return jnp.einsum("kij,kpj->kpi", turn, clouds) + poses[:, None, :3]
 
 
 def even_points(number: int) -> np.ndarray:

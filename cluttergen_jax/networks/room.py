@@ -11,16 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
-import jaxlie
 import numpy as np
 
+from cluttergen_jax.networks.clouds import BARE, placed_points
 from cluttergen_jax.types import Array
 
 _SIDE = 64
 _CELLS_OF_REGION = 48
 _POINTS = 256
-_BARE = 0.003
-"""Metres above the top from which on a cell counts as taken."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,11 +102,9 @@ class Room:
 
     def _taken(self, T_region_object: Array, is_placed: Array) -> Array:
         """f32[S, S], 1 where an object stands; the region's middle is at [0, 0]."""
-        poses = jnp.where(is_placed[:, None], T_region_object, jnp.eye(7)[3])
-        turn = jaxlie.SO3(poses[:, 3:]).as_matrix()
-        points = jnp.einsum("kij,kpj->kpi", turn, jnp.asarray(self.cloud)) + poses[:, None, :3]
+        points = placed_points(jnp.asarray(self.cloud), T_region_object, is_placed)
         at = jnp.rint(points[..., :2] / self.cell).astype(jnp.int32)
-        is_seen = jnp.all(jnp.abs(at) < _SIDE // 2, axis=-1) & (points[..., 2] > _BARE) & is_placed[:, None]
+        is_seen = jnp.all(jnp.abs(at) < _SIDE // 2, axis=-1) & (points[..., 2] > BARE) & is_placed[:, None]
         index = jnp.where(is_seen, at[..., 0] % _SIDE * _SIDE + at[..., 1] % _SIDE, _SIDE**2)
         return jnp.zeros(_SIDE**2).at[index.reshape(-1)].set(1.0, mode="drop").reshape(_SIDE, _SIDE)
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.networks.clouds import MAX_POINTS, scene_cloud
+from cluttergen_jax.networks.clouds import MAX_POINTS, placed_points, scene_cloud
 from cluttergen_jax.placement.region import Region, from_pose, to_pose
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode, History
@@ -114,10 +114,7 @@ def height_grid(
       T_region_object: f32[K, 7]; is_placed: bool[K]; half_extents: f32[2] of the region, metres.
       num_cells: G; axis 0 runs along the region's x.
     """
-    cloud = cloud[:, :_GRID_POINTS]
-    poses = jnp.where(is_placed[:, None], T_region_object, jnp.eye(7)[3])
-    turn = from_pose(poses).rotation().as_matrix()
-    points = jnp.einsum("kij,kpj->kpi", turn, cloud) + poses[:, None, :3]
+    points = placed_points(cloud[:, :_GRID_POINTS], T_region_object, is_placed)
     cell = jnp.floor((points[..., :2] / half_extents + 1) / 2 * num_cells).astype(jnp.int32)
     is_over = jnp.all((cell >= 0) & (cell < num_cells), axis=-1) & is_placed[:, None]
     index = jnp.where(is_over, cell[..., 0] * num_cells + cell[..., 1], num_cells**2)
