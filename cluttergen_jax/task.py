@@ -8,6 +8,7 @@ from brax.envs.base import Env
 
 from cluttergen_jax.agent.learner import Learner
 from cluttergen_jax.agent.ppo import Encode, as_seen
+from cluttergen_jax.learners import make_learner
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.ranking import RankerConfig
 from cluttergen_jax.placement.env import PlacementEnv
@@ -38,9 +39,7 @@ class Task:
 
 def make_task(rules: Rules, network: NetworkConfig | RankerConfig) -> Task:
     """The task of a policy that proposes poses, or of one that ranks those that geometry proposes."""
-    geometry = rules.geometry
-    bound = (geometry.cloud, geometry.half_extents, min(rules.num_slots, geometry.num_objects))
+    learner = make_learner(rules, network)
     if isinstance(network, RankerConfig):
-        return Task(RankingEnv(PlacementEnv(rules), LowestFit(rules)), RankingLearner(network, *bound))
-    env = PlacementEnv(rules, ObservationConfig(num_cells=network.num_cells_read))
-    return Task(env, Learner(network, *bound, region_side=2 * float(rules.region.half_extents.max())))
+        return Task(RankingEnv(PlacementEnv(rules), LowestFit(rules)), learner)
+    return Task(PlacementEnv(rules, ObservationConfig(num_cells=network.num_cells_read)), learner)

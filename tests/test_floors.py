@@ -2,6 +2,8 @@
 
 import ast
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import cluttergen_jax
@@ -24,6 +26,7 @@ FLOORS = {
     # Geometry for the products that propose poses; the ranking of its candidates stands on it.
     "search": 2.2,
     "ranking": 2.4,
+    "learners": 2.5,
     # What is trained and what acts are the same pair of an environment and a network.
     "task": 2.6,
     "problem": 3,
@@ -93,6 +96,13 @@ def test_imports_look_down():
         and not (FLOORS[_module(path)] == 0 and name == "errors")
     ]
     assert wrong == []
+
+
+def test_commands_start_without_brax():
+    code = "import sys; from cluttergen_jax.cli import main; sys.argv = ['cluttergen', 'list']"
+    code += "; main.main(); assert not {'brax', 'mujoco.mjx'} & set(sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_assets_import_no_jax():

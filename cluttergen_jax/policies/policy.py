@@ -14,6 +14,7 @@ from cluttergen_jax.agent.checkpoint import read_policy, read_record
 from cluttergen_jax.agent.learner import Learner
 from cluttergen_jax.assets.pool import embedded_root
 from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.learners import make_learner
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.distributions import ActionDistribution
 from cluttergen_jax.networks.ranking import RankerConfig
@@ -23,7 +24,6 @@ from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.policies.ranked import Ranked
 from cluttergen_jax.ranking.learner import RankingLearner
 from cluttergen_jax.search import LowestFit
-from cluttergen_jax.task import make_task
 from cluttergen_jax.types import Array
 
 
@@ -153,7 +153,7 @@ def make_policy(
     rules: Rules, network: NetworkConfig | RankerConfig, params: Any, is_sampled: bool
 ) -> Policy | Ranked:
     """A proposer with given weights; with other weights it is `dataclasses.replace(policy, params=...)`."""
-    learner = make_task(rules, network).learner
+    learner = make_learner(rules, network)
     if isinstance(learner, RankingLearner):
         return Ranked(LowestFit(rules), learner, params, is_sampled)
     return Policy(rules, learner, params, is_sampled, rules.config.max_attempts)

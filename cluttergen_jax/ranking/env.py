@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 from brax.envs.base import Env, State
 
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.types import Episode
-from cluttergen_jax.ranking.menu import menu_of
+from cluttergen_jax.ranking.menu import with_menu
 from cluttergen_jax.search.search import Search
 from cluttergen_jax.types import Array
 
@@ -53,13 +52,3 @@ class RankingEnv(Env):
     def backend(self) -> str:
         """The engine's class."""
         return self.env.backend
-
-
-def with_menu(search: Search, episode: Episode, observation: dict[str, Any]) -> dict[str, Any]:
-    """An observation with the menu for the next attempt, drawn with the episode's own key.
-
-    The history is left out: the menu says how far each pose is from those tried in vain.
-    """
-    key = jax.random.fold_in(episode.key, jnp.sum(episode.counts.attempts))
-    seen = {name: value for name, value in observation.items() if name != "history"}
-    return seen | {"menu": menu_of(search.rules, episode, search.shortlist(key, episode))}

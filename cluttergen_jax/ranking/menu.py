@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -10,7 +13,7 @@ from cluttergen_jax.placement.region import action_scale
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.search.fit import Candidates
-from cluttergen_jax.search.search import FORBIDDEN, Shortlist
+from cluttergen_jax.search.search import FORBIDDEN, Search, Shortlist
 from cluttergen_jax.types import Array
 
 PATCH_SIDE = 8
@@ -19,6 +22,16 @@ PATCH_SIDE = 8
 _PATCH_STEP = 0.03
 _DEEPEST, _HIGHEST = -0.05, 0.3
 _FAR = 0.2
+
+
+def with_menu(search: Search, episode: Episode, observation: dict[str, Any]) -> dict[str, Any]:
+    """An observation with the menu for the next attempt, drawn with the episode's own key.
+
+    The history is left out: the menu says how far each pose is from those tried in vain.
+    """
+    key = jax.random.fold_in(episode.key, jnp.sum(episode.counts.attempts))
+    seen = {name: value for name, value in observation.items() if name != "history"}
+    return seen | {"menu": menu_of(search.rules, episode, search.shortlist(key, episode))}
 
 
 def menu_of(rules: Rules, episode: Episode, found: Shortlist) -> dict[str, Array]:
