@@ -14,9 +14,11 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.bank.reference import parse_reference
 from cluttergen_jax.bank.verify import verify_scene
-from cluttergen_jax.cli.export import parse_numbers, split_source
-from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.cli.parse import parse_numbers
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.export import FORMATS, export_scenes
 from cluttergen_jax.export.frames import euler_of, linear, principal_of
 from cluttergen_jax.export.shading import shaded
@@ -292,21 +294,23 @@ def test_unknown_format_names_the_others(tmp_path):
         export_scenes([spread(trio(), cuboid_table())], tmp_path / "out", "blend")
 
 
-def test_numbers_and_sources_are_parsed(tmp_path):
+def test_numbers_and_sources_are_parsed(tmp_path, capsys):
     assert parse_numbers(None) is parse_numbers("all") is None
     assert parse_numbers("0,3, 7-9,3") == [0, 3, 7, 8, 9]
-    for text in ("", "a", "3-1", "-1", "1.5"):
-        with pytest.raises(ConfigError, match="numbers and ranges"):
+    for text in ("", "a", "3-1", "-1", "1.5", "0-9999999999"):
+        with pytest.raises(ConfigError, match="numbers"):
             parse_numbers(text)
     bank = tmp_path / "bank"
     (bank / "scenes").mkdir(parents=True)
     (bank / "bank.json").write_text("{}")
     (bank / "scenes" / "000012.xml").write_text("")
-    assert split_source(str(bank)) == (bank, None)
-    assert split_source(f"{bank}:12") == (bank, [12])
-    assert split_source(str(bank / "scenes" / "000012.xml")) == (bank, [12])
-    with pytest.raises(BankError, match="no scene of a bank"):
-        split_source(str(bank / "bank.json"))
+    assert parse_reference(str(bank)) == (bank, None)
+    assert parse_reference(f"{bank}:12") == parse_reference(str(bank / "scenes" / "000012.xml")) == (bank, 12)
+    for elsewhere in (f"{bank}:", f"{bank}:-1", f"{bank}:\u00b2", ":3"):
+        assert parse_reference(elsewhere) == (Path(elsewhere), None)
+    assert parse_reference(str(bank / "bank.json")) is None
+    assert main(["export", str(bank / "bank.json"), "--out", str(tmp_path / "out")]) != 0
+    assert "no scene of a bank" in capsys.readouterr().err
 
 
 def test_principal_frames_and_angles_turn_back():

@@ -41,8 +41,12 @@ FLOORS = {
     "viewer": 3,
     "importing": 3,
     "methods": 3.2,
+    # What is measured of scenes, as columns of a bank.
+    "certification": 3.2,
     "evaluation": 3.5,
     "sampler": 3.5,
+    # What can be looked at, from wherever it comes.
+    "sources": 3.7,
     "cli": 4,
     "__main__": 5,
 }

@@ -135,9 +135,11 @@ def test_evaluation_finds_the_runs_by_their_names(tmp_path):
         finish_run(args, 1)
     found = Checkpoints(tmp_path)
     for attempts in ATTEMPTS:
-        trial = Trial(method="policy", pool="dining", attempts=attempts, training_seed=2)
+        trial = Trial(method="policy", pool="dining", attempts=attempts)
         extra = "" if attempts == 5 else f"-attempts{attempts}"
-        assert found.find(trial) == tmp_path / f"dining-policy{extra}-2" / "policy"
+        assert found.find(trial) == tmp_path / f"dining-policy{extra}-0" / "policy"
+        # Other seeds are trained with the usual number alone, and act with whatever number is asked for.
+        assert found.find(replace(trial, training_seed=2)) == tmp_path / "dining-policy-2" / "policy"
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,9 @@ from cluttergen_jax.assets.readers.mjcf_scene import read_mjcf_scene
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.cli.render import chosen_numbers, parse_size
-from cluttergen_jax.cli.sources import BankSource, LiveConfig, LiveSource, open_source
 from cluttergen_jax.cli.view import native_model
 from cluttergen_jax.errors import AssetError, BankError, ConfigError, MissingExtraError, PoolError
+from cluttergen_jax.sources import BankSource, LiveConfig, LiveSource, open_source
 from cluttergen_jax.viewer.native import DisplayError, check_display
 from cluttergen_jax.viewer.server import free_port, open_server
 from cluttergen_jax.viewer.words import attempt_words, scene_words

@@ -12,10 +12,11 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.bank.bank import Bank, SceneRecord
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
+from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.scene import Origin, Scene
 from cluttergen_jax.world import base_name
 
-_Config = TypeVar("_Config", bound=StabilityConfig | ContactConfig)
+_Config = TypeVar("_Config", bound=StabilityConfig | ContactConfig | PlacementConfig)
 
 
 def chosen_records(bank: Bank, indices: Sequence[int] | None = None) -> list[SceneRecord]:

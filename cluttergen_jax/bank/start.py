@@ -9,6 +9,7 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.bank import read_bank
+from cluttergen_jax.bank.reference import parse_reference
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.placement.types import Start
@@ -16,19 +17,22 @@ from cluttergen_jax.world import World, base_name
 
 
 def read_start(text: str | None) -> tuple[list[ObjectAsset], np.ndarray]:
-    """The objects of scene BANK:INDEX, from the bank's own copies, and their poses f32[N, 7].
+    """The objects of one scene of a bank, from the bank's own copies, and their poses f32[N, 7].
+
+    Args:
+      text: which one, as `reference.parse_reference` reads it; None for no objects.
 
     Raises:
-      ConfigError: the text is no BANK:INDEX.
+      ConfigError: the text names no single scene.
       BankError: there is no such bank or scene, or the scene failed.
     """
     if text is None:
         return [], np.zeros((0, 7), np.float32)
-    path, _, number = text.rpartition(":")
-    if not path or not number.isdigit():
+    path, number = parse_reference(text) or (None, None)
+    if path is None or number is None:
         raise ConfigError(f"start {text!r}", "BANK:INDEX, such as out:3")
     bank = read_bank(path)
-    scene = next((each for each in bank.scenes() if each.index == int(number)), None)
+    scene = next((each for each in bank.scenes() if each.index == number), None)
     if scene is None or not scene.is_success:
         state = "no such scene" if scene is None else f"a scene that failed: {scene.verdict}"
         raise BankError(f"start {text}: {state}", "a scene that stands")

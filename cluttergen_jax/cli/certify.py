@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import tyro
 from tqdm import tqdm
 
@@ -16,18 +13,12 @@ from cluttergen_jax.bank.bank import block_numbers, read_block
 from cluttergen_jax.bank.card import write_card
 from cluttergen_jax.bank.disk import writing
 from cluttergen_jax.bank.lock import BankLock
-from cluttergen_jax.bank.scene import config_of
-from cluttergen_jax.bank.table import CERTIFICATE, SCHEMA, is_certified
+from cluttergen_jax.bank.table import is_certified
 from cluttergen_jax.bank.writer import write_rows
-from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
+from cluttergen_jax.certification import certified, models_of
+from cluttergen_jax.config import check_workers
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.measures.arrangement import by_object
-from cluttergen_jax.measures.certificate import certificates
-from cluttergen_jax.measures.scene_models import SceneModels
 from cluttergen_jax.measures.simulate import horizons_of
-from cluttergen_jax.world import base_name, make_world
-
-_RENAMED = {"drift": "horizon_drift", "drift_turn": "horizon_turn", "drift_seconds": "horizon_seconds"}
 
 
 @dataclass(frozen=True)
@@ -67,7 +58,7 @@ class Certify:
 
 def _certify(args: Certify, bank: Bank) -> str:
     record = {name: value for name, value in bank.record.items() if name != "num_scenes"}
-    models, num_new, shake = _models(bank), 0, []
+    models, num_new, shake = models_of(bank), 0, []
     with tqdm(total=bank.num_scenes, unit="scene", disable=None) as bar:
         for number in block_numbers(bank.path):
             rows = read_block(bank.path, number)
@@ -84,49 +75,3 @@ def _certify(args: Certify, bank: Bank) -> str:
         f"{len(scores)} scenes that stand have their certificate ({num_new} rows are new); "
         f"shake score: median {np.median(scores):.2f}, least {scores.min():.2f} m/s^2"
     )
-
-
-def _models(bank: Bank) -> SceneModels:
-    """Plain MuJoCo models of the bank's scenes, from its own assets and settings."""
-    recipe, asset_of = bank.record["recipe"], lru_cache(maxsize=None)(bank.object)
-    names = recipe.get("names")
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise BankError(f"{bank.path}: its record does not name the objects of its world")
-    stability = config_of(StabilityConfig, recipe.get("stability", {}), bank.path)
-    contact = config_of(ContactConfig, recipe.get("contact", {}), bank.path)
-    world = make_world([asset_of(base_name(name)) for name in names], bank.support, stability, contact)
-    return SceneModels(world, stability, contact)
-
-
-def certified(rows: pa.Table, models: SceneModels, seconds: float, jobs: int) -> pa.Table:
-    """The rows with the columns of `CERTIFICATE`."""
-    rows = rows.select(SCHEMA.names)
-    scenes = rows.select(["is_success", "object_index", "is_placed", "poses"]).to_pylist()
-    results: list[dict[str, Any]] = [dict.fromkeys(CERTIFICATE.names) for _ in scenes]
-    good = [place for place, scene in enumerate(scenes) if scene["is_success"]]
-    if good:
-        poses, is_placed = _by_object([scenes[place] for place in good], models.world.num_objects)
-        found = certificates(models, poses, is_placed, seconds, num_threads=jobs)
-        for place, each in zip(good, found, strict=True):
-            results[place] = {_RENAMED.get(name, name): value for name, value in each.items()}
-    extra = pa.Table.from_pylist(results, schema=CERTIFICATE)
-    for field in CERTIFICATE:
-        rows = rows.append_column(field, extra[field.name])
-    return rows
-
-
-def _by_object(scenes: list[dict[str, Any]], num_objects: int) -> tuple[np.ndarray, np.ndarray]:
-    """f64[N, K, 7] and bool[N, K] of rows whose slots may be of different numbers."""
-    most = max(len(scene["object_index"]) for scene in scenes)
-    index = np.full((len(scenes), most), -1)
-    placed = np.zeros((len(scenes), most), bool)
-    poses = np.tile(np.eye(7)[3], (len(scenes), most, 1))
-    for row, scene in enumerate(scenes):
-        count = len(scene["object_index"])
-        index[row, :count], placed[row, :count] = scene["object_index"], scene["is_placed"]
-        poses[row, :count] = np.array(scene["poses"]).reshape(-1, 7)
-    if index.max() >= num_objects:
-        raise BankError(
-            "a scene names an object that the bank's record does not", hint="the bank's own bank.json"
-        )
-    return by_object(index, placed, poses, num_objects)[:2]

@@ -14,6 +14,7 @@ import numpy as np
 import tyro
 
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.rectangle_text import parse_keep_out, parse_region
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.bank import BankWriter, read_bank
@@ -24,7 +25,6 @@ from cluttergen_jax.bank.summary import summary_of
 from cluttergen_jax.bank.table import table_of
 from cluttergen_jax.bank.writer import names_of
 from cluttergen_jax.cli.files import write_files
-from cluttergen_jax.cli.parse import parse_keep_out, parse_region
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.methods import (
     SCREENED,

@@ -1,54 +1,35 @@
-"""Small grammars of the command line: sizes, rectangles, boxes, options that do not go together."""
+"""Small grammars of the command line: scene numbers, options that do not go together."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
 import re
 from collections.abc import Sequence
 from typing import Any
 
-from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
 
-
-def _numbers(text: str, what: str, form: str) -> list[float]:
-    try:
-        values = [float(part) for part in re.split(r"[,x]", text.strip())]
-    except ValueError as error:
-        raise ConfigError(f"{what} {text!r}", form) from error
-    if not all(math.isfinite(value) for value in values):
-        raise ConfigError(f"{what} {text!r}", f"finite numbers: {form}")
-    return values
+_MOST = 1_000_000
 
 
-def parse_region(text: str, default: Rectangle) -> Rectangle:
-    """A queried region: `WxD` about the default region's centre, or `X,Y,W,D[,YAW]` (metres, degrees).
+def parse_numbers(text: str | None) -> list[int] | None:
+    """Scene numbers: `0,3,7-9` in order, each once; None and `all` are all.
 
     Raises:
-      ConfigError: it is neither.
+      ConfigError: it is something else.
     """
-    form = "WxD, or X,Y,W,D or X,Y,W,D,YAW; metres and degrees, such as 0.4x0.5"
-    values = _numbers(text, "region", form)
-    if len(values) == 2:
-        return Rectangle(default.center, (values[0] / 2, values[1] / 2), default.yaw)
-    if len(values) in (4, 5):
-        x, y, width, depth, *yaw = values
-        return Rectangle((x, y), (width / 2, depth / 2), math.radians(yaw[0]) if yaw else 0.0)
-    raise ConfigError(f"region {text!r}", form)
-
-
-def parse_keep_out(text: str) -> Rectangle:
-    """A keep-out box, `X,Y,W,D[,YAW]` (metres, degrees).
-
-    Raises:
-      ConfigError: it is not.
-    """
-    form = "X,Y,W,D or X,Y,W,D,YAW; metres and degrees, such as 0.1,0,0.2,0.2"
-    values = _numbers(text, "keep-out box", form)
-    if len(values) not in (4, 5):
-        raise ConfigError(f"keep-out box {text!r}", form)
-    return parse_region(text, Rectangle())
+    if text is None or text.strip() == "all":
+        return None
+    numbers: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d+)(?:\s*-\s*(\d+))?\s*", part)
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, -1)
+        if last < first:
+            raise ConfigError(f"--scenes {text!r}", "numbers and ranges such as 0,3,7-9, or all")
+        if last - first >= _MOST:
+            raise ConfigError(f"--scenes {text!r}", f"at most {_MOST:,} numbers in a range")
+        numbers += range(first, last + 1)
+    return list(dict.fromkeys(numbers))
 
 
 def refuse_given(command: Any, names: Sequence[str], where: str, hint: str) -> None:

@@ -13,8 +13,7 @@ from tqdm import tqdm
 
 from cluttergen_jax.assets.scene_cloud import ply_of, scene_points
 from cluttergen_jax.bank.disk import write_atomically
-from cluttergen_jax.cli.export import parse_numbers
-from cluttergen_jax.cli.sources import BankSource, open_source
+from cluttergen_jax.cli.parse import parse_numbers
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.recording import Recording
 from cluttergen_jax.render.assets import render_scene
@@ -26,6 +25,7 @@ from cluttergen_jax.render.sensors import depth_png, npz_of, segmentation_png, s
 from cluttergen_jax.render.sheet import contact_sheet, save_png
 from cluttergen_jax.render.stage import Shooting
 from cluttergen_jax.render.video import check_format, save_film
+from cluttergen_jax.sources import BankSource, open_source
 from cluttergen_jax.viewer.source import Source
 
 _SHEET = 12

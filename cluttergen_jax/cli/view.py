@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 import tyro
 
-from cluttergen_jax.cli.sources import LiveConfig, open_source
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.recording import Recording
+from cluttergen_jax.sources import LiveConfig, open_source
 
 
 @dataclass(frozen=True)

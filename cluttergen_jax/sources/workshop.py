@@ -7,15 +7,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
+from cluttergen_jax.assets.rectangle_text import parse_keep_out
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.bank.bank import Bank
+from cluttergen_jax.bank.scene import config_of
 from cluttergen_jax.bank.start import read_start, start_of
 from cluttergen_jax.baselines import METHODS as BASELINES
-from cluttergen_jax.cli.parse import parse_keep_out
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.methods import checkpoint_of, proposer_of, suited
@@ -27,8 +28,6 @@ from cluttergen_jax.problem import Problem, ProblemConfig, compose, keep_out_of
 from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler
 from cluttergen_jax.sampling.record import Recorder
 from cluttergen_jax.world import base_name
-
-_Config = TypeVar("_Config", StabilityConfig, ContactConfig, PlacementConfig)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +74,7 @@ def workshop_of(bank: Bank) -> Workshop:
     try:
         names: Sequence[str] = recipe["names"]
         method, pool, checkpoint = recipe["method"], recipe["pool"], recipe.get("checkpoint")
-        config = _problem_config(recipe)
+        config = _problem_config(bank, recipe)
         texts = recipe.get("keep_out", ())
     except (KeyError, TypeError, ValueError) as error:
         raise BankError(f"{bank.path}: how it was made is not recorded whole ({error})") from error
@@ -116,20 +115,14 @@ def _equal(recording: Recording, stored: Recording) -> bool:
     return set(ends) == set(kept) and all(np.array_equal(ends[name], kept[name]) for name in kept)
 
 
-def _problem_config(recipe: dict[str, Any]) -> ProblemConfig:
+def _problem_config(bank: Bank, recipe: dict[str, Any]) -> ProblemConfig:
     region = recipe["region"]
     return ProblemConfig(
         pool=recipe["pool"],
         repeat=True,
         region=Rectangle(tuple(region["center"]), tuple(region["half_extents"]), float(region["yaw"])),
         engine=recipe.get("engine", "auto"),
-        placement=_read(PlacementConfig, recipe["placement"]),
-        stability=_read(StabilityConfig, recipe["stability"]),
-        contact=_read(ContactConfig, recipe["contact"]),
+        placement=config_of(PlacementConfig, recipe["placement"], bank.path),
+        stability=config_of(StabilityConfig, recipe["stability"], bank.path),
+        contact=config_of(ContactConfig, recipe["contact"], bank.path),
     )
-
-
-def _read(kind: type[_Config], values: dict[str, Any]) -> _Config:
-    known = {each.name for each in dataclasses.fields(kind)}
-    chosen: Any = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items() if k in known}
-    return kind(**chosen)

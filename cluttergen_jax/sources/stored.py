@@ -1,27 +1,19 @@
-"""What `view` and `render` are given: a bank, a scene of one, a scene file, a checkpoint, or names alone."""
+"""Scenes on disk: those of a bank, and one in an MJCF file."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from cluttergen_jax.agent.checkpoint import read_record
 from cluttergen_jax.assets.readers.mjcf_scene import read_mjcf_scene
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.bank.bank import Bank, read_bank
-from cluttergen_jax.cli.remake import Workshop, remade, workshop_of
-from cluttergen_jax.errors import BankError, ClutterGenError, PoolError
-from cluttergen_jax.methods import checkpoint_of
+from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.placement.recording import Recording, still
-from cluttergen_jax.sampler import make_sampler
-from cluttergen_jax.viewer.source import Source
+from cluttergen_jax.sources.workshop import Workshop, remade, workshop_of
 from cluttergen_jax.world import base_name
-
-_MOST = 2**31 - 1
-"""Numbers of scenes that are made when they are asked for: they are seeds."""
 
 
 class BankSource:
@@ -147,96 +139,3 @@ class FileSource:
     def sample(self, method: str, seed: int) -> Recording:
         """See `recorded`."""
         return self.recorded(seed)
-
-
-@dataclass(frozen=True)
-class LiveConfig:
-    """What to sample from where no bank says it.
-
-    Attributes:
-      pool: a pool's name or folder; a checkpoint's own if one is given.
-      method: random, clear, drop, or a trained policy; the checkpoint's own, else drop.
-      num_objects: all of the pool's (40 at most) if not given.
-      support: a support's name or folder.
-    """
-
-    pool: str | None = None
-    method: str | None = None
-    num_objects: int | None = None
-    support: str | None = None
-
-
-class LiveSource:
-    """No stored scenes: each is sampled when it is asked for.
-
-    Raises:
-      PoolError: the checkpoint, the pool or the support cannot be found or read.
-      ConfigError: there is no such method, or the checkpoint is of another.
-    """
-
-    def __init__(self, config: LiveConfig, checkpoint: Path | None = None) -> None:
-        record = {} if checkpoint is None else read_record(checkpoint)
-        placement = record.get("placement", {})
-        pool = config.pool or record.get("pool", "dining")
-        method = config.method or record.get("variant", "drop")
-        path = checkpoint_of(method, pool, None if checkpoint is None else str(checkpoint))
-        sampler = make_sampler(
-            pool=pool,
-            support=config.support or record.get("support", "table"),
-            num_objects=config.num_objects or placement.get("num_objects"),
-            method=method,
-            checkpoint=path,
-            max_attempts=placement.get("max_attempts", 5),
-        )
-        trained = {} if path is None else {method: path}
-        self._workshop = Workshop(sampler.problem, sampler.keep_out, sampler.start, trained)
-        self.name = pool if checkpoint is None else f"{method} of {checkpoint.resolve().name}"
-        self.numbers = range(_MOST)
-        first = (method,) if method in self._workshop.methods else ()
-        self.methods = (*first, *(each for each in self._workshop.methods if each not in first))
-
-    def still(self, number: int) -> Recording:
-        """Scene 0 of seed `number`, by the method asked for."""
-        return self.sample(self.methods[0], number)
-
-    recorded = still
-
-    def sample(self, method: str, seed: int) -> Recording:
-        """See `Source`."""
-        return self._workshop.recorder(method).record(seed, 0, f"{method}, seed {seed}")
-
-
-def open_source(text: str | None, config: LiveConfig | None = None) -> tuple[Source, int | None]:
-    """What an argument names, and the scene that it asks for.
-
-    Args:
-      text: BANK, BANK:INDEX, BANK/scenes/NUMBER.xml, another MJCF file, a checkpoint's folder or its run's;
-        None for live sampling alone.
-
-    Raises:
-      PoolError: there is nothing of the kind.
-    """
-    config = config or LiveConfig()
-    if text is None:
-        return LiveSource(config), None
-    path = Path(text)
-    head, colon, number = text.rpartition(":")
-    if colon and number.isdigit() and not path.exists():
-        return BankSource(Path(head)), int(number)
-    if path.is_file():
-        bank = path.parent.parent
-        if path.parent.name == "scenes" and path.stem.isdigit() and (bank / "bank.json").is_file():
-            return BankSource(bank), int(path.stem)
-        return FileSource(path), 0
-    if (path / "bank.json").is_file():
-        return BankSource(path), None
-    for folder in (path, path / "best", path / "policy"):
-        if (folder / "weights.npz").is_file():
-            return LiveSource(config, folder), None
-    if (path / "scene.xml").is_file():
-        return FileSource(path / "scene.xml"), 0
-    raise PoolError(
-        f"{text} is no bank, no scene and no checkpoint",
-        "BANK, BANK:INDEX, an MJCF file, or the folder of a checkpoint",
-        "cluttergen generate --out out, then the same command with out",
-    )

@@ -1,0 +1,48 @@
+"""Rectangles as text, on the command line and in a bank's record."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.errors import ConfigError
+
+
+def _numbers(text: str, what: str, form: str) -> list[float]:
+    try:
+        values = [float(part) for part in re.split(r"[,x]", text.strip())]
+    except ValueError as error:
+        raise ConfigError(f"{what} {text!r}", form) from error
+    if not all(math.isfinite(value) for value in values):
+        raise ConfigError(f"{what} {text!r}", f"finite numbers: {form}")
+    return values
+
+
+def parse_region(text: str, default: Rectangle) -> Rectangle:
+    """A queried region: `WxD` about the default region's centre, or `X,Y,W,D[,YAW]` (metres, degrees).
+
+    Raises:
+      ConfigError: it is neither.
+    """
+    form = "WxD, or X,Y,W,D or X,Y,W,D,YAW; metres and degrees, such as 0.4x0.5"
+    values = _numbers(text, "region", form)
+    if len(values) == 2:
+        return Rectangle(default.center, (values[0] / 2, values[1] / 2), default.yaw)
+    if len(values) in (4, 5):
+        x, y, width, depth, *yaw = values
+        return Rectangle((x, y), (width / 2, depth / 2), math.radians(yaw[0]) if yaw else 0.0)
+    raise ConfigError(f"region {text!r}", form)
+
+
+def parse_keep_out(text: str) -> Rectangle:
+    """A keep-out box, `X,Y,W,D[,YAW]` (metres, degrees).
+
+    Raises:
+      ConfigError: it is not.
+    """
+    form = "X,Y,W,D or X,Y,W,D,YAW; metres and degrees, such as 0.1,0,0.2,0.2"
+    values = _numbers(text, "keep-out box", form)
+    if len(values) not in (4, 5):
+        raise ConfigError(f"keep-out box {text!r}", form)
+    return parse_region(text, Rectangle())
