@@ -367,6 +367,21 @@ def test_unknown_suites_and_studies_are_named():
         find_suite("paper", Scale(), ("table9",))
 
 
+def test_methods_choose_rows_and_leave_out_studies_without_any():
+    studies = find_suite("paper", Scale(methods=("policy",)))
+    assert all({trial.method for trial in study.trials} == {"policy"} for study in studies)
+    everything = {study.name for study in find_suite("paper", Scale())}
+    assert everything - {study.name for study in find_suite("paper", Scale(methods=("normal",)))} >= {
+        "furniture",
+        "attempts",
+    }
+
+
+def test_imported_groups_stand_beside_the_papers_figures():
+    assert published.table_1("policy", "paper_dining") == published.table_1("beta", "dining") == (0.912, 89)
+    assert published.table_1("drop", "dining") is published.table_1("policy", "mine") is None
+
+
 def result_of(study, records, measure=None):
     return {
         "format": 1,
@@ -494,7 +509,7 @@ def test_command_resumes_after_an_interruption(tmp_path, monkeypatch, capsys):
         ({"quick": True}, "--suite"),
         ({"checkpoints": "nowhere"}, "training runs"),
         ({"methods": ("policy",), "pools": ("study",), "attempts": 9}, "cluttergen train"),
-        ({"methods": ()}, "one name or more"),
+        ({"suite": "paper", "only": ("table1",), "methods": ("drop",)}, "short_memory"),
         ({"supports": ()}, "one name or more"),
         ({"threads": -1}, "0 or more"),
         ({"seeds": 2}, "without a suite"),

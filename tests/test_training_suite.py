@@ -1,6 +1,7 @@
 """The suite: which runs, in which order, what is skipped, taken up, and what Ctrl-C leaves."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -10,6 +11,7 @@ from cluttergen_jax.agent.checkpoint import read_record, save_policy, save_state
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.cli.train import Train, recipe_of
+from cluttergen_jax.cli.training_suite import command_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.checkpoints import Checkpoints
 from cluttergen_jax.evaluation.suites import Scale, find_suite
@@ -37,6 +39,25 @@ def test_tables_are_covered_and_the_first_seed_comes_first():
     dining = {run.attempts for run in runs if run.pool == "dining" and run.variant == "policy"}
     assert dining == set(ATTEMPTS)
     assert {run.attempts for run in runs if run.pool != "dining"} == {5}
+
+
+def test_honest_tables_are_covered_with_one_seed():
+    runs = plan("honest")
+    names = [run.name for run in runs]
+    assert len(set(names)) == len(names)
+    assert {run.seed for run in runs} == {0}
+    asked = {
+        PlannedRun(trial.pool, trial.method, trial.training_seed, trial.attempts).name
+        for study in find_suite("honest", Scale())
+        for trial in study.trials
+        if trial.method in VARIANTS
+    }
+    assert {"dining-ranked-0", "all-policy-0", "all-ranked-0"} <= asked == set(names)
+    commands = [command_of(Train(suite="honest"), run, Path("runs")) for run in runs]
+    assert {(args.pool, args.support, args.num_objects) for args in commands if args.variant == "ranked"} == {
+        ("dining", "table-0.30x0.40", 10),
+        ("all", "table", 20),
+    }
 
 
 def test_pools_seeds_and_patterns_select():
@@ -148,6 +169,7 @@ def test_evaluation_finds_the_runs_by_their_names(tmp_path):
         ["--suite-list"],
         ["--pools", "dining"],
         ["--suite", "paper", "--seed", "1", "--variant", "beta"],
+        ["--suite", "honest", "--support", "bar_table"],
         ["--suite", "all"],
         ["--memory-limit", "nan"],
         ["--memory-limit", "inf"],

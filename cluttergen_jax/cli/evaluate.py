@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.bank.disk import write_atomically
+from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.cli.parse import refuse_given
 from cluttergen_jax.config import check_workers
 from cluttergen_jax.errors import ConfigError, PoolError
@@ -28,7 +29,7 @@ from cluttergen_jax.evaluation.trial import Trial
 
 _DEFAULT_TRIALS = 1000
 _OF_SUITES = ("only", "quick", "seeds")
-_OF_COMPARISONS = ("methods", "supports", "num_objects", "attempts", "repeat", "change")
+_OF_COMPARISONS = ("supports", "num_objects", "attempts", "repeat", "change")
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ class Evaluate:
     command takes an interrupted one up again.
 
     Attributes:
-      methods: random, clear, drop, and trained policies: policy, policy-clear, ranked, beta, normal,
-        open_loop, short_memory.
+      methods: random, clear, drop (these three if not given), and trained policies: policy, policy-clear,
+        ranked, beta, normal, open_loop, short_memory. Of a suite, the rows that are made; all if not given.
       checkpoint: the policy's folder, for learned methods; else the embedded ones are taken.
       checkpoints: a folder of training runs, POOL-VARIANT[-attemptsA][-SEED], instead of the embedded ones.
       pools: names or folders; dining if not given, and what each study asks for in a suite.
@@ -53,8 +54,8 @@ class Evaluate:
       repeat: let objects stand there more than once.
       change: how the queried region is changed at random in every episode: none, translation, rotation,
         shrinkage, expansion or all.
-      suite: paper (its tables and figures) or honest (what it does not ask); methods, supports, num_objects,
-        attempts, repeat and change are then the studies' own.
+      suite: paper (its tables and figures) or honest (what it does not ask); supports, num_objects, attempts,
+        repeat and change are then the studies' own.
       only: names of studies of the suite; all of them if not given.
       quick: a few trials a row: the whole paper suite in minutes.
       seeds: training seeds where a table asks for several, 3 if not given, 1 if quick; those without a
@@ -65,7 +66,7 @@ class Evaluate:
       out: where everything goes; out/evaluation, or out/SUITE, if not given.
     """
 
-    methods: tuple[str, ...] = ("random", "clear", "drop")
+    methods: tuple[str, ...] = ()
     checkpoint: str | None = None
     checkpoints: str | None = None
     pools: tuple[str, ...] = ()
@@ -94,8 +95,8 @@ class Evaluate:
         check_workers("--threads", self.threads)
         if self.suite is None:
             refuse_given(self, _OF_SUITES, "without a suite", "--suite paper or --suite honest")
-            if not self.methods or not self.supports:
-                raise ConfigError("--methods or --supports with nothing after it", "one name or more")
+            if not self.supports:
+                raise ConfigError("--supports with nothing after it", "one name or more")
         else:
             refuse_given(self, _OF_COMPARISONS, "with a suite", "leaving it out: each study has its own")
         return _compare(self) if self.suite is None else _run_suite(self, self.suite)
@@ -134,7 +135,7 @@ def _compare(args: Evaluate) -> int:
         )
         for pool in args.pools or ("dining",)
         for support in args.supports
-        for method in args.methods
+        for method in args.methods or tuple(BASELINES)
     )
     lab = _lab(args, out, trials)
     records = [lab.record(trial) for trial in trials]
@@ -152,7 +153,8 @@ def _compare(args: Evaluate) -> int:
 def _run_suite(args: Evaluate, suite: str) -> int:
     out = Path(args.out or f"out/{suite}{'-quick' if args.quick else ''}")
     seeds = args.seeds or (1 if args.quick else 3)
-    studies = find_suite(suite, Scale(args.quick, args.trials, seeds, args.pools, args.seed), args.only)
+    scale = Scale(args.quick, args.trials, seeds, args.pools, args.methods, args.seed)
+    studies = find_suite(suite, scale, args.only)
     # Times are measured in processes of their own, after everything else.
     lab = _lab(args, out, tuple(t for s in studies if s.measure != "timing" for t in s.trials))
     results = []

@@ -22,7 +22,7 @@ from cluttergen_jax.training.suite import POOLS, SEEDS
 
 ACTIONS = ("sampled", "mean")
 _OF_SUITES = ("suite_list", "suite_only", "pools", "seeds")
-_OF_RUNS = ("pool", "variant", "attempts", "seed")
+_OF_RUNS = ("pool", "support", "num_objects", "variant", "attempts", "seed")
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class Train:
       eval_action: sampled, or mean (of a ranker's candidates, the best); as `generate` acts if not given.
       memory_limit: GB that the run may need; what is free if not given.
       wandb: send the figures to Weights & Biases too (extra wandb).
-      suite: paper trains all policies that the tables need: pools x variants x seeds, and dining with 1 to 10
-        attempts. Runs that are done are left alone, others are taken up.
+      suite: paper or honest: all policies that the tables of `evaluate --suite` need. Runs that are done are
+        left alone, others are taken up.
       suite_list: only list the suite's runs, with the time that they will take.
       suite_only: only the runs whose names match, such as 'dining-*' or '*-policy-0'.
       pools: of the suite.

@@ -16,9 +16,10 @@ from cluttergen_jax.agent.checkpoint import has_state, read_record
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.cli.train import Train, check_folder, recipe_of
 from cluttergen_jax.errors import ClutterGenError, ConfigError
+from cluttergen_jax.evaluation.published import BUDGET
 from cluttergen_jax.training.display import clock_text, short
 from cluttergen_jax.training.records import read_rows
-from cluttergen_jax.training.suite import PAPER_BUDGET, PlannedRun, plan
+from cluttergen_jax.training.suite import PlannedRun, plan
 
 RATE = 450.0
 """Attempts per second until a run of the suite has told its own: preset `cpu`, dining, beside another run."""
@@ -91,6 +92,8 @@ def command_of(args: Train, run: PlannedRun, root: Path) -> Train:
         variant=run.variant,
         seed=run.seed,
         attempts=run.attempts,
+        support=run.support,
+        num_objects=run.num_objects,
         out=str(root / run.name),
         suite=None,
     )
@@ -139,7 +142,7 @@ def _overview(standings: list[Standing]) -> str:
     rate, source = (statistics.median(rates), "measured") if rates else (RATE, "assumed until one has run")
     left = sum(standing.total - standing.attempts for standing in standings if not standing.is_done)
     lines += [
-        f"{len(standings)} runs of {budget:,} attempts each (the paper: {PAPER_BUDGET:,}), "
+        f"{len(standings)} runs of {budget:,} attempts each (the paper: {BUDGET:,}), "
         f"{sum(standing.is_done for standing in standings)} done",
         f"time left about {clock_text(left / rate)}, compiling and evaluating aside "
         f"({rate:.0f} attempts per second, {source}; {os.cpu_count()} cores)",

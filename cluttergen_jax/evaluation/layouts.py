@@ -34,7 +34,7 @@ def table1(result: Result) -> list[Table]:
     rows = []
     for (pool, method), records in _grouped(result, "pool", "method").items():
         made = [record for record in records if "figures" in record]
-        theirs = published.TABLE_1.get(published.TWINS.get(method, method), {}).get(pool)
+        theirs = published.table_1(method, pool)
         paper = (share(theirs[0]), str(theirs[1])) if theirs else ("-", "-")
         if not made:
             rows.append((pool, method, "0", missing(records[0]), "-", "-", "-", *paper, "-"))
@@ -51,7 +51,7 @@ def table1(result: Result) -> list[Table]:
                 loose,
                 _steps(made),
                 *paper,
-                differs(result, pool, method, made[0]),
+                differs(pool, method, made[0]),
             )
         )
     notes = (
@@ -61,24 +61,35 @@ def table1(result: Result) -> list[Table]:
         "by the "
         "paper's count, attempts run to step 240",
         "seeds: of training; rows with fewer than were asked for are of those that have a checkpoint",
+        *_differences(result),
     )
     return [Table(result["title"], columns, tuple(rows), notes)]
 
 
-def differs(result: Result, pool: str, method: str, record: dict) -> str:
-    """What sets a row apart from the paper's."""
-    parts = [f"MuJoCo {result['machine']['versions']['mujoco']} for PyBullet"]
-    if pool in published.GROUP_OF_POOL:
-        group, assets = published.GROUP_OF_POOL[pool]
-        parts.append(f"modelled objects for group {group} ({assets})")
+def differs(pool: str, method: str, record: dict) -> str:
+    """What sets a row apart from the paper's; `_differences` has the words behind it."""
+    parts = ["engine", *(["assets"] if pool in published.GROUP_OF_POOL else [])]
     if method == "random":
-        parts.append("let go at the object's own resting height")
+        parts.append("height")
     policy = record.get("policy") or {}
     if policy.get("head") not in (None, "beta", "normal"):
         parts.append(f"head: {policy['head']}")
     if policy.get("attempts"):
-        parts.append(f"{policy['attempts']:,} training attempts for 2,500,000")
-    return "; ".join(parts)
+        parts.append(f"{policy['attempts']:,} training attempts")
+    return ", ".join(parts)
+
+
+def _differences(result: Result) -> tuple[str, ...]:
+    """Notes below a table with a column of `differs`."""
+    pools = dict.fromkeys(record["trial"]["pool"] for record in result["records"])
+    groups = [(pool, *published.GROUP_OF_POOL[pool]) for pool in pools if pool in published.GROUP_OF_POOL]
+    engine = f"engine: MuJoCo {result['machine']['versions']['mujoco']} for PyBullet"
+    stands = "; ".join(f"{pool} for group {group} ({assets})" for pool, group, assets in groups)
+    return (
+        f"what differs from the paper: {engine}; its policies had {published.BUDGET:,} training attempts",
+        *([f"assets: modelled objects, {stands}"] if groups else []),
+        "height: `random` lets go at the object's own resting height",
+    )
 
 
 def fig1a(result: Result) -> list[Table]:
@@ -167,7 +178,7 @@ def table2(result: Result) -> list[Table]:
         trial = record["trial"]
         head = _head(record, "pool", "method", "change")
         paper = share(published.TABLE_2[trial["change"]]) if trial["method"] in published.TWINS else "-"
-        note = differs(result, trial["pool"], trial["method"], record) if "figures" in record else "-"
+        note = differs(trial["pool"], trial["method"], record) if "figures" in record else "-"
         rows.append((*head, *_both(record), paper, note))
     notes = (
         _STRICT,
@@ -177,6 +188,7 @@ def table2(result: Result) -> list[Table]:
         "up to 15 cm in x and y, rotation up to half a turn to either side, half extents up to 10 cm "
         "smaller or larger",
         "a drawn region is kept on the table: moved inwards by as little as it takes",
+        *_differences(result),
     )
     return [Table(result["title"], columns, tuple(rows), notes)]
 

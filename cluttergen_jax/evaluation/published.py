@@ -18,6 +18,9 @@ GROUP_OF_POOL = {
 }
 """The paper's group that each embedded pool stands for, and where its objects came from."""
 
+IMPORTED = "paper_"
+"""How names of pools begin that were imported from the authors' own files, such as `paper_dining`."""
+
 TWINS = {"beta": "beta", "policy": "beta"}
 """Methods that are the paper's ClutterGen: with its own head, and with the one that a preset gives it."""
 
@@ -73,9 +76,21 @@ TABLE_2 = {
 FURNITURE = 0.70
 """Success over ten furniture tables and all groups, 50 episodes each."""
 
+BUDGET = 2_500_000
+"""Environment steps of each training run."""
+
 LEARNING_ATTEMPTS = 2_300_000
 LEARNING_SUCCESS = 0.85
 """Every group is above this success after so many attempts."""
 
 ATTEMPTS_SENTENCE = "more attempts help up to 5; two or fewer hurt"
 """What the paper says of the maximum number of attempts."""
+
+
+def table_1(method: str, pool: str) -> tuple[float, int] | None:
+    """Success and stable steps of table 1 that a row stands beside; None if there are none.
+
+    Args:
+      pool: an embedded one, or the same name after `IMPORTED`.
+    """
+    return TABLE_1.get(TWINS.get(method, method), {}).get(pool.removeprefix(IMPORTED))

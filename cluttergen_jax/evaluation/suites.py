@@ -10,7 +10,7 @@ from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.changes import CHANGES
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.methods import METHODS
+from cluttergen_jax.methods import METHODS, SCREENED
 
 PAPER_METHODS = ("random", "open_loop", "short_memory", "normal", "beta", "policy")
 """`beta` is the paper's full method; `policy` is ours, which a preset may give another head."""
@@ -30,6 +30,8 @@ FURNITURE = (
 )
 LADDER = ("0.60x0.70", "0.50x0.60", "0.40x0.50", "0.35x0.45", "0.30x0.40")
 CROWDS = (10, 15, 20, 30)
+CROWD_METHODS = (*BASELINES, "policy", SCREENED, "ranked")
+"""Without the paper's heads and shorter memories, which the ladder compares."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class Scale:
       trials: of every row, whatever the suite says; None leaves it to the suite.
       seeds: training seeds of the learned methods where a table asks for several.
       pools: names or folders; the embedded ones if empty.
+      methods: whose rows are made; all if empty.
       seed: of the scenes.
     """
 
@@ -48,6 +51,7 @@ class Scale:
     trials: int | None = None
     seeds: int = 3
     pools: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
     seed: int = 0
 
     def number(self, full: int, quick: int) -> int:
@@ -166,7 +170,7 @@ def find_suite(name: str, scale: Scale, only: tuple[str, ...] = ()) -> tuple[Stu
     """The studies of a suite, or those of them that are named.
 
     Raises:
-      ConfigError: there is no such suite, or no such study in it.
+      ConfigError: there is no such suite, no such study in it, or none with such methods.
     """
     if name not in SUITES:
         raise ConfigError(f"--suite {name}", ", ".join(SUITES), "--suite paper")
@@ -177,7 +181,14 @@ def find_suite(name: str, scale: Scale, only: tuple[str, ...] = ()) -> tuple[Stu
         raise ConfigError(
             f"--only {' '.join(unknown)} in suite {name!r}", ", ".join(names), f"--only {names[0]}"
         )
-    return tuple(study for study in studies if not only or study.name in only)
+    asked = [study for study in studies if not only or study.name in only]
+    if not scale.methods:
+        return tuple(asked)
+    kept = [replace(study, trials=_with(study.trials, scale.methods)) for study in asked]
+    if not any(study.trials for study in kept):
+        known = dict.fromkeys(trial.method for study in asked for trial in study.trials)
+        raise ConfigError(f"--methods {' '.join(scale.methods)} with suite {name!r}", ", ".join(known))
+    return tuple(study for study in kept if study.trials)
 
 
 def _table1(scale: Scale) -> tuple[Trial, ...]:
@@ -278,7 +289,7 @@ def _crowds(scale: Scale) -> tuple[Trial, ...]:
             seed=scale.seed,
         )
         for number in CROWDS
-        for method in METHODS
+        for method in CROWD_METHODS
     )
 
 

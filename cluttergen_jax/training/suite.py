@@ -1,4 +1,4 @@
-"""The runs that the paper's tables need, as data: pools x variants x seeds, and the number of attempts."""
+"""The runs that the tables of `evaluate --suite` need, as data."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from fnmatch import fnmatchcase
 
 from cluttergen_jax.errors import ConfigError
 
-SUITES = ("paper",)
 POOLS = ("dining", "study", "office", "kitchen", "household")
 VARIANTS = ("policy", "open_loop", "short_memory", "normal", "beta")
 SEEDS = (0, 1, 2)
 ATTEMPTS_POOL = "dining"
 ATTEMPTS = (1, 2, 3, 5, 10)
 DEFAULT_ATTEMPTS = 5
-PAPER_BUDGET = 2_500_000
-"""Environment steps of each of the paper's runs."""
+LADDER_POOLS = ("dining",)
+TIGHTEST = "table-0.30x0.40"
+CROWD = 20
 
 
 @dataclass(frozen=True)
@@ -24,13 +24,15 @@ class PlannedRun:
     """One training run of a suite.
 
     Attributes:
-      pool, variant, seed, attempts: as `cluttergen train` takes them.
+      pool, variant, seed, attempts, support, num_objects: as `cluttergen train` takes them.
     """
 
     pool: str
     variant: str
     seed: int
     attempts: int = DEFAULT_ATTEMPTS
+    support: str = "table"
+    num_objects: int = 10
 
     @property
     def name(self) -> str:
@@ -54,7 +56,7 @@ def plan(
         raise ConfigError(f"suite {suite!r}", ", ".join(SUITES), "--suite paper")
     if len(set(seeds)) < len(seeds) or not all(seed >= 0 for seed in seeds):
         raise ConfigError(f"seeds {' '.join(map(str, seeds))}", "different numbers from 0", "--seeds 0 1 2")
-    runs = [run for seed in seeds for run in _of_seed(seed, pools)]
+    runs = [run for seed in seeds for run in SUITES[suite](seed, pools)]
     chosen = [run for run in runs if only is None or fnmatchcase(run.name, only)]
     if not chosen:
         names = ", ".join(run.name for run in runs[:4])
@@ -64,7 +66,7 @@ def plan(
     return chosen
 
 
-def _of_seed(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
+def _paper(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
     """Table 1's variants on each pool; of the first seed, other numbers of attempts too."""
     runs = [PlannedRun(pool, variant, seed) for pool in pools for variant in VARIANTS]
     if ATTEMPTS_POOL in pools and seed == SEEDS[0]:
@@ -74,3 +76,18 @@ def _of_seed(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
             if attempts != DEFAULT_ATTEMPTS
         ]
     return runs
+
+
+def _honest(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
+    """The ladder's variants, the ranker on its tightest table, and crowds of all objects; one seed each."""
+    if seed != SEEDS[0]:
+        return []
+    ladder = [pool for pool in pools if pool in LADDER_POOLS]
+    return [
+        *(PlannedRun(pool, variant, seed) for pool in ladder for variant in VARIANTS),
+        *(PlannedRun(pool, "ranked", seed, support=TIGHTEST) for pool in ladder),
+        *(PlannedRun("all", variant, seed, num_objects=CROWD) for variant in ("policy", "ranked")),
+    ]
+
+
+SUITES = {"paper": _paper, "honest": _honest}
