@@ -14,7 +14,10 @@ from cluttergen_jax.placement.region import Region, make_region
 from cluttergen_jax.types import Array
 
 SMALLEST_HALF = 0.05
-"""Metres: no half extent is made smaller than this."""
+"""Metres: no half extent is made smaller than this, but to fit a turned region onto its table."""
+_TRIED = 256
+"""First sides that are tried when a turned region has to be shrunk."""
+_TINY = 1e-9
 
 
 @dataclass(frozen=True)
@@ -58,8 +61,8 @@ def find_change(name: str) -> RegionChange:
 def draw_region(key: Array, change: RegionChange, base: Rectangle, bounds: Rectangle, top: float) -> Region:
     """A region drawn around `base`, wholly inside `bounds`.
 
-    What is too large for the bounds once turned is shrunk evenly, then moved inwards by as little as it
-    takes: a region stays on its table.
+    What is too large for the bounds once turned is shrunk, one side or both, so that the most area is left,
+    then moved inwards by as little as it takes: a region stays on its table.
 
     Args:
       key: consumed.
@@ -75,13 +78,24 @@ def draw_region(key: Array, change: RegionChange, base: Rectangle, bounds: Recta
     )
     yaw = base.yaw + turn
     cos, sin = jnp.abs(jnp.cos(yaw - bounds.yaw)), jnp.abs(jnp.sin(yaw - bounds.yaw))
-    reach = jnp.stack([cos * half[0] + sin * half[1], sin * half[0] + cos * half[1]])
     room = jnp.array(bounds.half_extents)
-    scale = jnp.minimum(jnp.min(room / reach), 1.0)
+    half = _fitted(half, cos, sin, room)
+    reach = jnp.stack([cos * half[0] + sin * half[1], sin * half[0] + cos * half[1]])
     to_world = jnp.array(
         [[math.cos(bounds.yaw), -math.sin(bounds.yaw)], [math.sin(bounds.yaw), math.cos(bounds.yaw)]]
     )
     offset = to_world.T @ (jnp.array(base.center) + shift - jnp.array(bounds.center))
-    slack = jnp.maximum(room - scale * reach, 0.0)
+    slack = jnp.maximum(room - reach, 0.0)
     center = jnp.array(bounds.center) + to_world @ jnp.clip(offset, -slack, slack)
-    return make_region(center, scale * half, yaw, jnp.float32(top))
+    return make_region(center, half, yaw, jnp.float32(top))
+
+
+def _fitted(half: Array, cos: Array, sin: Array, room: Array) -> Array:
+    """The largest half extents f32[2], none above `half`, of a turned rectangle that fits into `room`."""
+    first = half[0] * jnp.linspace(1 / _TRIED, 1.0, _TRIED)
+    second = jnp.minimum(
+        (room[0] - cos * first) / jnp.maximum(sin, _TINY), (room[1] - sin * first) / jnp.maximum(cos, _TINY)
+    )
+    second = jnp.minimum(second, half[1])
+    best = jnp.argmax(first * second)
+    return jnp.stack([first[best], second[best]])

@@ -253,12 +253,13 @@ def _furniture(scale: Scale) -> tuple[Trial, ...]:
         Trial(
             pool=pool,
             support=support,
-            method="policy",
+            method=method,
             trials=scale.number(50, 2),
             seed=scale.seed,
             change="all",
             paper_count=not scale.quick,
         )
+        for method in ("policy", "drop")
         for pool in scale.chosen(EMBEDDED)
         for support in FURNITURE
     )
