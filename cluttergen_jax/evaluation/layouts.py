@@ -222,8 +222,9 @@ def _furniture(result: Result, pools: list[str], name: str, source: str | None) 
         _LOOSE if source else _STRICT,
         f"the paper: {share(published.FURNITURE)} over ten furniture tables and all groups, by its own count",
         "the region is the support's own, changed at random in every episode (as `all` in table 2), then "
-        "moved and shrunk, by as little area as it takes, until it lies within the own again: on a narrow "
-        "table a turned one is much smaller than the 0.60 x 0.70 m of training; the tables are this project's",
+        "moved and shrunk, by as little area as it takes, until it lies within the support's own again: on a "
+        "narrow table a turned one is much smaller than the 0.60 x 0.70 m of training",
+        "the tables are this project's",
         *(f"no checkpoint: {hint}" for hint in lacking),
     ]
     return Table(f"{result['title']} ({name})", ("table", *pools, "all pools"), tuple(rows), tuple(notes))
