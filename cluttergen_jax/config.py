@@ -29,14 +29,17 @@ def check_positive(config: object, *names: str) -> None:
             )
 
 
+MAX_WORKERS = 4096
+
+
 def check_workers(option: str, number: int) -> None:
-    """Refuses a negative number of threads or processes; 0 takes every core.
+    """Refuses a number of threads or processes that cannot be meant; 0 takes every core.
 
     Raises:
       ConfigError: it names the option.
     """
-    if number < 0:
-        raise ConfigError(f"{option} {number}", "0 or more", f"{option} 0, which takes every core")
+    if not 0 <= number <= MAX_WORKERS:
+        raise ConfigError(f"{option} {number}", f"0 to {MAX_WORKERS}", f"{option} 0, which takes every core")
 
 
 @dataclass(frozen=True)

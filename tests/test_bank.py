@@ -1,5 +1,6 @@
 """Banks: resumed, verified, refused; through the command line, as a user would."""
 
+import errno
 import json
 import re
 
@@ -7,12 +8,15 @@ import mujoco
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.bank.verify import verify_scene
+from cluttergen_jax.cli import verify
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError
+from cluttergen_jax.render.gl import renderer_status
 from tests.worlds import trio
 
 
@@ -102,6 +106,34 @@ def test_verify_command_counts_and_exits(bank, capsys):
     assert len(record) == num_files
 
 
+def test_verify_tells_what_it_saw_where_nothing_can_be_written(bank, capsys, monkeypatch):
+    def refuse(path, data):
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    monkeypatch.setattr(verify, "write_atomically", refuse)
+    assert main(["verify", str(bank), "--seconds", "0.1"]) == 0
+    shown = capsys.readouterr()
+    assert "scenes stand" in shown.out
+    assert "Read-only file system" in shown.err
+
+
+def test_damaged_files_of_scenes_are_mended(pool, tmp_path):
+    path = tmp_path / "bank"
+    words = ["generate", "--pool", pool, "--out", str(path), "-n", "3", "--method", "clear"]
+    pictures = renderer_status()[0]
+    assert main(words) == 0
+    files = [path / "scenes" / "000000.xml", *([path / "scenes" / "000001.png"] if pictures else [])]
+    whole = [file.read_bytes() for file in files]
+    for file, data in zip(files, whole, strict=True):
+        file.write_bytes(data[: len(data) // 2])
+    assert main(["verify", str(path)]) == 2
+    assert main(words) == 0
+    assert files[0].read_bytes() == whole[0]
+    for picture in files[1:]:
+        Image.open(picture).load()
+    assert main(["verify", str(path), "--seconds", "0.1"]) == 0
+
+
 def test_verify_sees_a_scene_that_does_not_stand(bank, tmp_path, capsys):
     source = next((bank / "scenes").glob("*.xml"))
     text = source.read_text().replace('meshdir="../assets"', f'meshdir="{bank / "assets"}"')
@@ -129,6 +161,9 @@ def test_verify_sees_a_scene_that_does_not_stand(bank, tmp_path, capsys):
         (["--region", "9x9"], "beyond support"),
         (["--region", "nanxnan"], "finite"),
         (["--keep-out", "1,2"], "X,Y,W,D"),
+        (["--keep-out", "0,0,9,9"], "leave some"),
+        (["--max-files", "-3"], "0 or more"),
+        (["--threads", "99999999"], "0 to 4096"),
         (["--num-scenes", "0"], "1 to"),
         (["--start", "nowhere:0"], "not a bank"),
         (["--objects", "mug"], "no object"),

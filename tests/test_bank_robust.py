@@ -14,6 +14,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
 from cluttergen_jax.assets.pool import Pool, write_pool
@@ -23,6 +24,7 @@ from cluttergen_jax.bank.bank import block_path
 from cluttergen_jax.bank.card import CARD, write_card
 from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.bank.stats import stats_of, stats_text
+from cluttergen_jax.bank.table import SCHEMA
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.sampling import BLOCK_SIZE
@@ -306,6 +308,16 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path):
             write_atomically(path, b"newer")
     assert path.read_bytes() == b"old"
     assert [each.name for each in tmp_path.iterdir()] == ["file"]
+
+
+def test_placed_objects_have_finite_poses(tmp_path):
+    table = banks.rows(0, 8).to_pylist()
+    place = table[3]["is_placed"].index(True)
+    table[3]["poses"][place][2] = float("nan")
+    with banks.writer(tmp_path / "bank", 8) as bank:
+        bank.write_block(0, pa.Table.from_pylist(table, schema=SCHEMA))
+    with pytest.raises(BankError, match="not finite"):
+        stats_of(read_bank(tmp_path / "bank"))
 
 
 def test_stats_count_by_hand(bank, capsys):

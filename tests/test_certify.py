@@ -6,6 +6,7 @@ import pytest
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.bank.bank import block_path
 from cluttergen_jax.bank.card import CARD
+from cluttergen_jax.bank.stats import stats_of
 from cluttergen_jax.bank.table import CERTIFICATE
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.sampling import BLOCK_SIZE
@@ -37,6 +38,22 @@ def test_numbers_are_those_of_the_mechanics(bank):
     # Friction holds until 0.5 g; the tall one tips over at 0.1 g. What is let go takes a while for 5 mm.
     assert 0.5 * 9.81 - 0.05 < one["shake"] < 0.5 * 9.81 + 0.6
     assert 0.1 * 9.81 - 0.05 < two["shake"] < 0.1 * 9.81 + 0.6
+
+
+def test_stats_and_card_say_what_was_measured(bank, capsys):
+    found = stats_of(read_bank(bank)).certificate
+    rows = read_bank(bank).table.to_pylist()[:2]
+    assert found.scenes == 2
+    assert found.shake_least == min(row["shake"] for row in rows)
+    assert found.shake_median == pytest.approx(np.mean([row["shake"] for row in rows]))
+    assert found.horizon_drift == max(row["horizon_drift"] for row in rows)
+    assert (found.horizon_seconds, found.on_others) == (0.5, 0.0)
+    assert main(["stats", str(bank)]) == 0
+    said = capsys.readouterr().out
+    for line in found.lines():
+        assert line in said
+    card = (bank / CARD).read_text()
+    assert f"{found.shake_median:.2f} m/s^2 in the median" in card
 
 
 def test_what_is_certified_is_not_measured_again(bank, capsys):

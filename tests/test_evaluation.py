@@ -525,7 +525,7 @@ def test_command_resumes_after_an_interruption(tmp_path, monkeypatch, capsys):
         ({"methods": ("policy",), "pools": ("study",), "attempts": 9}, "cluttergen train"),
         ({"suite": "paper", "only": ("table1",), "methods": ("drop",)}, "short_memory"),
         ({"supports": ()}, "one name or more"),
-        ({"threads": -1}, "0 or more"),
+        ({"threads": -1}, "0 to 4096"),
         ({"seeds": 2}, "without a suite"),
         (
             {"suite": "paper", "supports": ("round_table",), "repeat": True},

@@ -134,6 +134,20 @@ def test_closed_loop_figure_rings_failures_red_and_the_end_green():
 
 
 @needs_gl
+def test_one_picture_is_lit_as_many_are():
+    recording = cubes()
+    points = places(recording.objects, recording.poses, recording.support)
+    looks = [Look(pose) for pose in recording.poses]
+
+    def brightness(samples):
+        shooting = replace(SMALL, samples=samples)
+        with open_stage(recording.objects, recording.support, points, shooting) as stage:
+            return stage.picture(looks).mean()
+
+    assert brightness(1) == pytest.approx(brightness(8), rel=0.2)
+
+
+@needs_gl
 def test_looks_fade_tint_and_hide():
     recording = cubes()
     points = places(recording.objects, recording.poses, recording.support)

@@ -123,6 +123,12 @@ def test_fitted_eye_sees_all_points_and_stands_as_near_as_it_can(seed):
     np.testing.assert_allclose(on_screen.max(0), -on_screen.min(0), rtol=1e-9)
 
 
+@pytest.mark.parametrize("wrong", [{"azimuth": np.nan}, {"elevation": np.nan}, {"elevation": 91.0}])
+def test_views_are_finite(wrong):
+    with pytest.raises(ConfigError, match=next(iter(wrong))):
+        View(**wrong)
+
+
 @needs_gl
 def test_objects_have_their_colours_where_they_stand():
     poses = np.array([[-0.15, 0, 0.75, 1, 0, 0, 0], [0.15, 0, 0.74, 1, 0, 0, 0]])

@@ -171,8 +171,9 @@ def test_larger_regions_than_the_samplers_are_refused_or_fail(sample):
     # Sides are compared one by one, along the region's own axes; a place that is no number fits nowhere.
     with pytest.raises(ConfigError, match="one by one"):
         sample(key, region=make_region(jnp.zeros(2), jnp.array([0.35, 0.30]), jnp.pi / 2, top))
-    with pytest.raises(ConfigError, match="finite place"):
-        sample(key, region=make_region(jnp.array([jnp.nan, 0.0]), jnp.array([0.1, 0.1]), 0.0, top))
+    for center in ([jnp.nan, 0.0], [50.0, 50.0], [0.25, 0.0]):
+        with pytest.raises(ConfigError, match="place on support"):
+            sample(key, region=make_region(jnp.array(center), jnp.array([0.1, 0.1]), 0.0, top))
 
     @jax.jit
     def drawn(half, center):
@@ -181,7 +182,11 @@ def test_larger_regions_than_the_samplers_are_refused_or_fail(sample):
 
     retrying = dataclasses.replace(sample, max_retries=3)
     assert drawn(jnp.array([0.30, 0.35]), jnp.zeros(2)).is_success.mean() > 0.5
-    for half, center in (([0.31, 0.35], [0.0, 0.0]), ([0.1, 0.1], [jnp.nan, 0.0])):
+    for half, center in (
+        ([0.31, 0.35], [0.0, 0.0]),
+        ([0.1, 0.1], [jnp.nan, 0.0]),
+        ([0.1, 0.1], [0.0, 0.3]),
+    ):
         scenes = drawn(jnp.array(half), jnp.array(center))
         assert not scenes.is_success.any()
         assert (scenes.verdict == Verdict.OUTSIDE).all()
@@ -269,6 +274,15 @@ def test_around_a_saved_scene(pool, bank):
         ({"pool": "nothing"}, "no pool"),
         ({"engine": "hand"}, "native"),
         ({"region": Rectangle((9.0, 0.0), (0.1, 0.1))}, "beyond support"),
+        ({"region": (0.0, 0.0, 0.1, 0.1)}, "a Rectangle"),
+        ({"keep_out": Rectangle()}, "a sequence of Rectangles"),
+        ({"keep_out": [Rectangle(half_extents=(0.4, 0.4), yaw=0.1)]}, "some of the queried region free"),
+        ({"num_objects": 2.5}, "a whole number"),
+        ({"num_objects": "3"}, "a whole number"),
+        ({"max_retries": 1.5}, "a whole number"),
+        ({"num_scene_points": 10.5}, "a whole number"),
+        ({"num_threads": 10**6}, "0 to 4096"),
+        ({"objects": "tall"}, "sequence of names"),
     ],
 )
 def test_bad_settings_are_explained(pool, asked, says):
@@ -276,10 +290,31 @@ def test_bad_settings_are_explained(pool, asked, says):
         cg.make_sampler(**{"pool": pool} | asked)
 
 
+def test_keep_out_boxes_may_leave_little(pool):
+    boxes = [Rectangle(half_extents=(0.27, 0.4)), Rectangle(half_extents=(0.4, 0.1))]
+    assert cg.make_sampler(pool=pool, keep_out=boxes).keep_out.yaw.shape == (2,)
+
+
 @pytest.mark.parametrize("key", [KEYS, 0, jnp.zeros(2), None])
 def test_what_is_not_one_key_is_refused(sample, key):
     with pytest.raises(ConfigError, match="one key"):
         sample(key)
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        ({"region": Rectangle()}, "a Region"),
+        ({"keep_out": Rectangle()}, "a KeepOut"),
+        ({"start": 0}, "a Start"),
+        ({"keep_out": KeepOut(jnp.zeros(2), jnp.zeros(2), jnp.zeros(()))}, "KeepOut of shapes"),
+        ({"keep_out": KeepOut(jnp.zeros((2, 2)), jnp.zeros((1, 2)), jnp.zeros(2))}, "KeepOut of shapes"),
+        ({"keep_out": KeepOut(jnp.full((1, 2), jnp.nan), jnp.ones((1, 2)), jnp.zeros(1))}, "not finite"),
+    ],
+)
+def test_what_a_call_cannot_take_is_refused(sample, asked, says):
+    with pytest.raises(ConfigError, match=says):
+        sample(jax.random.key(0), **asked)
 
 
 def test_the_default_method_follows_what_is_embedded(pool, monkeypatch):

@@ -175,12 +175,12 @@ def test_attaching_asks_for_objects_and_a_place():
 def test_workers_are_not_negative(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(words) == 2
-    assert "0 or more" in capsys.readouterr().err
+    assert "0 to 4096" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
 def test_a_sampler_has_no_negative_threads():
-    with pytest.raises(ConfigError, match="0 or more"):
+    with pytest.raises(ConfigError, match="0 to 4096"):
         make_sampler(num_threads=-1)
 
 

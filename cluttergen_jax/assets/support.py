@@ -49,6 +49,7 @@ class Rectangle:
             raise ConfigError(
                 f"a rectangle of {2 * x:g} x {2 * y:g} m about {tuple(self.center)}, turned by {self.yaw:g}",
                 "finite numbers, sides above zero",
+                "metres, such as 0.4x0.5",
             )
 
     @property

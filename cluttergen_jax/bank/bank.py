@@ -15,6 +15,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -30,7 +31,7 @@ from cluttergen_jax.assets.object_files import object_hash, read_object
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash
 from cluttergen_jax.bank.table import CERTIFICATE, SCHEMA, is_certified
-from cluttergen_jax.errors import BankError
+from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 
 FORMAT = 1
@@ -101,17 +102,18 @@ class Bank:
         """The asset called `name`, from the bank's own copy.
 
         Raises:
-          PoolError: its files are missing or damaged. BankError: it is not the one that the scenes were made
-            with.
+          BankError: its files are missing or damaged, or it is not the one that the scenes were made with.
         """
-        asset = read_object(self.path / "assets" / "objects" / name)
+        with _mended_by_generate():
+            asset = read_object(self.path / "assets" / "objects" / name)
         self._check_asset(name, object_hash(asset), self._hashes["objects"].get(name))
         return asset
 
     @cached_property
     def support(self) -> SupportAsset:
         """The table, from the bank's own copy; raises as `object` does."""
-        support = read_support(self.path / "assets" / "support")
+        with _mended_by_generate():
+            support = read_support(self.path / "assets" / "support")
         self._check_asset("support", support_hash(support), self._hashes["support"])
         return support
 
@@ -124,6 +126,15 @@ class Bank:
             raise BankError(
                 f"{self.path}: asset {name!r} is not the one that the scenes were made with", hint=_AGAIN
             )
+
+
+@contextmanager
+def _mended_by_generate() -> Iterator[None]:
+    """What heals a bank's own copy of an asset is what heals the rest of the bank."""
+    try:
+        yield
+    except PoolError as error:
+        raise BankError(error.given, error.allowed, _AGAIN) from error
 
 
 def block_path(path: Path, block: int) -> Path:
@@ -167,6 +178,10 @@ def _check_rows(table: pa.Table, block: int) -> None:
     lengths = [pc.list_value_length(each).to_pylist() for each in lists]
     if any(each != lengths[0] for each in lengths) or any(pc.list_flatten(each).null_count for each in lists):
         raise ValueError("its lists of objects are of different lengths, or have gaps")
+    # Poses are lists in lists: slots, and seven numbers each.
+    poses = np.array(pc.list_flatten(pc.list_flatten(table["poses"]))).reshape(-1, 7)
+    if not np.isfinite(poses[np.array(pc.list_flatten(table["is_placed"]))]).all():
+        raise ValueError("an object that was placed has a pose that is not finite")
 
 
 def read_bank(path: str | Path) -> Bank:

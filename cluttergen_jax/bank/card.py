@@ -9,7 +9,7 @@ from typing import Any
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.bank.bank import Bank
 from cluttergen_jax.bank.disk import write_atomically
-from cluttergen_jax.bank.stats import BankStats, stats_of
+from cluttergen_jax.bank.stats import BankStats, millimetres, stats_of
 from cluttergen_jax.bank.table import CERTIFICATE, COUNTED, SCHEMA
 from cluttergen_jax.types import Verdict
 
@@ -51,7 +51,7 @@ def write_card(bank: Bank) -> Path | None:
     """Writes the card, unless the user has a README of their own there; returns its path if written.
 
     Raises:
-      BankError: the bank holds no scenes yet, or is damaged. PoolError: one of its assets is.
+      BankError: the bank holds no scenes yet, or it or one of its assets is damaged.
     """
     path = bank.path / CARD
     if path.exists() and _MARK not in path.read_text(encoding="utf-8", errors="replace"):
@@ -65,7 +65,7 @@ def card_text(bank: Bank, stats: BankStats) -> str:
     names = sorted(bank.record.get("assets", {}).get("objects", {})) or [each.name for each in stats.objects]
     assets = [bank.object(name) for name in names]
     sections = [
-        _head(assets),
+        _head([*(asset.provenance.licence for asset in assets), bank.support.provenance.licence]),
         _about(bank, stats),
         _figures(stats),
         _files(),
@@ -76,9 +76,13 @@ def card_text(bank: Bank, stats: BankStats) -> str:
     return "\n\n".join(sections) + "\n"
 
 
-def _head(assets: Sequence[ObjectAsset]) -> str:
-    licences = sorted({asset.provenance.licence for asset in assets})
-    lines = ["---", "license: other", f"license_name: {' and '.join(licences)!r}"]
+def _head(licences: Sequence[str]) -> str:
+    """The block that dataset hubs read: their word for one known licence, else all of them by name."""
+    known = sorted(set(licences))
+    if known == ["Apache-2.0"]:
+        lines = ["---", "license: apache-2.0"]
+    else:
+        lines = ["---", "license: other", f"license_name: {' and '.join(known)!r}"]
     lines += [
         "tags: [robotics, simulation, mujoco, tabletop, scenes]",
         "pretty_name: cluttered tabletop scenes",
@@ -103,11 +107,13 @@ def _figures(stats: BankStats) -> str:
         ("objects placed", stats.placed),
         ("attempts", stats.attempts),
         ("steps simulated", stats.simulated_steps),
-        ("median movement in the last check", f"{stats.drift_median * 1000:.4f} mm"),
-        ("most", f"{stats.drift_most * 1000:.3f} mm"),
+        ("median movement in the last check", millimetres(stats.drift_median)),
+        ("most", millimetres(stats.drift_most)),
         ("scenes that repeat another", sum(len(group) - 1 for group in stats.duplicates)),
     ]
     rows += [(f"verdict {name}", number) for name, number in stats.verdicts.items()]
+    if stats.certificate is not None:
+        rows += [(name, value) for name, _, value in (f.partition(": ") for f in stats.certificate.lines())]
     lines = ["## Figures", "", "| | |", "|---|---|"]
     return "\n".join([*lines, *(f"| {name} | {value} |" for name, value in rows)])
 

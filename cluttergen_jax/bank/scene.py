@@ -46,7 +46,6 @@ def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Sc
 
     Raises:
       BankError: one of them is not there or failed, none succeeded, or the bank's record is damaged.
-      PoolError: an asset of the bank is damaged.
     """
     records = chosen_records(bank, indices)
     asset_of = lru_cache(maxsize=None)(bank.object)

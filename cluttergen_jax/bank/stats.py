@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from cluttergen_jax.bank.bank import Bank
 from cluttergen_jax.bank.summary import summary_of
+from cluttergen_jax.bank.table import CERTIFICATE, is_certified
 from cluttergen_jax.world import base_name
 
 _SHOWN_GROUPS = 5
@@ -35,6 +36,42 @@ class ObjectStats:
 
 
 @dataclass(frozen=True)
+class CertificateStats:
+    """What `cluttergen certify` found, over the scenes that stand.
+
+    Attributes:
+      scenes: how many were measured.
+      shake_median, shake_least: m/s^2, sideways acceleration that a scene withstands.
+      horizon_seconds, horizon_drift: seconds simulated, and metres, the most that any object moved in them.
+      residual_speed: m/s, the fastest object 0.25 s after a scene was let go.
+      penetration: metres, the deepest overlap.
+      contacts: contact points of a scene, mean.
+      on_others: share of the objects that rest on another object.
+    """
+
+    scenes: int
+    shake_median: float
+    shake_least: float
+    horizon_seconds: float
+    horizon_drift: float
+    residual_speed: float
+    penetration: float
+    contacts: float
+    on_others: float
+
+    def lines(self) -> list[str]:
+        """For people, a fact each."""
+        return [
+            f"shake: {self.shake_median:.2f} m/s^2 in the median, {self.shake_least:.2f} at least",
+            f"drift: {millimetres(self.horizon_drift)} at most in {self.horizon_seconds:g} s",
+            f"residual speed: {1000 * self.residual_speed:.3g} mm/s at most",
+            f"overlap: {millimetres(self.penetration)} at most",
+            f"contact points: {self.contacts:.1f} a scene",
+            f"objects that rest on another: {self.on_others:.1%}",
+        ]
+
+
+@dataclass(frozen=True)
 class BankStats:
     """A bank in numbers.
 
@@ -48,6 +85,7 @@ class BankStats:
       objects: by asset.
       drift_median, drift_most: metres, movement in the last check of the scenes that stand.
       duplicates: indices of scenes that stand and are equal to the bit, objects and poses, group by group.
+      certificate: None unless every scene that stands has one.
     """
 
     asked: int
@@ -63,6 +101,7 @@ class BankStats:
     drift_median: float
     drift_most: float
     duplicates: tuple[tuple[int, ...], ...]
+    certificate: CertificateStats | None
 
     @property
     def success_rate(self) -> float:
@@ -97,6 +136,27 @@ def stats_of(bank: Bank) -> BankStats:
         drift_median=float(np.median(drift)) if len(drift) else 0.0,
         drift_most=float(drift.max(initial=0.0)),
         duplicates=_duplicates(table),
+        certificate=_certificate(table.filter(table["is_success"])) if is_certified(table) else None,
+    )
+
+
+def _certificate(rows: pa.Table) -> CertificateStats | None:
+    """Of rows that stand."""
+    if not rows.num_rows:
+        return None
+    of = {name: np.array(rows[name]) for name in CERTIFICATE.names if name != "rests_on"}
+    # An object may rest on several.
+    upper = [{above for above, below in pairs if below >= 0} for pairs in rows["rests_on"].to_pylist()]
+    return CertificateStats(
+        scenes=rows.num_rows,
+        shake_median=float(np.median(of["shake"])),
+        shake_least=float(of["shake"].min()),
+        horizon_seconds=float(of["horizon_seconds"].max()),
+        horizon_drift=float(of["horizon_drift"].max()),
+        residual_speed=float(of["residual_speed"].max()),
+        penetration=float(of["penetration"].max()),
+        contacts=float(of["num_contacts"].mean()),
+        on_others=sum(map(len, upper)) / max(int(np.array(rows["num_placed"]).sum()), 1),
     )
 
 
@@ -136,9 +196,12 @@ def stats_text(bank: Bank, stats: BankStats) -> str:
     lines = [f"bank       {bank.path}, {_made_by(bank)}", summary_of(bank.table, stats.scenes)]
     lines.append(f"verdicts   {', '.join(f'{number} {name}' for name, number in stats.verdicts.items())}")
     lines.append(
-        f"movement   in the last check of scenes that stand: median {stats.drift_median * 1000:.4f} mm, "
-        f"most {stats.drift_most * 1000:.3f} mm"
+        f"movement   in the last check of scenes that stand: median {millimetres(stats.drift_median)}, "
+        f"most {millimetres(stats.drift_most)}"
     )
+    if stats.certificate is not None:
+        facts = stats.certificate.lines()
+        lines += [f"{'' if place else 'certified':11}{fact}" for place, fact in enumerate(facts)]
     runs = ", ".join(f"{first} to {last}" if first < last else f"{first}" for first, last in stats.missing)
     lines.append(f"missing    {runs or 'nothing'} of the {stats.asked} scenes asked for")
     lines.append(f"duplicates {_duplicates_text(stats)}")
@@ -148,6 +211,11 @@ def stats_text(bank: Bank, stats: BankStats) -> str:
         mean = each.attempts / max(each.drawn, 1)
         lines.append(f"           {each.name:{width}}  {each.drawn:5d}  {each.placed:6d}  {mean:13.2f}")
     return "\n".join(lines)
+
+
+def millimetres(metres: float) -> str:
+    """A small length, with three digits that count."""
+    return f"{1000 * metres:.3g} mm"
 
 
 def _duplicates_text(stats: BankStats) -> str:

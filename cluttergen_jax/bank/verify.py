@@ -80,7 +80,8 @@ def _loaded(path: Path) -> tuple[mujoco.MjModel, int]:
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, OSError) as error:
-        raise BankError(f"{path} cannot be loaded: {error}", _OURS, "generating the bank again") from error
+        told = " ".join(str(error).split())
+        raise BankError(f"{path} cannot be loaded: {told}", _OURS, "generating the bank again") from error
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "scene")
     if key < 0:
         raise BankError(f"{path} has no keyframe called 'scene'", _OURS)

@@ -18,6 +18,7 @@ from cluttergen_jax.scene.xml import scene_xml
 from cluttergen_jax.world import base_name
 
 _OVERVIEW = 12
+_PNG_BEGINS, _PNG_ENDS = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 _MANY = 100
 _FINE, _QUICK = 32, 8
 """Pictures averaged into one: soft light for a few scenes, speed for many."""
@@ -29,14 +30,14 @@ def scene_path(bank: Bank, index: int, ending: str) -> Path:
 
 
 def write_files(bank: Bank, num_scenes: int, config: ProblemConfig, is_drawn: bool) -> None:
-    """Writes what is missing: MJCF files, and pictures if they are wanted and can be drawn."""
+    """Writes what is missing or damaged: MJCF files, and pictures if they are wanted and can be drawn."""
     scenes = [scene for scene in bank.scenes() if scene.is_success and scene.index < num_scenes]
     assets = {name: bank.object(name) for name in {base_name(n) for scene in scenes for n in scene.objects}}
     for scene in scenes:
         path = scene_path(bank, scene.index, "xml")
-        if not path.exists():
-            objects = [assets[base_name(name)] for name in scene.objects]
-            text = scene_xml(objects, scene.poses, bank.support, config.stability, config.contact)
+        objects = [assets[base_name(name)] for name in scene.objects]
+        text = scene_xml(objects, scene.poses, bank.support, config.stability, config.contact)
+        if not path.exists() or path.read_bytes() != text:
             write_atomically(path, text)
     print(f"files      {len(scenes)} scenes in {bank.path / 'scenes'}")
     if not (is_drawn and scenes):
@@ -48,12 +49,18 @@ def write_files(bank: Bank, num_scenes: int, config: ProblemConfig, is_drawn: bo
     _draw(bank, scenes, assets)
 
 
+def _is_whole_png(path: Path) -> bool:
+    """Whether a file is there that begins and ends as a PNG does."""
+    data = path.read_bytes() if path.is_file() else b""
+    return data.startswith(_PNG_BEGINS) and data.endswith(_PNG_ENDS)
+
+
 def _draw(bank: Bank, scenes: Sequence[SceneRecord], assets: dict) -> None:
     images: list[np.ndarray] = []
     samples = _FINE if len(scenes) <= _MANY else _QUICK
     for scene in tqdm(scenes, unit="picture", desc="drawing", disable=None):
         path = scene_path(bank, scene.index, "png")
-        if path.exists() and len(images) >= min(_OVERVIEW, len(scenes)):
+        if _is_whole_png(path) and len(images) >= min(_OVERVIEW, len(scenes)):
             continue
         objects = [assets[base_name(name)] for name in scene.objects]
         image = render_scene(objects, scene.poses, bank.support, close=True, samples=samples)

@@ -35,7 +35,7 @@ from cluttergen_jax.methods import (
     suited,
 )
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
-from cluttergen_jax.problem import Problem, ProblemConfig, keep_out_of, make_problem
+from cluttergen_jax.problem import Problem, ProblemConfig, check_keep_out, keep_out_of, make_problem
 from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
 
 MAX_SCENES = 10_000_000
@@ -108,9 +108,11 @@ class Generate:
 
 def _generate(args: Generate) -> int:
     if not 1 <= args.num_scenes <= MAX_SCENES:
-        raise ConfigError(f"--num-scenes {args.num_scenes}", f"1 to {MAX_SCENES}")
+        raise ConfigError(f"--num-scenes {args.num_scenes}", f"1 to {MAX_SCENES}", "--num-scenes 20")
     if not 0 <= args.seed < 2**32:
         raise ConfigError(f"--seed {args.seed}", "0 to 4294967295")
+    if args.max_files < 0:
+        raise ConfigError(f"--max-files {args.max_files}", "0 or more", "--max-files 0 for none")
     config = problem_config(args)
     num_objects = config.placement.num_objects
     method = args.method or default_method(args.pool, args.support, num_objects, args.checkpoint)
@@ -120,9 +122,11 @@ def _generate(args: Generate) -> int:
     standing, poses = read_start(args.start)
     problem = make_problem(config, standing)
     start = start_of(problem.world, standing, poses)
+    keep_out = [parse_keep_out(text) for text in args.keep_out]
+    check_keep_out(keep_out, problem.region)
     begin = partial(
         problem.rules.begin,
-        keep_out=keep_out_of([parse_keep_out(text) for text in args.keep_out]),
+        keep_out=keep_out_of(keep_out),
         start=start,
     )
     sampler = BlockSampler(problem.rules, proposer_of(method, checkpoint, problem.rules), begin)

@@ -104,7 +104,8 @@ class Render:
 
     def _shooting(self, size: tuple[int, int], samples: int) -> Shooting:
         width, height = parse_size(self.size) if self.size else size
-        return Shooting(width, height, self.samples or samples, self.view, self.whole, self.hulls)
+        samples = samples if self.samples is None else self.samples
+        return Shooting(width, height, samples, self.view, self.whole, self.hulls)
 
     def _make(self, recording: Recording, stem: Path, small: Shooting) -> Iterator[Path]:
         """Everything that is asked for of one scene."""

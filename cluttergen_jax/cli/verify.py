@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,8 +43,16 @@ class Verify:
         print(report_of(results, self.check))
         if Path(self.path).is_dir():
             record = json.dumps([_record(each) for each in results], indent=1) + "\n"
-            write_atomically(Path(self.path) / "verification.json", record.encode())
+            _keep(Path(self.path) / "verification.json", record.encode())
         return 0 if all(each.stands for each in results) else 1
+
+
+def _keep(path: Path, record: bytes) -> None:
+    """Writes the record beside the scenes; where nothing can be written, the verdict was still given."""
+    try:
+        write_atomically(path, record)
+    except OSError as error:
+        print(f"note: {path} was not written ({error.strerror})", file=sys.stderr)
 
 
 def _record(result: Verification) -> dict:

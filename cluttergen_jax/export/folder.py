@@ -77,6 +77,7 @@ class _Folder:
         self._path, self._kind = path, kind
         self._assets: dict[str, ObjectAsset] = {}
         self._records: list[dict[str, Any]] = []
+        self._taken: set[int] = set()
         self._first: Scene | None = None
 
     def write(self, scenes: Iterable[Scene]) -> None:
@@ -102,10 +103,10 @@ class _Folder:
         self._records.append(scene_record(scene, file))
 
     def _number(self, scene: Scene) -> int:
-        taken = {record["file"].split("/")[1].split(".")[0] for record in self._records}
-        if f"{scene.origin.index:06d}" not in taken:
-            return scene.origin.index
-        return max(int(each) for each in taken) + 1
+        """The scene's own number, or the next that is free."""
+        number = scene.origin.index if scene.origin.index not in self._taken else max(self._taken) + 1
+        self._taken.add(number)
+        return number
 
     def _add_asset(self, asset: ObjectAsset, scene: Scene) -> None:
         known = self._assets.setdefault(asset.name, asset)

@@ -10,6 +10,8 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError
 
+_MOST_AZIMUTH = 3600
+
 
 @dataclass(frozen=True)
 class View:
@@ -28,6 +30,12 @@ class View:
     margin: float = 0.06
 
     def __post_init__(self) -> None:
+        if not abs(self.azimuth) <= _MOST_AZIMUTH:
+            raise ConfigError(
+                f"View.azimuth = {self.azimuth}", f"-{_MOST_AZIMUTH} to {_MOST_AZIMUTH} degrees"
+            )
+        if not -90.0 <= self.elevation <= 90.0:
+            raise ConfigError(f"View.elevation = {self.elevation}", "-90 to 90 degrees")
         if not 1.0 <= self.field_of_view <= 120.0:
             raise ConfigError(f"View.field_of_view = {self.field_of_view}", "1 to 120 degrees")
         if not 0.0 <= self.margin <= 0.45:

@@ -110,9 +110,8 @@ class Studio:
                     if trail.alpha > limits[index]:
                         self._add(trail)
                 u = low_discrepancy(index)
+                shift_lights(self._scene, self._lights, u, self.model.stat.center, reach, light_yaw)
                 if samples > 1:
-                    center = self.model.stat.center
-                    shift_lights(self._scene, self._lights, u, center, reach, light_yaw)
                     shift_pixel(self._scene, u[4], u[5], self.width, self.height)
                 mujoco.mjr_render(self._rect, self._scene, self._context)
                 mujoco.mjr_readPixels(pixels, None, self._rect, self._context)

@@ -12,7 +12,8 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.methods import checkpoint_of, default_method, proposer_of, suited
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.problem import ProblemConfig, keep_out_of, make_problem
+from cluttergen_jax.problem import ProblemConfig, check_keep_out, keep_out_of, make_problem
+from cluttergen_jax.sampler.arguments import check_names, check_rectangles, check_whole
 from cluttergen_jax.sampler.sampler import Sampler
 from cluttergen_jax.sampling import BlockSampler
 
@@ -71,6 +72,15 @@ def make_sampler(
       PoolError: a pool, an object, a support or a checkpoint cannot be found or read.
       BankError: the scene to start from cannot be read, or does not stand.
     """
+    check_whole(
+        num_objects=num_objects,
+        max_retries=max_retries,
+        max_attempts=max_attempts,
+        num_scene_points=num_scene_points,
+        num_threads=num_threads,
+    )
+    check_names(objects)
+    check_rectangles(region, keep_out)
     if not 0 <= max_retries <= MAX_RETRIES:
         raise ConfigError(f"max_retries = {max_retries}", f"0 to {MAX_RETRIES}", "max_retries=5")
     ObservationConfig(num_scene_points=num_scene_points)
@@ -94,6 +104,7 @@ def make_sampler(
     )
     standing, poses = read_start(start)
     problem = make_problem(config, standing)
+    check_keep_out(keep_out, problem.region)
     return Sampler(
         problem=problem,
         steps=BlockSampler(problem.rules, proposer_of(method, policy, problem.rules)),

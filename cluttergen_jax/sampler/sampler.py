@@ -5,21 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.types import Episode, Start
-from cluttergen_jax.problem import Problem
+from cluttergen_jax.problem import Problem, reach_of
+from cluttergen_jax.sampler.arguments import check_call, check_key, is_known
 from cluttergen_jax.sampler.sampled import SampledScene, sampled_scene
 from cluttergen_jax.sampling import BlockSampler
 from cluttergen_jax.scene import Origin, Scene
 from cluttergen_jax.types import Array, Verdict
+
+_ROUNDING = 1e-5
+"""Metres, for float32."""
 
 
 class _Drawing(struct.PyTreeNode):
@@ -70,12 +74,13 @@ class Sampler:
         no success, its verdict is OUTSIDE, and it is not drawn again.
 
         Raises:
-          ConfigError: `key` is not one key, the region is empty, not finite or too large, or too many objects
-            stand there already.
+          ConfigError: `key` is not one key, another argument is of a wrong type or shape, the region is
+            empty, not finite, too large or not on the support, or too many objects stand there already.
         """
-        _check_key(key)
-        rules = self.problem.rules
-        fits = jnp.bool_(True) if region is None else _fits(region, rules.region)
+        check_key(key)
+        check_call(region, keep_out, start)
+        rules, support = self.problem.rules, self.problem.world.support
+        fits = jnp.bool_(True) if region is None else _fits(region, rules.region, support)
         if start is not None:
             fits &= _has_room(start, rules.num_started)
         begin = partial(
@@ -143,14 +148,15 @@ class Sampler:
         )
 
 
-def _fits(region: Region, usual: Region) -> Array:
-    """bool: the region is one that was asked for when the world was compiled; if that is known, it is so."""
-    half, place = region.half_extents, region.T_world_region.wxyz_xyz
+def _fits(region: Region, usual: Region, support: SupportAsset) -> Array:
+    """bool: the region lies on the support, and is no larger than the world was made for; known or not."""
+    half, place = jnp.asarray(region.half_extents), region.T_world_region.wxyz_xyz
     fits = jnp.all((half > 0) & (half <= usual.half_extents + 1e-6)) & jnp.all(jnp.isfinite(place))
-    if not isinstance(fits, jax.core.Tracer) and not fits:
+    fits &= _is_on_top(region, support)
+    if is_known(fits) and not fits:
         raise ConfigError(
             f"a region of {2 * half[0]:g} x {2 * half[1]:g} m about ({place[4]:g}, {place[5]:g})",
-            f"a finite place, and sides up to those of the sampler's own, "
+            f"a place on support {support.name!r}, and sides up to those of the sampler's own, "
             f"{2 * usual.half_extents[0]:g} x {2 * usual.half_extents[1]:g} m, "
             "compared one by one along the region's own axes",
             "make_sampler(region=...) with the largest that will be asked for",
@@ -158,29 +164,23 @@ def _fits(region: Region, usual: Region) -> Array:
     return fits
 
 
+def _is_on_top(region: Region, support: SupportAsset) -> Array:
+    """bool: all corners are within the support's reach (`problem.reach_of`)."""
+    signs = jnp.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
+    corners = jax.vmap(region.T_world_region.apply)(signs * jnp.append(region.half_extents, 0.0))
+    reach = reach_of(support)
+    local = corners[:, :2] @ reach.axes
+    return jnp.all((local >= reach.lower - _ROUNDING) & (local <= reach.upper + _ROUNDING))
+
+
 def _has_room(start: Start, most: int) -> Array:
     """bool: no more objects stand there than the sampler was made for; if their number is known, it is so."""
     number = start.is_placed.sum()
     fits = number <= most
-    if not isinstance(fits, jax.core.Tracer) and not fits:
+    if is_known(fits) and not fits:
         raise ConfigError(
             f"a start of {number} objects",
             f"up to {most}, as the sampler was made",
             "make_sampler(start=...)",
         )
     return fits
-
-
-def _check_key(key: Any) -> None:
-    """Refuses what is not one PRNG key, old style or new."""
-    dtype, shape = getattr(key, "dtype", None), np.shape(key)
-    if dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key):
-        is_one = shape == ()
-    else:
-        is_one = dtype == jnp.uint32 and shape == (2,)
-    if not is_one:
-        raise ConfigError(
-            f"sample(key) with a {type(key).__name__} of type {dtype} and shape {shape}",
-            "one key, as jax.random.key(0)",
-            "jax.vmap(sample)(jax.random.split(jax.random.key(0), 256)) for many scenes",
-        )

@@ -14,7 +14,9 @@ from flax import struct
 
 from cluttergen_jax.bank import Bank, read_bank
 from cluttergen_jax.bank.scene import read_scenes
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.region import from_pose
+from cluttergen_jax.sampler.arguments import check_key, is_known
 from cluttergen_jax.scene import SceneCollection, collect
 from cluttergen_jax.types import Array
 
@@ -92,11 +94,21 @@ class SceneBank:
 
         Args:
           key: one PRNG key, consumed.
+
+        Raises:
+          ConfigError: `key` is not one key.
         """
+        check_key(key, "reset")
         return self.scene(jax.random.randint(key, (), 0, len(self)))
 
     def scene(self, place: Array) -> StoredScene:
-        """The scene at `place`, i32, among those that stand (0 to len - 1); it may be traced."""
+        """The scene at `place`, i32, among those that stand (0 to len - 1); it may be traced.
+
+        Raises:
+          ConfigError: there is no such scene. A traced place is moved to the nearest.
+        """
+        if is_known(place) and not 0 <= int(place) < len(self):
+            raise ConfigError(f"scene {place} of those that stand", f"0 to {len(self) - 1}")
         arrays = self.arrays
         object_index, is_present = arrays.object_index[place], arrays.is_present[place]
         bodies = jnp.asarray(self.collection.model.jnt_bodyid)

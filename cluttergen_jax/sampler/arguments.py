@@ -1,0 +1,83 @@
+"""What a sampler is given, looked at before anything is compiled: types, shapes, numbers that are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from numbers import Integral
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.region import KeepOut, Region
+from cluttergen_jax.placement.types import Start
+
+
+def is_known(*arrays: Any) -> bool:
+    """Whether all these are numbers, not tracers."""
+    return not any(isinstance(each, jax.core.Tracer) for each in arrays)
+
+
+def check_whole(**numbers: Any) -> None:
+    """Refuses what is no whole number; None is let through."""
+    for name, value in numbers.items():
+        if value is not None and (isinstance(value, bool) or not isinstance(value, Integral)):
+            raise ConfigError(f"{name} = {value!r}", "a whole number")
+
+
+def check_names(objects: Sequence[str]) -> None:
+    """Refuses a single name, whose letters would be taken for names."""
+    if isinstance(objects, str):
+        raise ConfigError(f"objects = {objects!r}", "a sequence of names", f"objects=({objects!r},)")
+
+
+def check_rectangles(region: Rectangle | None, keep_out: Sequence[Rectangle]) -> None:
+    """Refuses whatever else is given for the rectangles of `make_sampler`."""
+    if region is not None and not isinstance(region, Rectangle):
+        raise ConfigError(f"region = {region!r}", "a Rectangle", "Rectangle(half_extents=(0.2, 0.25))")
+    if isinstance(keep_out, Rectangle) or not all(isinstance(box, Rectangle) for box in keep_out):
+        raise ConfigError(
+            f"keep_out = {keep_out!r}", "a sequence of Rectangles", "keep_out=(Rectangle(...),)"
+        )
+
+
+def check_key(key: Any, call: str = "sample") -> None:
+    """Refuses what is not one PRNG key, old style or new."""
+    dtype, shape = getattr(key, "dtype", None), np.shape(key)
+    if dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key):
+        is_one = shape == ()
+    else:
+        is_one = dtype == jnp.uint32 and shape == (2,)
+    if not is_one:
+        raise ConfigError(
+            f"{call}(key) with a {type(key).__name__} of type {dtype} and shape {shape}",
+            "one key, as jax.random.key(0)",
+            f"jax.vmap({call})(jax.random.split(jax.random.key(0), 256)) for many scenes",
+        )
+
+
+def check_call(region: Any, keep_out: Any, start: Any) -> None:
+    """Refuses arguments of a call that are of another type or shape, and boxes that are not finite."""
+    kinds = {"region": (region, Region), "keep_out": (keep_out, KeepOut), "start": (start, Start)}
+    for name, (value, kind) in kinds.items():
+        if value is not None and not isinstance(value, kind):
+            raise ConfigError(
+                f"sample({name}=...) with a {type(value).__name__}",
+                f"a {kind.__name__}, whose arrays may be traced",
+                f"make_sampler({name}=...) for one that stays the same",
+            )
+    if keep_out is not None:
+        _check_boxes(keep_out)
+
+
+def _check_boxes(boxes: KeepOut) -> None:
+    arrays = (boxes.center, boxes.half_extents, boxes.yaw)
+    shapes = tuple(jnp.shape(each) for each in arrays)
+    number = shapes[0][:1]
+    if len(number) != 1 or shapes != ((*number, 2), (*number, 2), number):
+        raise ConfigError(f"KeepOut of shapes {shapes}", "center [B, 2], half_extents [B, 2], yaw [B]")
+    if is_known(*arrays) and not all(jnp.isfinite(each).all() for each in arrays):
+        raise ConfigError("a KeepOut with numbers that are not finite", "metres and radians")
