@@ -125,7 +125,8 @@ _ALL = (
     ),
     Format(
         "urdf",
-        "PyBullet: python load_pybullet.py scenes/NUMBER.json (needs pybullet only). Objects and support are "
+        "PyBullet: python load_pybullet.py scenes/NUMBER.json (needs pybullet only; --direct opens no window). "
+        "Objects and support are "
         "one URDF each.",
         "json",
         _urdf_object,

@@ -84,6 +84,9 @@ def with_caption(image: np.ndarray, text: str, rgb: tuple[float, float, float] |
         return image
     height, width, _ = image.shape
     size = max(11.0, height / 30) * _FINE
+    # All of it grows with the letters; on a narrow picture they are as large as it takes to fit.
+    needed = 4.2 * size + ImageFont.load_default(size=size).getlength(text)
+    size *= min(1.0, width * _FINE / needed)
     font = ImageFont.load_default(size=size)
     strip = Image.new("RGBA", (width * _FINE, round(3.2 * size)), (255, 255, 255, 0))
     draw = ImageDraw.Draw(strip)

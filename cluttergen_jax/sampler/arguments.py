@@ -79,5 +79,5 @@ def _check_boxes(boxes: KeepOut) -> None:
     number = shapes[0][:1]
     if len(number) != 1 or shapes != ((*number, 2), (*number, 2), number):
         raise ConfigError(f"KeepOut of shapes {shapes}", "center [B, 2], half_extents [B, 2], yaw [B]")
-    if is_known(*arrays) and not all(jnp.isfinite(each).all() for each in arrays):
+    if is_known(*arrays) and not all(np.isfinite(np.asarray(each)).all() for each in arrays):
         raise ConfigError("a KeepOut with numbers that are not finite", "metres and radians")
