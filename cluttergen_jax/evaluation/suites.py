@@ -249,6 +249,8 @@ def _table2(scale: Scale) -> tuple[Trial, ...]:
 
 
 def _furniture(scale: Scale) -> tuple[Trial, ...]:
+    """Every table with every pool; quick, each with one of them by turns."""
+    pools = scale.chosen(EMBEDDED)
     return tuple(
         Trial(
             pool=pool,
@@ -260,8 +262,9 @@ def _furniture(scale: Scale) -> tuple[Trial, ...]:
             paper_count=not scale.quick,
         )
         for method in ("policy", "drop")
-        for pool in scale.chosen(EMBEDDED)
-        for support in FURNITURE
+        for place, pool in enumerate(pools)
+        for turn, support in enumerate(FURNITURE)
+        if not scale.quick or turn % len(pools) == place
     )
 
 

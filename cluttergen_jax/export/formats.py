@@ -125,9 +125,8 @@ _ALL = (
     ),
     Format(
         "urdf",
-        "PyBullet: python load_pybullet.py scenes/NUMBER.json (needs pybullet only; --direct opens no window). "
-        "Objects and support are "
-        "one URDF each.",
+        "PyBullet: python load_pybullet.py scenes/NUMBER.json (needs pybullet only; --direct opens no "
+        "window). Objects and support are one URDF each.",
         "json",
         _urdf_object,
         _urdf_support,
