@@ -2,6 +2,8 @@
 
 import json
 import random
+import subprocess
+import sys
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -93,3 +95,14 @@ def test_mutants_differ_and_repeat():
     mutants = [mutated(data, random.Random(seed)) for seed in range(50)]
     assert mutants == [mutated(data, random.Random(seed)) for seed in range(50)]
     assert len({*mutants, data}) > 45
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["bank_record_signed", "urdf"])
+def test_the_guided_search_runs(name):
+    pytest.importorskip("atheris", reason="needs the extra fuzz")
+    words = [sys.executable, "-m", "tests.fuzz_guided", name, "-max_total_time=10", "-seed=1"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=CORPUS.parent.parent)
+    assert done.returncode == 0, done.stderr
+    # It has found its way: inputs that reach new code were kept.
+    assert done.stderr.count("NEW") > 3
