@@ -79,6 +79,7 @@ def _loaded(path: Path) -> tuple[mujoco.MjModel, int]:
     """The model of a scene file, and its keyframe `scene`."""
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
+        model.names.decode()
     except (ValueError, OSError) as error:
         told = " ".join(str(error).split())
         raise BankError(f"{path} cannot be loaded: {told}", _OURS, "generating the bank again") from error

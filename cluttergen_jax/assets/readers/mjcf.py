@@ -32,10 +32,7 @@ def read_mjcf(path: Path, body: str = "") -> tuple[list[Piece], tuple[Mesh, ...]
     Raises:
       AssetError: MuJoCo cannot compile the file (its own message is kept), or the body has no geoms.
     """
-    try:
-        model = mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
-        raise AssetError(f"{path} cannot be compiled as MJCF: {error}") from error
+    model = compiled(path)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     root = _root(model, path, body)
@@ -48,6 +45,22 @@ def read_mjcf(path: Path, body: str = "") -> tuple[list[Piece], tuple[Mesh, ...]
     parts = tuple(Mesh.points(geom_mesh(model, data, i, 16).vertices) for i in solid if is_colliding[i])
     mass = float(model.body_subtreemass[root]) if root else float(model.body_mass.sum())
     return pieces, parts if 0 < len(parts) <= MAX_PARTS else None, mass
+
+
+def compiled(path: Path) -> mujoco.MjModel:
+    """The model of an MJCF file, whose names are text.
+
+    Raises:
+      AssetError: MuJoCo cannot compile it (its own message is kept), or a name is not UTF-8.
+    """
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+        # MuJoCo takes any bytes for a name; they would come to light wherever one is first read.
+        model.names.decode()
+    except (ValueError, OSError) as error:
+        told = " ".join(str(error).split())
+        raise AssetError(f"{path} cannot be compiled as MJCF: {told}", "an MJCF file") from error
+    return model
 
 
 def _root(model: mujoco.MjModel, path: Path, body: str) -> int:

@@ -15,7 +15,7 @@ import trimesh
 from cluttergen_jax.assets.cloud import farthest_first
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, RestingPose
-from cluttergen_jax.assets.readers.mjcf import geom_colour, geom_mesh, is_solid
+from cluttergen_jax.assets.readers.mjcf import compiled, geom_colour, geom_mesh, is_solid
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
@@ -40,10 +40,7 @@ def read_mjcf_scene(path: str | Path) -> FileScene:
       AssetError: MuJoCo cannot compile the file, or no body in it is free.
     """
     path = Path(path)
-    try:
-        model = mujoco.MjModel.from_xml_path(str(path))
-    except (ValueError, OSError) as error:
-        raise AssetError(f"{path} cannot be read as MJCF: {error}", "an MJCF file") from error
+    model = compiled(path)
     data = mujoco.MjData(model)
     if model.nkey:
         named = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "scene")
