@@ -9,7 +9,7 @@ from typing import Any
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.bank.bank import Bank
 from cluttergen_jax.bank.disk import write_atomically
-from cluttergen_jax.bank.stats import BankStats, millimetres, stats_of
+from cluttergen_jax.bank.stats import BankStats, small_length, stats_of
 from cluttergen_jax.bank.table import CERTIFICATE, COUNTED, SCHEMA
 from cluttergen_jax.types import Verdict
 
@@ -107,8 +107,8 @@ def _figures(stats: BankStats) -> str:
         ("objects placed", stats.placed),
         ("attempts", stats.attempts),
         ("steps simulated", stats.simulated_steps),
-        ("median movement in the last check", millimetres(stats.drift_median)),
-        ("most", millimetres(stats.drift_most)),
+        ("median movement in the last check", small_length(stats.drift_median)),
+        ("most", small_length(stats.drift_most)),
         ("scenes that repeat another", sum(len(group) - 1 for group in stats.duplicates)),
     ]
     rows += [(f"verdict {name}", number) for name, number in stats.verdicts.items()]

@@ -63,9 +63,9 @@ class CertificateStats:
         """For people, a fact each."""
         return [
             f"shake: {self.shake_median:.2f} m/s^2 in the median, {self.shake_least:.2f} at least",
-            f"drift: {millimetres(self.horizon_drift)} at most in {self.horizon_seconds:g} s",
-            f"residual speed: {1000 * self.residual_speed:.3g} mm/s at most",
-            f"overlap: {millimetres(self.penetration)} at most",
+            f"drift: {small_length(self.horizon_drift)} at most in {self.horizon_seconds:g} s",
+            f"residual speed: {small_length(self.residual_speed)}/s at most",
+            f"overlap: {small_length(self.penetration)} at most",
             f"contact points: {self.contacts:.1f} a scene",
             f"objects that rest on another: {self.on_others:.1%}",
         ]
@@ -196,8 +196,8 @@ def stats_text(bank: Bank, stats: BankStats) -> str:
     lines = [f"bank       {bank.path}, {_made_by(bank)}", summary_of(bank.table, stats.scenes)]
     lines.append(f"verdicts   {', '.join(f'{number} {name}' for name, number in stats.verdicts.items())}")
     lines.append(
-        f"movement   in the last check of scenes that stand: median {millimetres(stats.drift_median)}, "
-        f"most {millimetres(stats.drift_most)}"
+        f"movement   in the last check of scenes that stand: median {small_length(stats.drift_median)}, "
+        f"most {small_length(stats.drift_most)}"
     )
     if stats.certificate is not None:
         facts = stats.certificate.lines()
@@ -213,9 +213,9 @@ def stats_text(bank: Bank, stats: BankStats) -> str:
     return "\n".join(lines)
 
 
-def millimetres(metres: float) -> str:
-    """A small length, with three digits that count."""
-    return f"{1000 * metres:.3g} mm"
+def small_length(metres: float) -> str:
+    """A small length, with three digits that count; micrometres below a hundredth of a millimetre."""
+    return f"{1e6 * metres:.3g} um" if metres < 1e-5 else f"{1e3 * metres:.3g} mm"
 
 
 def _duplicates_text(stats: BankStats) -> str:

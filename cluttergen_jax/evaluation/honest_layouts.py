@@ -107,7 +107,7 @@ def robustness(result: Result) -> list[Table]:
     seconds = [each["seconds"] for each in made[0]["creep"]] if made else []
     changes = list(made[0]["changes"]) if made else []
     stands = [f"stands {each:g} s" for each in seconds]
-    creep = [f"median creep {each:g} s, mm" for each in seconds]
+    creep = [f"median creep {each:g} s, micrometres" for each in seconds]
     columns = (*_HEAD, "scenes", *stands, *creep, "shake, m/s^2")
     first = _rows(
         result,
@@ -115,7 +115,7 @@ def robustness(result: Result) -> list[Table]:
         lambda row: (
             str(row["scenes"]),
             *(share(each["share"]) for each in row["creep"]),
-            *(number(_millimetres(each["median_shift"]), 3) for each in row["creep"]),
+            *(number(_scaled(each["median_shift"], 1e6), 2) for each in row["creep"]),
             f"{row['shake'][1]:.2f} [{row['shake'][0]:.2f}, {row['shake'][2]:.2f}]",
         ),
     )
@@ -143,7 +143,7 @@ def survival(result: Result) -> list[Table]:
             row["engine"],
             str(row["scenes"]),
             interval(row["share"], row["low95"], row["high95"]),
-            number(_millimetres(row["median_shift"]), 2),
+            number(_scaled(row["median_shift"], 1e3), 2),
         ),
     )
     notes = ("stands: nothing moved over 5 mm or turned over 5 degrees",)
@@ -185,8 +185,8 @@ def timing(result: Result) -> list[Table]:
     return [Table(result["title"], columns, tuple(rows), notes)]
 
 
-def _millimetres(metres: float | None) -> float | None:
-    return None if metres is None else 1000 * metres
+def _scaled(metres: float | None, factor: float) -> float | None:
+    return None if metres is None else factor * metres
 
 
 def _rows(
