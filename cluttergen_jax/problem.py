@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -17,10 +18,12 @@ from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
+from cluttergen_jax.placement.changes import draw_region, find_change
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.region import KeepOut, Region, make_region, no_keep_out
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Geometry
+from cluttergen_jax.types import Array
 from cluttergen_jax.world import World, make_world, repeated
 
 SMALLEST_REGION = 0.02
@@ -40,6 +43,8 @@ class ProblemConfig:
       repeat: let objects stand there more than once when there are fewer than `placement.num_objects`.
       support: a support's name or folder; "table" is the paper's, "table-0.40x0.50" one of that size.
       region: the queried region; None takes the support's own.
+      change: how it is changed at random in every episode, a name of `placement.changes.CHANGES`; what is
+        drawn stays within the support's own.
       engine: "auto", "native", "warp" or "jax".
       num_threads: of the native engine; 0 takes every core.
     """
@@ -49,6 +54,7 @@ class ProblemConfig:
     repeat: bool = False
     support: str = "table"
     region: Rectangle | None = None
+    change: str = "none"
     engine: str = "auto"
     num_threads: int = 0
     placement: PlacementConfig = field(default_factory=PlacementConfig)
@@ -57,6 +63,7 @@ class ProblemConfig:
 
     def __post_init__(self) -> None:
         check_workers("--threads", self.num_threads)
+        find_change(self.change)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +115,30 @@ def compose(
         raise ConfigError(f"a region of {region}", f"sides from {SMALLEST_REGION} m", "--region 0.4x0.5")
     world = make_world([*objects, *standing], support, config.stability, config.contact)
     physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
-    rules = Rules(config.placement, physics, geometry_of(world), region_of(region, support), len(standing))
+    rules = Rules(
+        config=config.placement,
+        physics=physics,
+        geometry=geometry_of(world),
+        region=region_of(_largest_region(region, config.change, support), support),
+        num_started=len(standing),
+        draw_region=_drawing(region, config.change, support),
+    )
     return Problem(config, world, rules, region)
+
+
+def _largest_region(base: Rectangle, change: str, support: SupportAsset) -> Rectangle:
+    """The region that a world is made for: its maps have to hold the largest that is drawn."""
+    expansion = find_change(change).expansion
+    half = [min(side + expansion, max(support.region.half_extents)) for side in base.half_extents]
+    return replace(base, half_extents=(half[0], half[1])) if expansion else base
+
+
+def _drawing(base: Rectangle, change: str, support: SupportAsset) -> Callable[[Array], Region] | None:
+    """Draws an episode's region; None where it is never changed."""
+    if change == "none":
+        return None
+    chosen, bounds = find_change(change), support.region
+    return partial(draw_region, change=chosen, base=base, bounds=bounds, top=support.top)
 
 
 def region_of(rectangle: Rectangle, support: SupportAsset) -> Region:

@@ -18,7 +18,6 @@ from cluttergen_jax.cli.main import run
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.evaluation import published
-from cluttergen_jax.evaluation.changes import CHANGES, draw_region, find_change
 from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError
 from cluttergen_jax.evaluation.document import document, read_results
 from cluttergen_jax.evaluation.episodes import Attempts, logged_step, run_episodes
@@ -36,6 +35,7 @@ from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.suites import FURNITURE, SUITES, Scale, find_suite
 from cluttergen_jax.evaluation.tables import Table
 from cluttergen_jax.evaluation.trial import Trial, key_of
+from cluttergen_jax.placement.changes import CHANGES, draw_region, find_change
 from cluttergen_jax.policies import list_policies
 from cluttergen_jax.sampling import BlockSampler, sample_blocks
 from tests.problems import HalfTable, made_up_rules

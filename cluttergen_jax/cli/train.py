@@ -22,7 +22,7 @@ from cluttergen_jax.training.suite import POOLS, SEEDS
 
 ACTIONS = ("sampled", "mean")
 _OF_SUITES = ("suite_list", "suite_only", "pools", "seeds")
-_OF_RUNS = ("pool", "support", "num_objects", "variant", "attempts", "seed")
+_OF_RUNS = ("pool", "support", "change", "num_objects", "variant", "attempts", "seed")
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,8 @@ class Train:
     Attributes:
       pool: a pool's name or folder.
       support: a support's name or folder; table-0.40x0.50 is a cuboid of that size.
+      change: how the queried region is changed at random in every episode: none, translation, rotation,
+        shrinkage, expansion or all.
       num_objects: objects per scene.
       attempts: per object, 1 to 10.
       preset: cpu, gpu or paper.
@@ -63,6 +65,7 @@ class Train:
 
     pool: str = "dining"
     support: str = "table"
+    change: str = "none"
     num_objects: int = 10
     attempts: int = 5
     preset: str = "cpu"
@@ -114,6 +117,7 @@ class Train:
             ProblemConfig(
                 pool=self.pool,
                 support=self.support,
+                change=self.change,
                 engine=self.engine,
                 placement=settings.placement,
                 stability=settings.stability,
@@ -191,7 +195,9 @@ class Train:
 
 def recipe_of(args: Train, settings: Settings) -> dict[str, Any]:
     """What a checkpoint says of how it was made."""
-    return {
+    # Runs that were begun before regions could change are still runs of the same settings.
+    changed = {} if args.change == "none" else {"change": args.change}
+    return changed | {
         "pool": args.pool,
         "pool_hash": find_pool(args.pool).hash,
         "support": args.support,

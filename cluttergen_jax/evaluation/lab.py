@@ -8,11 +8,9 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from cluttergen_jax.agent.checkpoint import read_record
@@ -21,7 +19,6 @@ from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.evaluation.changes import draw_region, find_change
 from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError, train_command
 from cluttergen_jax.evaluation.episodes import Outcome, run_episodes
 from cluttergen_jax.evaluation.machine import versions
@@ -34,11 +31,8 @@ from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.methods import checkpoint_hash, proposer_of, suited
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.sampling import BlockSampler
-from cluttergen_jax.types import Array
 
 Record = dict[str, Any]
 _KEPT_PROBLEMS = 4
@@ -188,7 +182,8 @@ class Lab:
             pool=trial.pool,
             repeat=trial.repeat,
             support=trial.support,
-            region=self._largest_region(trial),
+            region=self.base_region(trial),
+            change=trial.change,
             engine=self.engine,
             num_threads=self.num_threads,
             placement=PlacementConfig(num_objects=trial.num_objects, max_attempts=trial.attempts),
@@ -210,7 +205,7 @@ class Lab:
         checkpoint = self.checkpoints.find(trial)
         with _usable(checkpoint, trial):
             propose = proposer_of(trial.method, checkpoint, problem.rules)
-        return BlockSampler(problem.rules, propose, self._begin(trial, problem.rules))
+        return BlockSampler(problem.rules, propose)
 
     def run(self, trial: Trial, judge_neighbours: bool = True) -> Outcome:
         """The trial's episodes, without a look at results at hand."""
@@ -235,27 +230,6 @@ class Lab:
         head = record["network"].get("head") if "network" in record else None
         return known | {"max_attempts": record["placement"]["max_attempts"], "head": head}
 
-    def _largest_region(self, trial: Trial) -> Rectangle:
-        """The region that the problem is made for: height maps have to hold the largest that is drawn."""
-        base, bounds = self.base_region(trial), self.support(trial.support).region
-        expansion = find_change(trial.change).expansion
-        half = [min(side + expansion, max(bounds.half_extents)) for side in base.half_extents]
-        return replace(base, half_extents=(half[0], half[1])) if expansion else base
-
-    def _begin(self, trial: Trial, rules: Rules) -> partial[Episode] | None:
-        """How an episode begins where the region is changed; None where `rules.begin` does."""
-        if trial.change == "none":
-            return None
-        support = self.support(trial.support)
-        draw = partial(
-            draw_region,
-            change=find_change(trial.change),
-            base=self.base_region(trial),
-            bounds=support.region,
-            top=support.top,
-        )
-        return partial(_begin_changed, rules, draw)
-
 
 @contextmanager
 def _usable(checkpoint: Path | None, trial: Trial) -> Iterator[None]:
@@ -279,11 +253,6 @@ def _usable(checkpoint: Path | None, trial: Trial) -> Iterator[None]:
 
 def _missing(trial: Trial, error: MissingCheckpointError) -> Record:
     return {"trial": trial.shown(), "missing": error.given, "hint": error.hint}
-
-
-def _begin_changed(rules: Rules, draw: Any, key: Array) -> Episode:
-    # The episode's own key stays as it is, so that orders are those of the unchanged region.
-    return rules.begin(key, region=draw(jax.random.fold_in(key, 1)))
 
 
 def _support_hash(support: SupportAsset) -> str:

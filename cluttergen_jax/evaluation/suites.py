@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from cluttergen_jax.assets.pool import EMBEDDED
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.changes import CHANGES
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.methods import METHODS, SCREENED
+from cluttergen_jax.placement.changes import CHANGES
 
 PAPER_METHODS = ("random", "open_loop", "short_memory", "normal", "beta", "policy")
 """`beta` is the paper's full method; `policy` is ours, which a preset may give another head."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.changes import find_change
+from cluttergen_jax.placement.changes import find_change
 
 MAX_TRIALS = 1_000_000
 

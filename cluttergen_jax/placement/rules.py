@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -32,7 +33,8 @@ class Rules:
       config: what is asked of an episode.
       physics: the simulator behind the waist.
       geometry: the world's objects.
-      region: the queried region of every episode that is not given another.
+      region: the queried region of every episode that is not given another; the largest of drawn ones.
+      draw_region: draws an episode's region from a key; None where all take `region`.
       num_started: the most objects that may stand there already when an episode begins.
     """
 
@@ -41,6 +43,7 @@ class Rules:
     geometry: Geometry
     region: Region
     num_started: int = 0
+    draw_region: Callable[[Array], Region] | None = None
 
     def begin(
         self,
@@ -53,7 +56,7 @@ class Rules:
 
         Args:
           key: consumed.
-          region: where to place; the default region if None.
+          region: where to place; the default region, or a drawn one, if None.
           keep_out: where not to place.
           start: objects that already stand; they count as neighbours and are not drawn again.
         """
@@ -61,6 +64,9 @@ class Rules:
         config = self.config
         start = empty_start(self.geometry.num_objects) if start is None else start
         first_slot = start.is_placed.sum().astype(jnp.int32)
+        if region is None and self.draw_region is not None:
+            # Orders are those of unchanged regions.
+            region = self.draw_region(jax.random.fold_in(key, 1))
         return Episode(
             key=key_episode,
             region=self.region if region is None else region,
