@@ -74,7 +74,7 @@ def region(yaw: float = 0.0) -> Region:
     return make_region(jnp.zeros(2), jnp.array([0.3, 0.2]), yaw, 0.7)
 
 
-def trio_problem(**placement) -> Problem:
+def trio_problem(change: str = "none", **placement) -> Problem:
     """The trio of tests.worlds on the paper's table, native engine."""
-    config = ProblemConfig(placement=PlacementConfig(**{"num_objects": 3} | placement))
+    config = ProblemConfig(change=change, placement=PlacementConfig(**{"num_objects": 3} | placement))
     return compose(trio(), cuboid_table(), config)

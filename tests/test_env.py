@@ -35,6 +35,22 @@ def test_resets_itself_with_fresh_keys_and_keeps_figures():
     assert float(state.info["truncation"]) == 0
 
 
+def test_regions_change_with_every_episode_and_orders_do_not():
+    plain, changing = (PlacementEnv(trio_problem(change=name).rules) for name in ("none", "all"))
+    keys = jax.random.split(jax.random.key(0), 64)
+    usual, changed = (jax.vmap(env.reset)(keys).pipeline_state.episode for env in (plain, changing))
+    np.testing.assert_array_equal(usual.object_index, changed.object_index)
+    half = np.asarray(changed.region.half_extents)
+    assert len(np.unique(half, axis=0)) == 64
+    assert (half <= np.asarray(changing.rules.region.half_extents) + 1e-6).all()
+    # The table's own region bounds what is drawn, and what may be drawn is what the world is made for.
+    assert half.max() > 0.3
+    assert np.ptp(np.asarray(usual.region.half_extents), axis=0).max() == 0
+    # A region that is asked for is the one that is taken.
+    asked = changing.rules.begin(keys[0], region=plain.rules.region)
+    np.testing.assert_array_equal(asked.region.half_extents, plain.rules.region.half_extents)
+
+
 def test_success_is_kept_after_the_reset():
     env = PlacementEnv(made_up_rules())
     state = env.reset(jax.random.key(0))

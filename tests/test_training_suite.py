@@ -170,6 +170,8 @@ def test_evaluation_finds_the_runs_by_their_names(tmp_path):
         ["--pools", "dining"],
         ["--suite", "paper", "--seed", "1", "--variant", "beta"],
         ["--suite", "honest", "--support", "bar_table"],
+        ["--suite", "paper", "--change", "all"],
+        ["--change", "tilt"],
         ["--suite", "all"],
         ["--memory-limit", "nan"],
         ["--memory-limit", "inf"],

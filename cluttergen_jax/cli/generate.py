@@ -179,7 +179,9 @@ def problem_config(args: Generate) -> ProblemConfig:
 def recipe_of(args: Generate, problem: Problem, checkpoint: Path | None) -> dict[str, Any]:
     """What decides the scenes of a bank; two equal recipes make equal scenes on one machine."""
     config = dataclasses.asdict(problem.config)
-    config.pop("num_threads")
+    # Neither decides a scene: threads do not, and every scene of a bank has the same region.
+    for name in ("num_threads", "change"):
+        config.pop(name)
     return {
         **config,
         "region": dataclasses.asdict(problem.region),
