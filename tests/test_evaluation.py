@@ -391,6 +391,19 @@ def test_methods_choose_rows_and_leave_out_studies_without_any():
     }
 
 
+def test_imported_groups_are_a_study_of_their_own_where_they_are_at_hand():
+    assert "imported" not in {study.name for study in find_suite("paper", Scale())}
+    with pytest.raises(ConfigError, match="cluttergen import"):
+        find_suite("paper", Scale(), ("imported",))
+    (study,) = find_suite("paper", Scale(imported=(("paper_study", 9),)), ("imported",))
+    assert {(trial.pool, trial.num_objects) for trial in study.trials} == {("paper_study", 9)}
+    records = [{"trial": dataclasses.asdict(trial), "missing": "none"} for trial in study.trials]
+    (table,) = tables_of(result_of(study, records))
+    column = table.columns.index("paper: success")
+    shown = {row[1]: row[column] for row in table.rows}
+    assert shown == {"random": "0.000", "policy": "0.874"}
+
+
 def test_imported_groups_stand_beside_the_papers_figures():
     assert published.table_1("policy", "paper_dining") == published.table_1("beta", "dining") == (0.912, 89)
     assert published.table_1("drop", "dining") is published.table_1("policy", "mine") is None

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cluttergen_jax.assets.pool import find_pool, list_pools
 from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.cli.parse import refuse_given
@@ -19,6 +20,7 @@ from cluttergen_jax.evaluation.checkpoints import Checkpoints
 from cluttergen_jax.evaluation.document import document
 from cluttergen_jax.evaluation.lab import Lab
 from cluttergen_jax.evaluation.progress import Progress
+from cluttergen_jax.evaluation.published import IMPORTED
 from cluttergen_jax.evaluation.report import markdown as study_markdown
 from cluttergen_jax.evaluation.report import write_report
 from cluttergen_jax.evaluation.store import Store, json_bytes
@@ -28,6 +30,7 @@ from cluttergen_jax.evaluation.tables import Table, interval, missing, number, s
 from cluttergen_jax.evaluation.trial import Trial
 
 _DEFAULT_TRIALS = 1000
+_OBJECTS = 10
 _OF_SUITES = ("only", "quick", "seeds")
 _OF_COMPARISONS = ("supports", "num_objects", "attempts", "repeat", "change")
 
@@ -153,7 +156,7 @@ def _compare(args: Evaluate) -> int:
 def _run_suite(args: Evaluate, suite: str) -> int:
     out = Path(args.out or f"out/{suite}{'-quick' if args.quick else ''}")
     seeds = args.seeds or (1 if args.quick else 3)
-    scale = Scale(args.quick, args.trials, seeds, args.pools, args.methods, args.seed)
+    scale = Scale(args.quick, args.trials, seeds, args.pools, args.methods, args.seed, imported_pools())
     studies = find_suite(suite, scale, args.only)
     # Times are measured in processes of their own, after everything else.
     lab = _lab(args, out, tuple(t for s in studies if s.measure != "timing" for t in s.trials))
@@ -166,6 +169,12 @@ def _run_suite(args: Evaluate, suite: str) -> int:
     write_atomically(out / "all.md", document(results, link="").encode())
     print(f"done       {len(results)} studies in {out}")
     return 0
+
+
+def imported_pools() -> tuple[tuple[str, int], ...]:
+    """Pools of the paper's own objects that are at hand, and how many a scene of each has."""
+    names = [name for name in list_pools() if name.startswith(IMPORTED)]
+    return tuple((name, min(_OBJECTS, len(find_pool(name)))) for name in names)
 
 
 def command_of(args: Evaluate, study: Study) -> str:

@@ -11,6 +11,9 @@ from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.methods import METHODS, checkpoint_of
 from cluttergen_jax.training.presets import VARIANTS
 
+OBJECTS = 10
+"""Objects per scene that policies are trained with where a pool has as many."""
+
 ATTEMPTS = 5
 """What policies are trained with unless their name says otherwise."""
 
@@ -111,6 +114,9 @@ def train_command(trial: Trial) -> str:
     words = [f"cluttergen train --pool {trial.pool} --variant {variant}"]
     if trial.training_seed:
         words.append(f"--seed {trial.training_seed}")
+    if trial.num_objects < OBJECTS:
+        # Who was trained with more objects fills smaller scenes too; but a pool may have no more.
+        words.append(f"--num-objects {trial.num_objects}")
     if trial.attempts != ATTEMPTS:
         words.append(f"--attempts {trial.attempts} --out runs/{_names(trial)[0]}")
     return " ".join(words)

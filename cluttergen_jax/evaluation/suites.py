@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from cluttergen_jax.assets.pool import EMBEDDED
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation.published import IMPORTED
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.methods import METHODS, SCREENED
 from cluttergen_jax.placement.changes import CHANGES
@@ -45,6 +46,8 @@ class Scale:
       pools: names or folders; the embedded ones if empty.
       methods: whose rows are made; all if empty.
       seed: of the scenes.
+      imported: pools of the authors' own objects that are at hand (`published.IMPORTED`), and how many
+        objects a scene of each has.
     """
 
     quick: bool = False
@@ -53,6 +56,7 @@ class Scale:
     pools: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
     seed: int = 0
+    imported: tuple[tuple[str, int], ...] = ()
 
     def number(self, full: int, quick: int) -> int:
         """Trials of a row."""
@@ -100,6 +104,7 @@ def paper(scale: Scale) -> tuple[Study, ...]:
     at_home = tuple(trial for trial in first if trial.pool == home)
     return (
         Study("table1", "Success and stable steps by method and pool (table 1)", table1, 1000),
+        Study("imported", "The same with the paper's own objects", _imported(scale), 1000, layout="table1"),
         Study(
             "fig1a",
             "Success against the number of objects (figure 1a)",
@@ -170,7 +175,7 @@ def find_suite(name: str, scale: Scale, only: tuple[str, ...] = ()) -> tuple[Stu
     """The studies of a suite, or those of them that are named.
 
     Raises:
-      ConfigError: there is no such suite, no such study in it, or none with such methods.
+      ConfigError: there is no such suite, no such study in it, or nothing is left to be made.
     """
     if name not in SUITES:
         raise ConfigError(f"--suite {name}", ", ".join(SUITES), "--suite paper")
@@ -181,7 +186,13 @@ def find_suite(name: str, scale: Scale, only: tuple[str, ...] = ()) -> tuple[Stu
         raise ConfigError(
             f"--only {' '.join(unknown)} in suite {name!r}", ", ".join(names), f"--only {names[0]}"
         )
-    asked = [study for study in studies if not only or study.name in only]
+    asked = [study for study in studies if (not only or study.name in only) and study.trials]
+    if not asked:
+        raise ConfigError(
+            f"--only {' '.join(only)} without such a pool",
+            f"pools of the paper's objects whose names begin with {IMPORTED}",
+            f"cluttergen import GROUP --pool {IMPORTED}dining",
+        )
     if not scale.methods:
         return tuple(asked)
     kept = [replace(study, trials=_with(study.trials, scale.methods)) for study in asked]
@@ -205,6 +216,23 @@ def _table1(scale: Scale) -> tuple[Trial, ...]:
         for pool in scale.chosen(EMBEDDED)
         for method in PAPER_METHODS
         for seed in range(1 if method in BASELINES else scale.seeds)
+    )
+
+
+def _imported(scale: Scale) -> tuple[Trial, ...]:
+    """The full method on the paper's own groups, as far as they were imported."""
+    return tuple(
+        Trial(
+            pool=pool,
+            method=method,
+            num_objects=number,
+            trials=scale.number(1000, 6),
+            seed=scale.seed,
+            whole_attempts=True,
+            paper_count=True,
+        )
+        for pool, number in scale.imported
+        for method in ("random", "policy")
     )
 
 
