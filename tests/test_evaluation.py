@@ -302,7 +302,7 @@ def test_missing_checkpoints_are_rows_of_their_own(lab, tmp_path):
     trial = dataclasses.replace(SMALL, method="policy", pool="study", training_seed=41)
     record = lab.record(trial)
     assert "no checkpoint" in record["missing"]
-    assert record["hint"] == "cluttergen train --pool study --variant policy --seed 41"
+    assert record["hint"] == "cluttergen train --pool study --variant policy --seed 41 --num-objects 2"
     other = dataclasses.replace(trial, training_seed=0, attempts=3)
     # A folder of runs hides what is embedded.
     elsewhere = Lab(Store(tmp_path / "runs"), Checkpoints(folder=tmp_path))
