@@ -16,6 +16,7 @@ from cluttergen_jax.training.records import read_rows
 
 GOAL = 0.95
 WINDOW = 10
+OBJECTS, ATTEMPTS = 10, 5
 
 
 def first_good(success: np.ndarray) -> int | None:
@@ -23,6 +24,16 @@ def first_good(success: np.ndarray) -> int | None:
     smooth = np.convolve(success, np.ones(WINDOW) / WINDOW, mode="valid")
     reached = np.flatnonzero(smooth >= GOAL)
     return int(reached[0]) + WINDOW - 1 if len(reached) else None
+
+
+def name_of(record: dict) -> str:
+    """What a run trained, in a few words; what is as usual is left out."""
+    objects, attempts = (record["placement"][name] for name in ("num_objects", "max_attempts"))
+    words = [record["pool"], record["support"], record["variant"], f"seed {record['seed']}"]
+    words += [f"{objects} objects"] if objects != OBJECTS else []
+    words += [f"{attempts} attempts"] if attempts != ATTEMPTS else []
+    words += [f"changed regions ({record['change']})"] if "change" in record else []
+    return ", ".join(words)
 
 
 def cells(run: Path) -> list[str]:
@@ -35,7 +46,7 @@ def cells(run: Path) -> list[str]:
     good = first_good(np.array([row["success"] for row in rows]))
     soon = ("not reached", "") if good is None else (f"{rows[good]['attempts']:,.0f}", f"{minutes[good]:.1f}")
     return [
-        f"{record['pool']}, {record['support']}, {record['variant']}, seed {record['seed']}",
+        name_of(record),
         *soon,
         f"{rows[-1]['attempts']:,.0f}",
         f"{minutes[-1]:.1f}",
@@ -50,7 +61,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="put the section into benchmarks/README.md")
     args = parser.parse_args()
     body = prose(
-        f"""Ten objects, preset `cpu`. Soon: when the training's success over {WINDOW} updates first reached
+        f"""Preset `cpu`, {OBJECTS} objects and up to {ATTEMPTS} attempts each unless said. Soon: when the training's success over {WINDOW} updates first reached
         {GOAL}. Minutes are of training, compilation (about one) not counted; the runs shared two cores with
         each other and with other work, so they are upper bounds and not to be compared. Success: of 256 fresh
         episodes with the whole last check, actions sampled (`ranked`: the best), 95 % interval."""
