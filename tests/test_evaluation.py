@@ -17,6 +17,7 @@ from cluttergen_jax.cli.evaluate import Evaluate
 from cluttergen_jax.cli.main import run
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.evaluation import programs as programs_module
 from cluttergen_jax.evaluation import published
 from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError
 from cluttergen_jax.evaluation.document import document, read_results
@@ -139,6 +140,21 @@ def test_programs_that_differ_in_constants_share_an_executable():
     for function, table in results:
         x = jnp.arange(3.0)
         np.testing.assert_allclose(function(x), x @ table + 1, rtol=1e-6)
+
+
+def test_programs_are_kept_up_to_a_number(monkeypatch):
+    monkeypatch.setattr(programs_module, "_KEPT", 2)
+    programs = Programs()
+    one = jnp.float32(1)
+    runs = [programs.compile(lambda x, k=k: x * (k + 2), one) for k in range(4)]
+    assert len(programs) == 2
+    # What was compiled and is at hand still runs.
+    assert [float(run(one)) for run in runs] == [2, 3, 4, 5]
+    # The latest used stays.
+    programs.compile(lambda x: x * 4, one)
+    programs.compile(lambda x: x - 7, one)
+    programs.compile(lambda x: x * 4, one)
+    assert len(programs) == 2
 
 
 def test_programs_that_do_something_else_share_nothing():

@@ -8,6 +8,7 @@ and handed in as arguments; two traces that read the same share one executable.
 from __future__ import annotations
 
 import hashlib
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -22,12 +23,15 @@ from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.report import empty_settling, empty_standing
 from cluttergen_jax.types import Array, Settling, Standing
 
+_KEPT = 48
+"""Executables; each takes a few hundred of the 65,530 mappings of memory that Linux grants a process."""
+
 
 class Programs:
-    """Compiles functions, those that differ in constants alone only once."""
+    """Compiles functions, those that differ in constants alone only once; the latest ones are kept."""
 
     def __init__(self) -> None:
-        self._compiled: dict[str, tuple[Any, Callable[..., Any]]] = {}
+        self._compiled: OrderedDict[str, tuple[Any, Callable[..., Any]]] = OrderedDict()
         self._switches: dict[tuple[int, StabilityConfig], Switch] = {}
 
     def __len__(self) -> int:
@@ -45,6 +49,9 @@ class Programs:
             lowered = jax.jit(_with_constants(closed.jaxpr)).lower(constants, jax.tree.leaves(args))
             # The trace is kept, so that no two of its callbacks ever share an address.
             self._compiled[name] = (traced, lowered.compile())
+            if len(self._compiled) > _KEPT:
+                self._compiled.popitem(last=False)
+        self._compiled.move_to_end(name)
         run = self._compiled[name][1]
         return lambda *given: jax.tree.unflatten(structure, run(constants, jax.tree.leaves(given)))
 
