@@ -69,6 +69,8 @@ def table1(result: Result) -> list[Table]:
 def differs(pool: str, method: str, record: dict) -> str:
     """What sets a row apart from the paper's; `_differences` has the words behind it."""
     parts = ["engine", *(["assets"] if pool in published.GROUP_OF_POOL else [])]
+    if record["trial"]["num_objects"] != published.OBJECTS:
+        parts.append(f"{record['trial']['num_objects']} objects for {published.OBJECTS}")
     if method == "random":
         parts.append("height")
     policy = record.get("policy") or {}

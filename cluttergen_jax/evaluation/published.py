@@ -76,6 +76,9 @@ TABLE_2 = {
 FURNITURE = 0.70
 """Success over ten furniture tables and all groups, 50 episodes each."""
 
+OBJECTS = 10
+"""Of every scene."""
+
 BUDGET = 2_500_000
 """Environment steps of each training run."""
 
