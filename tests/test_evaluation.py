@@ -307,8 +307,7 @@ def test_whole_attempts_change_steps_and_no_verdict(lab):
 
 def test_changed_regions_are_where_objects_go(lab):
     trial = dataclasses.replace(SMALL, support="table-1.40x1.40", region=(0.2, 0.2), change="translation")
-    problem = lab.problem(trial)
-    episode = lab.sampler(trial, problem).begin_one(jax.random.key(4))
+    episode = lab.problem(trial).rules.begin(jax.random.key(4))
     center = np.asarray(episode.region.T_world_region.translation())[:2]
     assert 0 < np.abs(center).max() <= 0.15
     np.testing.assert_allclose(episode.region.half_extents, [0.1, 0.1], atol=1e-6)

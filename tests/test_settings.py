@@ -137,7 +137,8 @@ def test_a_problem_whose_region_is_beyond_the_table_is_refused():
 def test_regions_that_grow_in_evaluation_may_be_wider_than_the_top(tmp_path):
     lab = Lab(Store(tmp_path))
     problem = lab.problem(Trial(change="all", num_objects=1))
-    assert problem.region.half_extents == (0.35, 0.35)
+    assert problem.region.half_extents == (0.30, 0.35)
+    np.testing.assert_allclose(problem.rules.region.half_extents, (0.35, 0.35))
 
 
 # Scenes in a user's own model

@@ -113,7 +113,7 @@ def test_scene_file_is_read_as_the_bank_has_it(bank, source, tmp_path):
     with pytest.raises(AssetError, match="move freely"):
         open_source(str(elsewhere))
     elsewhere.write_text("<mujoco>")
-    with pytest.raises(AssetError, match="cannot be read"):
+    with pytest.raises(AssetError, match="cannot be compiled"):
         open_source(str(elsewhere))
 
 
