@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +12,8 @@ import numpy as np
 from cluttergen_jax.assets.columns import Columns
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
+from cluttergen_jax.assets.reach import check_reach
+from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
@@ -27,9 +27,6 @@ from cluttergen_jax.types import Array
 from cluttergen_jax.world import World, make_world, repeated
 
 SMALLEST_REGION = 0.02
-_OVERHANG = 0.01
-_LEVEL = 0.002
-_GRID = 41
 _RUN = 64
 
 
@@ -159,31 +156,6 @@ def keep_out_of(boxes: Sequence[Rectangle]) -> KeepOut:
     )
 
 
-def check_keep_out(boxes: Sequence[Rectangle], region: Rectangle) -> None:
-    """Refuses boxes that leave no place for the centre of any object.
-
-    Raises:
-      ConfigError: they do.
-    """
-    grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, _GRID)] * 2), -1).reshape(-1, 2)
-    places = _turned(grid * region.half_extents, region.yaw) + region.center
-    is_free = np.ones(len(places), bool)
-    for box in boxes:
-        local = _turned(places - np.array(box.center), -box.yaw)
-        is_free &= (np.abs(local) > box.half_extents).any(1)
-    if not is_free.any():
-        raise ConfigError(
-            f"keep-out boxes {', '.join(map(str, boxes))}",
-            "boxes that leave some of the queried region free",
-            "smaller ones: X,Y,W,D are a centre and whole sides, in metres",
-        )
-
-
-def _turned(points: np.ndarray, yaw: float) -> np.ndarray:
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return points @ np.array([[cos, sin], [-sin, cos]])
-
-
 def geometry_of(world: World) -> Geometry:
     """The world's objects as arrays, columns padded to the longest."""
     most = max(len(columns.sample) for columns in world.columns)
@@ -212,45 +184,3 @@ def _surface_runs(columns: Columns) -> np.ndarray:
     """f64[M, 64, 3]: an object's grown upper surface, padded with its first point."""
     padding = np.repeat(columns.surface[:1], -len(columns.surface) % _RUN, axis=0)
     return np.concatenate([columns.surface, padding]).reshape(-1, _RUN, 3)
-
-
-def _is_top(box: Box, support: SupportAsset) -> bool:
-    return abs(box.center[2] + box.half_extents[2] - support.top) < _LEVEL
-
-
-class Reach(NamedTuple):
-    """Where a region's corners may lie: `lower` <= corner @ `axes` <= `upper`, world x and y, metres.
-
-    Attributes:
-      axes: f64[2, 2], columns along the sides of the support's own region; lower, upper: f64[2].
-    """
-
-    axes: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-
-
-def reach_of(support: SupportAsset) -> Reach:
-    """The smallest rectangle that holds all boxes of the support's top, and a centimetre more."""
-    level = [box for box in support.boxes if _is_top(box, support)]
-    tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level or support.boxes]
-    side = np.array([np.cos(support.region.yaw), np.sin(support.region.yaw)])
-    axes = np.stack([side, [-side[1], side[0]]], axis=1)
-    rim = np.concatenate([top.corners for top in tops]) @ axes
-    return Reach(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
-
-
-def check_reach(region: Rectangle, support: SupportAsset) -> None:
-    """Refuses a region that reaches over the edges of the support's top by more than a centimetre.
-
-    Raises:
-      ConfigError: it does.
-    """
-    reach = reach_of(support)
-    corners = region.corners @ reach.axes
-    if (corners < reach.lower).any() or (corners > reach.upper).any():
-        raise ConfigError(
-            f"a region of {region} reaches beyond support {support.name!r}",
-            f"a rectangle on its top, by default {support.region}",
-            "a smaller region, or a larger table such as --support table-1.40x1.40",
-        )

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from cluttergen_jax.assets.reach import check_reach
 from cluttergen_jax.assets.readers import ReadOptions
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.assets.support_file import find_support, list_supports
@@ -21,7 +22,7 @@ from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.importing.worker import ObjectConfig
 from cluttergen_jax.measures.simulate import horizons_of
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.problem import ProblemConfig, check_reach, make_problem
+from cluttergen_jax.problem import ProblemConfig, make_problem
 from cluttergen_jax.sampler import make_sampler
 from cluttergen_jax.scene import Scene, attach_to
 from tests.banks import two_scenes

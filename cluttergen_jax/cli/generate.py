@@ -14,6 +14,7 @@ import numpy as np
 import tyro
 
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.reach import check_keep_out
 from cluttergen_jax.assets.rectangle_text import parse_keep_out, parse_region
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
@@ -35,7 +36,7 @@ from cluttergen_jax.methods import (
     suited,
 )
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
-from cluttergen_jax.problem import Problem, ProblemConfig, check_keep_out, keep_out_of, make_problem
+from cluttergen_jax.problem import Problem, ProblemConfig, keep_out_of, make_problem
 from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
 
 MAX_SCENES = 10_000_000

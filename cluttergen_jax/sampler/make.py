@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.reach import check_keep_out
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.bank.start import read_start, start_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.methods import checkpoint_of, default_method, proposer_of, suited
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.problem import ProblemConfig, check_keep_out, keep_out_of, make_problem
+from cluttergen_jax.problem import ProblemConfig, keep_out_of, make_problem
 from cluttergen_jax.sampler.arguments import check_names, check_rectangles, check_whole
 from cluttergen_jax.sampler.sampler import Sampler
 from cluttergen_jax.sampling import BlockSampler

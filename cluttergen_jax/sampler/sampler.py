@@ -11,11 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from cluttergen_jax.assets.reach import reach_of
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.types import Episode, Start
-from cluttergen_jax.problem import Problem, reach_of
+from cluttergen_jax.problem import Problem
 from cluttergen_jax.sampler.arguments import check_call, check_key, is_known
 from cluttergen_jax.sampler.sampled import SampledScene, sampled_scene
 from cluttergen_jax.sampling import BlockSampler
@@ -165,7 +166,7 @@ def _fits(region: Region, usual: Region, support: SupportAsset) -> Array:
 
 
 def _is_on_top(region: Region, support: SupportAsset) -> Array:
-    """bool: all corners are within the support's reach (`problem.reach_of`)."""
+    """bool: all corners are within the support's reach (`assets.reach`)."""
     signs = jnp.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
     corners = jax.vmap(region.T_world_region.apply)(signs * jnp.append(region.half_extents, 0.0))
     reach = reach_of(support)
