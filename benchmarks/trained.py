@@ -13,10 +13,10 @@ import numpy as np
 from benchmarks.section import prose, report, table
 from cluttergen_jax.agent.checkpoint import read_record
 from cluttergen_jax.training.records import read_rows
+from cluttergen_jax.training.suite import DEFAULT_ATTEMPTS, DEFAULT_OBJECTS
 
 GOAL = 0.95
 WINDOW = 10
-OBJECTS, ATTEMPTS = 10, 5
 
 
 def first_good(success: np.ndarray) -> int | None:
@@ -30,8 +30,8 @@ def name_of(record: dict) -> str:
     """What a run trained, in a few words; what is as usual is left out."""
     objects, attempts = (record["placement"][name] for name in ("num_objects", "max_attempts"))
     words = [record["pool"], record["support"], record["variant"], f"seed {record['seed']}"]
-    words += [f"{objects} objects"] if objects != OBJECTS else []
-    words += [f"{attempts} attempts"] if attempts != ATTEMPTS else []
+    words += [f"{objects} objects"] if objects != DEFAULT_OBJECTS else []
+    words += [f"{attempts} attempts"] if attempts != DEFAULT_ATTEMPTS else []
     words += [f"changed regions ({record['change']})"] if "change" in record else []
     return ", ".join(words)
 
@@ -61,11 +61,11 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="put the section into benchmarks/README.md")
     args = parser.parse_args()
     body = prose(
-        f"""Preset `cpu`, {OBJECTS} objects and up to {ATTEMPTS} attempts each unless said. Soon: when the
-        training's success over {WINDOW} updates first reached {GOAL}. Minutes are of training, compilation
-        (about one) not counted; the runs shared two cores with each other and with other work, so they are
-        upper bounds and not to be compared. Success: of 256 fresh episodes with the whole last check, actions
-        sampled (`ranked`: the best), 95 % interval."""
+        f"""Preset `cpu`, {DEFAULT_OBJECTS} objects and up to {DEFAULT_ATTEMPTS} attempts each unless said.
+        Soon: when the training's success over {WINDOW} updates first reached {GOAL}. Minutes are of training,
+        compilation (about one) not counted; the runs shared two cores with each other and with other work, so
+        they are upper bounds and not to be compared. Success: of 256 fresh episodes with the whole last check,
+        actions sampled (`ranked`: the best), 95 % interval."""
     )
     header = ["run", "attempts to 0.95", "minutes to 0.95", "attempts", "minutes", "success"]
     lines = table(header, [cells(run) for run in args.runs])

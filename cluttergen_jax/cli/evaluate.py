@@ -20,7 +20,7 @@ from cluttergen_jax.evaluation.checkpoints import Checkpoints
 from cluttergen_jax.evaluation.document import document
 from cluttergen_jax.evaluation.lab import Lab
 from cluttergen_jax.evaluation.progress import Progress
-from cluttergen_jax.evaluation.published import IMPORTED
+from cluttergen_jax.evaluation.published import IMPORTED, OBJECTS
 from cluttergen_jax.evaluation.report import markdown as study_markdown
 from cluttergen_jax.evaluation.report import write_report
 from cluttergen_jax.evaluation.store import Store, json_bytes
@@ -30,7 +30,6 @@ from cluttergen_jax.evaluation.tables import Table, interval, missing, number, s
 from cluttergen_jax.evaluation.trial import Trial
 
 _DEFAULT_TRIALS = 1000
-_OBJECTS = 10
 _OF_SUITES = ("only", "quick", "seeds")
 _OF_COMPARISONS = ("supports", "num_objects", "attempts", "repeat", "change")
 
@@ -174,7 +173,7 @@ def _run_suite(args: Evaluate, suite: str) -> int:
 def imported_pools() -> tuple[tuple[str, int], ...]:
     """Pools of the paper's own objects that are at hand, and how many a scene of each has."""
     names = [name for name in list_pools() if name.startswith(IMPORTED)]
-    return tuple((name, min(_OBJECTS, len(find_pool(name)))) for name in names)
+    return tuple((name, min(OBJECTS, len(find_pool(name)))) for name in names)
 
 
 def command_of(args: Evaluate, study: Study) -> str:

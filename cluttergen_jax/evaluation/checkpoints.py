@@ -10,12 +10,7 @@ from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.methods import METHODS, checkpoint_of
 from cluttergen_jax.training.presets import VARIANTS
-
-OBJECTS = 10
-"""Objects per scene that policies are trained with where a pool has as many."""
-
-ATTEMPTS = 5
-"""What policies are trained with unless their name says otherwise."""
+from cluttergen_jax.training.suite import DEFAULT_ATTEMPTS, DEFAULT_OBJECTS
 
 
 class MissingCheckpointError(PoolError):
@@ -102,7 +97,7 @@ def _names(trial: Trial) -> list[str]:
     pool = Path(trial.pool).name
     # Methods that are no variant of the network act with the weights of the full method.
     variants = dict.fromkeys((trial.method, trial.method if trial.method in VARIANTS else "policy"))
-    attempts = "" if trial.attempts == ATTEMPTS else f"-attempts{trial.attempts}"
+    attempts = "" if trial.attempts == DEFAULT_ATTEMPTS else f"-attempts{trial.attempts}"
     stems = [f"{pool}-{variant}{extra}" for extra in dict.fromkeys((attempts, "")) for variant in variants]
     endings = (f"-{trial.training_seed}", *([""] if trial.training_seed == 0 else []))
     return [f"{stem}{ending}" for stem in stems for ending in endings]
@@ -114,9 +109,9 @@ def train_command(trial: Trial) -> str:
     words = [f"cluttergen train --pool {trial.pool} --variant {variant}"]
     if trial.training_seed:
         words.append(f"--seed {trial.training_seed}")
-    if trial.num_objects < OBJECTS:
+    if trial.num_objects < DEFAULT_OBJECTS:
         # Who was trained with more objects fills smaller scenes too; but a pool may have no more.
         words.append(f"--num-objects {trial.num_objects}")
-    if trial.attempts != ATTEMPTS:
+    if trial.attempts != DEFAULT_ATTEMPTS:
         words.append(f"--attempts {trial.attempts} --out runs/{_names(trial)[0]}")
     return " ".join(words)

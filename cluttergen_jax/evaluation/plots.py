@@ -11,7 +11,7 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.bank.disk import write_atomically
-from cluttergen_jax.evaluation.checkpoints import ATTEMPTS
+from cluttergen_jax.training.suite import DEFAULT_ATTEMPTS
 
 COLOURS = {
     "random": "#8a8f98",
@@ -123,7 +123,7 @@ def fig1a(records: Sequence[dict], stem: Path) -> list[str]:
                 axis.plot(
                     range(1, len(shares) + 1), shares, style, color=colour(method), label=label, marker="."
                 )
-        prepare(axis, pool, "objects", "success")
+        prepare(axis, pool, "objects", "success (dotted: strict)")
         axis.set_ylim(-0.03, 1.03)
     add_legend(figure)
     return save(figure, stem)
@@ -155,7 +155,7 @@ def steps_by_attempt(records: Sequence[dict], stem: Path) -> list[str]:
                 label = LABELS.get(method, method)
                 axis.errorbar(x, y, error, color=colour(method), label=label, marker=".", linewidth=1.0)
         prepare(axis, pool, "attempt", "steps")
-        axis.set_xticks(range(1, ATTEMPTS + 1))
+        axis.set_xticks(range(1, DEFAULT_ATTEMPTS + 1))
         axis.set_ylim(0, 250)
     add_legend(figure)
     return save(figure, stem)
@@ -174,7 +174,7 @@ def attempts(records: Sequence[dict], stem: Path) -> list[str]:
         axis.errorbar(
             x, y, np.abs(ends - y), color=colour(method), label=LABELS.get(method, method), marker="."
         )
-    prepare(axis, "", "attempts per object", "success")
+    prepare(axis, "", "attempts per object", "success, paper's count")
     axis.set_ylim(-0.03, 1.03)
     add_legend(figure)
     return save(figure, stem)

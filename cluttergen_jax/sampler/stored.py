@@ -128,8 +128,7 @@ def load_bank(path: str | Path) -> SceneBank:
     """Reads a bank for use as the reset of an environment; scenes that failed are left out.
 
     Raises:
-      BankError: there is no bank, it is damaged, or no scene in it stands.
-      PoolError: one of its assets is damaged.
+      BankError: there is no bank, it or one of its assets is damaged, or no scene in it stands.
     """
     bank = read_bank(path)
     scenes = list(read_scenes(bank))

@@ -13,7 +13,7 @@ VARIANTS = ("policy", "open_loop", "short_memory", "normal", "beta")
 SEEDS = (0, 1, 2)
 ATTEMPTS_POOL = "dining"
 ATTEMPTS = (1, 2, 3, 5, 10)
-DEFAULT_ATTEMPTS = 5
+DEFAULT_ATTEMPTS, DEFAULT_OBJECTS = 5, 10
 LADDER_POOLS = ("dining",)
 TIGHTEST = "table-0.30x0.40"
 CROWD = 20
@@ -32,7 +32,7 @@ class PlannedRun:
     seed: int
     attempts: int = DEFAULT_ATTEMPTS
     support: str = "table"
-    num_objects: int = 10
+    num_objects: int = DEFAULT_OBJECTS
 
     @property
     def name(self) -> str:
