@@ -64,8 +64,8 @@ def main() -> None:
         f"""Preset `cpu`, {DEFAULT_OBJECTS} objects and up to {DEFAULT_ATTEMPTS} attempts each unless said.
         Soon: when the training's success over {WINDOW} updates first reached {GOAL}. Minutes are of training,
         compilation (about one) not counted; the runs shared two cores with each other and with other work, so
-        they are upper bounds and not to be compared. Success: of 256 fresh episodes with the whole last check,
-        actions sampled (`ranked`: the best), 95 % interval."""
+        they are upper bounds and not to be compared. Success: of 256 fresh episodes with the whole last
+        check, actions sampled (`ranked`: the best), 95 % interval."""
     )
     header = ["run", "attempts to 0.95", "minutes to 0.95", "attempts", "minutes", "success"]
     lines = table(header, [cells(run) for run in args.runs])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from cluttergen_jax.errors import ConfigError
@@ -19,17 +20,23 @@ from cluttergen_jax.evaluation.suites import Study
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.measures.arrangement import region_positions
 from cluttergen_jax.measures.relations import Relation
-from cluttergen_jax.render.assets import render_scene
+from cluttergen_jax.render.assets import close_points, render_scene
 from cluttergen_jax.render.figure import closed_loop_figure
 from cluttergen_jax.render.gl import renderer_status
 from cluttergen_jax.render.sheet import contact_sheet, save_png
-from cluttergen_jax.sampling.record import Recorder
+from cluttergen_jax.render.stage import Look, Shooting, open_stage
+from cluttergen_jax.render.studio import Trail
+from cluttergen_jax.sampling.record import Recorder, rectangle_of
 from cluttergen_jax.training.records import read_rows
 
 _MAP_SCENES = 500
 _TRIED_SCENES = 8
 _EXAMPLES = 6
 _SAMPLES = 16
+_AROUND = [0, 1, 3, 2, 0]
+"""Corners of a rectangle one after another, and back to the first."""
+_LINE = 0.003
+_WHITE = (1.0, 1.0, 1.0)
 
 
 def maps(shown: Sequence[tuple[str, Successes]], stem: Path) -> list[str]:
@@ -143,7 +150,7 @@ def renders(lab: Lab, study: Study, stem: Path) -> tuple[list[str], list[str]]:
             except MissingCheckpointError:
                 continue
             if len(scenes):
-                images.append(draw(scenes, 0))
+                images.append(outlined(lab, trial, scenes, 0))
                 change = "" if trial.change == "none" else f", change: {trial.change}"
                 captions.append(f"{trial.support_name}, {trial.pool_name}, {trial.method}{change}")
                 break
@@ -186,6 +193,19 @@ def draw(scenes: Successes, scene: int) -> np.ndarray:
         height=360,
         samples=_SAMPLES,
     )
+
+
+def outlined(lab: Lab, trial: Trial, scenes: Successes, scene: int) -> np.ndarray:
+    """uint8[H, W, 3]: one of the successful scenes and the outline of the region that it was asked for in."""
+    key = jax.random.fold_in(jax.random.key(trial.seed), int(scenes.index[scene]))
+    region = rectangle_of(lab.problem(trial).rules.begin(key).region)
+    height = np.full(len(_AROUND), scenes.world.support.top + _LINE)
+    outline = np.column_stack([region.corners[_AROUND], height])
+    here = np.flatnonzero(scenes.is_placed[scene])
+    objects, poses = [scenes.world.objects[k] for k in here], scenes.poses[scene, here]
+    seen = np.concatenate([outline, close_points(objects, poses, None)])
+    with open_stage(objects, scenes.world.support, seen, Shooting(480, 360, _SAMPLES)) as stage:
+        return stage.picture([Look(pose) for pose in poses], [Trail(outline, _WHITE, radius=_LINE)])
 
 
 def _sheet(images: list[Any], captions: list[str], stem: Path) -> tuple[list[str], list[str]]:

@@ -130,15 +130,6 @@ def render_scene(
     )
 
 
-def _region_corners(support: SupportAsset) -> np.ndarray:
-    """f64[4, 3]: the corners of the support's region, at its top."""
-    region = support.region
-    along = np.array([np.cos(region.yaw), np.sin(region.yaw)])
-    turn = np.stack([along, [-along[1], along[0]]])
-    plane = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * region.half_extents @ turn + region.center
-    return np.column_stack([plane, np.full(4, support.top)])
-
-
 def close_points(
     assets: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None
 ) -> np.ndarray:
@@ -147,7 +138,9 @@ def close_points(
     Raises:
       ConfigError: there are neither objects nor a support.
     """
-    points = [] if support is None else [_region_corners(support)]
+    points = []
+    if support is not None:
+        points.append(np.column_stack([support.region.corners, np.full(4, support.top)]))
     for asset, pose in zip(assets, np.asarray(poses, np.float64), strict=True):
         matrix = np.zeros(9)
         mujoco.mju_quat2Mat(matrix, pose[3:])
