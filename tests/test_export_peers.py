@@ -1,13 +1,14 @@
 """Exports in programs that cannot be installed beside this one: each is asked in an interpreter of its own.
 
-CLUTTERGEN_DRAKE_PYTHON, CLUTTERGEN_MANISKILL_PYTHON and CLUTTERGEN_ROBOSUITE_PYTHON name the interpreters of
-environments that have pydrake (Python 3.12), mani_skill, and robosuite with h5py and MuJoCo 3.3; without them
-the tests are skipped. `tests/peers` holds what these interpreters run; it prints JSON.
+CLUTTERGEN_MANISKILL_PYTHON and CLUTTERGEN_ROBOSUITE_PYTHON name the interpreters of environments that have
+mani_skill, and robosuite with h5py and MuJoCo 3.3; without them the tests are skipped. Drake, which comes with
+the extra peers, is asked in this interpreter. `tests/peers` holds what is run; it prints JSON.
 """
 
 import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,9 @@ SECONDS = 2.0
 def asked(peer, format, tmp_path):
     """The scene, and what a peer reports of its export."""
     python = os.environ.get(f"CLUTTERGEN_{peer.upper()}_PYTHON")
+    if peer == "drake":
+        pytest.importorskip("pydrake", reason="needs the extra peers")
+        python = sys.executable
     if not python:
         pytest.skip(f"CLUTTERGEN_{peer.upper()}_PYTHON names no interpreter that has {peer}")
     pool = find_pool("dining")

@@ -55,7 +55,7 @@ def test_scenes_in_pybullet(models):
 
 
 def test_scenes_in_drake(models):
-    pytest.importorskip("pydrake", reason="needs the extra peers and Python 3.12")
+    pytest.importorskip("pydrake", reason="needs the extra peers")
     check(models, "drake")
 
 

@@ -158,6 +158,14 @@ def test_all_is_the_union_and_clashes_are_prefixed(tmp_path, monkeypatch):
     assert find_pool("all").names == ("dining-box", "study-box", "lamp")
 
 
+def test_a_pool_is_read_like_a_dictionary():
+    pool = Pool("two", (make_box("box"), make_box("lamp")))
+    assert list(pool) == ["box", "lamp"]
+    assert pool["lamp"] is pool.objects[1]
+    assert "lamp" in pool
+    assert "mug" not in pool
+
+
 def test_names_are_unique_and_plain(pool):
     with pytest.raises(PoolError, match="twice"):
         Pool("two", (make_box(), make_box()))

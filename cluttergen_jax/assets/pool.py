@@ -10,6 +10,7 @@ import hashlib
 import importlib.resources
 import json
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -65,6 +66,10 @@ class Pool:
 
     def __len__(self) -> int:
         return len(self.objects)
+
+    def __iter__(self) -> Iterator[str]:
+        """The names, as of a dictionary; the objects themselves are `objects`."""
+        return iter(self.names)
 
     def __getitem__(self, name: str) -> ObjectAsset:
         """The object called `name`; PoolError names the others if there is none."""

@@ -27,7 +27,7 @@ class DrakePeer:
         try:
             import pydrake.all as drake
         except ImportError as error:
-            raise MissingExtraError("peers", "survival in Drake (Python 3.12 or newer)") from error
+            raise MissingExtraError("peers", "survival in Drake") from error
         self._drake, self._models = drake, models
         self._files = tempfile.TemporaryDirectory()
 

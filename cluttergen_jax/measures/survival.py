@@ -51,7 +51,7 @@ def make_peer(engine: str, models: SceneModels) -> Peer:
     if engine == "pybullet":
         return BulletPeer(models)
     if engine == "drake":
-        # Drake is an import of seconds, and exists for Python 3.12 and newer only.
+        # Drake is an import of seconds.
         from cluttergen_jax.measures.drake_world import DrakePeer
 
         return DrakePeer(models)
@@ -71,7 +71,7 @@ def movement_elsewhere(
     the other engine's default but for the hulls' margin (`BULLET_MARGIN`, metres).
 
     Args:
-      engine: "pybullet" or "drake" (extra `peers`; Drake needs Python 3.12).
+      engine: "pybullet" or "drake" (extra `peers`).
       poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
       seconds: horizons, ascending.
     """
