@@ -41,7 +41,8 @@ def write_atomically(path: Path, data: bytes, is_durable: bool = False) -> None:
 def _replacing(path: Path, fresh: Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        yield fresh
+        with _naming(path):
+            yield fresh
         os.replace(fresh, path)
     except BaseException:
         with suppress(OSError):
@@ -66,10 +67,22 @@ def folder_whole(folder: Path, is_only_writer: bool = False) -> Iterator[Path]:
     else:
         scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=PARTIAL, dir=folder.parent))
     try:
-        yield scratch / folder.name
+        with _naming(folder):
+            yield scratch / folder.name
         _swap_in(scratch / folder.name, folder)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """A full disk does not say of itself what could not be written: such errors get the name of `path`."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno and not error.filename:
+            error.filename = str(path)
+        raise
 
 
 def _swap_in(fresh: Path, folder: Path) -> None:

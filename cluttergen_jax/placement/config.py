@@ -42,7 +42,7 @@ class PlacementConfig:
 
     def __post_init__(self) -> None:
         if not 1 <= self.num_objects <= MAX_SLOTS:
-            raise ConfigError(f"num_objects = {self.num_objects}", f"1 to {MAX_SLOTS}", "fewer objects")
+            raise ConfigError(f"num_objects = {self.num_objects}", f"1 to {MAX_SLOTS}")
         if not 1 <= self.max_attempts <= MAX_ATTEMPTS:
             raise ConfigError(f"max_attempts = {self.max_attempts}", f"1 to {MAX_ATTEMPTS}", "5")
         if not 0 <= self.history_stride <= 240:
