@@ -12,6 +12,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.export.glb import glb_bytes
+from cluttergen_jax.export.libero import libero_json
 from cluttergen_jax.export.maniskill import maniskill_json
 from cluttergen_jax.export.meshes import write_object_meshes, write_support_meshes
 from cluttergen_jax.export.mjcf import mjcf_text
@@ -176,6 +177,16 @@ _ALL = (
         _robosuite_support,
         _written(partial(placement_json, ending="xml")),
         script="cluttergen_robosuite.py",
+    ),
+    Format(
+        "libero",
+        "LIBERO: import cluttergen_libero, then cluttergen_libero.make_env(N). python cluttergen_libero.py "
+        "writes LIBERO's task descriptions and initial states.",
+        "json",
+        _robosuite_object,
+        _robosuite_support,
+        _written(libero_json),
+        script="cluttergen_libero.py",
     ),
 )
 FORMATS = {each.name: each for each in _ALL}
