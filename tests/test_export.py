@@ -21,6 +21,7 @@ from cluttergen_jax.cli.parse import parse_numbers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.export import FORMATS, export_scenes
 from cluttergen_jax.export.frames import euler_of, linear, principal_of
+from cluttergen_jax.export.placement import scene_bounds
 from cluttergen_jax.export.shading import shaded
 from cluttergen_jax.physics.rotation import rotate
 from cluttergen_jax.scene import Origin, Scene
@@ -222,7 +223,7 @@ def test_glb_holds_masses_parts_and_linear_colours(folder_of, scene):
     assert tuple(linear(scene.objects[0].pieces[0].rgba)) in colours
 
 
-@pytest.mark.parametrize("format", ["maniskill", "robosuite"])
+@pytest.mark.parametrize("format", ["maniskill", "robosuite", "libero"])
 def test_adapters_carry_poses_and_files(folder_of, scene, format):
     folder = folder_of(format)
     record = json.loads((folder / "scenes" / "000000.json").read_text())
@@ -231,7 +232,7 @@ def test_adapters_carry_poses_and_files(folder_of, scene, format):
         assert_same_pose(entry["position"], entry["quaternion_wxyz"], pose)
     for name, own in record["assets"].items():
         asset = scene.assets[name]
-        if format == "robosuite":
+        if format in ("robosuite", "libero"):
             spec = mujoco.MjSpec.from_file(str(folder / own["file"]))
             body = spec.compile().body("object")
             assert body.mass[0] == pytest.approx(asset.mass, rel=1e-6)
@@ -245,6 +246,19 @@ def test_adapters_carry_poses_and_files(folder_of, scene, format):
         for name, row in record["env_state"]["actors"].items():
             np.testing.assert_allclose(row[:7], scene.poses[scene.names.index(name)])
             assert row[7:] == [0.0] * 6
+
+
+def test_bounds_hold_the_support_and_what_overhangs():
+    # The table is so small that objects hang over its edges.
+    scene = spread(trio(), cuboid_table(0.2, 0.2))
+    points = [
+        trimesh.transform_points(part.vertices, matrix(pose))
+        for asset, pose in zip(scene.objects, scene.poses, strict=True)
+        for part in asset.parts
+    ]
+    points = np.concatenate([*points, [[-0.1, -0.1, 0.0], [0.1, 0.1, scene.support.top]]])
+    assert points[:, 0].min() < -0.1
+    np.testing.assert_allclose(scene_bounds(scene), [points.min(0), points.max(0)], atol=CLOSE)
 
 
 def test_boxes_without_surfaces_are_exported_too(tmp_path):

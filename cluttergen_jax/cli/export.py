@@ -27,7 +27,7 @@ class Export:
       source: a bank; or one scene of it: BANK:INDEX, or its file BANK/scenes/000003.xml.
       out: the folder to make.
       format: mjcf (MuJoCo), urdf (PyBullet), sdf (Drake, Gazebo), usd (Isaac, Omniverse), glb (any viewer),
-        maniskill or robosuite.
+        maniskill, robosuite or libero.
       scenes: numbers such as 0,3,7 or 0-9; all successful ones if not given.
       overwrite: replace an earlier export.
     """

@@ -177,6 +177,16 @@ _ALL = (
         _written(partial(placement_json, ending="xml")),
         script="cluttergen_robosuite.py",
     ),
+    Format(
+        "libero",
+        "LIBERO: import cluttergen_libero, then cluttergen_libero.make_env(N). python cluttergen_libero.py "
+        "writes LIBERO's task descriptions and initial states.",
+        "json",
+        _robosuite_object,
+        _robosuite_support,
+        _written(partial(placement_json, ending="xml")),
+        script="cluttergen_libero.py",
+    ),
 )
 FORMATS = {each.name: each for each in _ALL}
 """Every format by name."""

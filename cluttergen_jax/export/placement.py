@@ -8,16 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, object_folder
 from cluttergen_jax.export.shading import box_mesh
+from cluttergen_jax.physics.rotation import rotate
 from cluttergen_jax.scene import Scene
 
 
-def support_bounds(support: SupportAsset) -> np.ndarray:
-    """f64[2, 3]: the corners of the box around all of a support's collision, world frame."""
-    vertices = np.concatenate([box_mesh(box).vertices for box in support.boxes])
-    return np.stack([vertices.min(0), vertices.max(0)])
+def scene_bounds(scene: Scene) -> np.ndarray:
+    """f64[2, 3]: the corners of the box around the support and all objects, metres, world frame.
+
+    Robots are put beside it: an object may reach beyond the support.
+    """
+    points = [box_mesh(box).vertices for box in scene.support.boxes]
+    for asset, pose in zip(scene.objects, scene.poses, strict=True):
+        vertices = np.concatenate([part.vertices for part in asset.parts])
+        points.append(rotate(np, pose[3:], vertices) + pose[:3])
+    corners = np.concatenate(points)
+    return np.stack([corners.min(0), corners.max(0)])
 
 
 def placement_json(
@@ -38,10 +45,10 @@ def placement_json(
         "timestep": scene.stability.timestep,
         "gravity": [0.0, 0.0, -contact.gravity],
         "friction": {"sliding": sliding, "torsional": torsional, "rolling": rolling},
+        "bounds": scene_bounds(scene).tolist(),
         "support": {
             "name": scene.support.name,
             "top": scene.support.top,
-            "bounds": support_bounds(scene.support).tolist(),
             "region": {
                 "center": list(scene.support.region.center),
                 "half_extents": list(scene.support.region.half_extents),

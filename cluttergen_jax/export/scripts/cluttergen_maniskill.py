@@ -25,7 +25,7 @@ from mani_skill.utils.structs.pose import Pose
 ROOT = Path(__file__).resolve().parent
 ENV_ID = "ClutterGenScene-v1"
 _GAP = 0.15
-"""Metres from the support's edge to the middle of the robot's base."""
+"""Metres from the support and what overhangs it to the middle of the robot's base."""
 
 
 def scene_numbers():
@@ -60,7 +60,7 @@ class ClutterGenSceneEnv(BaseEnv):
 
     def _base(self):
         support = self.record["support"]
-        x, y = support["bounds"][0][0] - _GAP, support["region"]["center"][1]
+        x, y = self.record["bounds"][0][0] - _GAP, support["region"]["center"][1]
         return sapien.Pose(p=[x, y, support["top"]])
 
     @property

@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parent
 _TABLE_HEIGHT = 0.8
 """Height of robosuite's own tables, beside which its robots stand."""
 _GAP = 0.2
-"""Metres from the support's edge to the middle of the robot's base."""
+"""Metres from the support and what overhangs it to the middle of the robot's base."""
 
 
 def scene_numbers():
@@ -64,7 +64,7 @@ class ClutterGenScene(ManipulationEnv):
     def _load_model(self):
         super()._load_model()
         support = self.record["support"]
-        x, y = support["bounds"][0][0] - _GAP, support["region"]["center"][1]
+        x, y = self.record["bounds"][0][0] - _GAP, support["region"]["center"][1]
         for robot in self.robots:
             robot.robot_model.set_base_xpos([x, y, support["top"] - _TABLE_HEIGHT])
         arena = EmptyArena()
