@@ -16,9 +16,9 @@ from cluttergen_jax.cli import evaluate as command
 from cluttergen_jax.cli.evaluate import Evaluate
 from cluttergen_jax.cli.main import run
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.errors import ConfigError, MissingExtraError, PoolError
+from cluttergen_jax.evaluation import measuring, published
 from cluttergen_jax.evaluation import programs as programs_module
-from cluttergen_jax.evaluation import published
 from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError
 from cluttergen_jax.evaluation.document import document, read_results
 from cluttergen_jax.evaluation.episodes import Attempts, logged_step, run_episodes
@@ -33,9 +33,11 @@ from cluttergen_jax.evaluation.proportion import spread_of, wilson
 from cluttergen_jax.evaluation.record import figures_of, steps_by_attempt
 from cluttergen_jax.evaluation.report import tables_of
 from cluttergen_jax.evaluation.store import Store
-from cluttergen_jax.evaluation.suites import FURNITURE, SUITES, Scale, find_suite
+from cluttergen_jax.evaluation.studies import run_study
+from cluttergen_jax.evaluation.suites import FURNITURE, SUITES, Scale, Study, find_suite
 from cluttergen_jax.evaluation.tables import Table
 from cluttergen_jax.evaluation.trial import Trial, key_of
+from cluttergen_jax.measures.simulate import no_movement
 from cluttergen_jax.placement.changes import CHANGES, draw_region, find_change
 from cluttergen_jax.policies import list_policies
 from cluttergen_jax.sampling import BlockSampler, sample_blocks
@@ -482,6 +484,38 @@ def test_the_papers_figures_stand_beside_ours(lab):
     column = table.columns.index("paper: success")
     shown = {row[2]: row[column] for row in table.rows if row[1] == "beta"}
     assert shown == {change: f"{value:.3f}" for change, value in published.TABLE_2.items()}
+
+
+def test_measured_rows_are_kept_one_by_one(tmp_path, monkeypatch):
+    lab, asked, absent = Lab(Store(tmp_path / "results")), [], {"drake"}
+
+    def stood(engine, models, poses, is_placed, seconds=(10.0,), num_threads=0):
+        if engine in absent:
+            raise MissingExtraError("peers", "survival")
+        asked.append(engine)
+        if asked == ["pybullet"] * 2:
+            raise KeyboardInterrupt
+        return no_movement(is_placed, seconds)
+
+    monkeypatch.setattr(measuring, "movement_elsewhere", stood)
+    trials = tuple(dataclasses.replace(SMALL, seed=seed) for seed in (0, 1))
+    study = Study("survival", "elsewhere", trials, 6, measure="survival")
+
+    def rows():
+        measure = run_study(lab, study, tmp_path, "honest", "command", False)["measure"]
+        return [row["engine"] for row in measure["rows"]], measure["notes"]
+
+    with pytest.raises(KeyboardInterrupt):
+        rows()
+    engines, notes = rows()
+    assert engines == ["pybullet"] * 2
+    assert "cluttergen_jax[peers]" in notes[0]
+    # The row that was interrupted was made again, the one before it was not.
+    assert asked == ["pybullet"] * 3
+    # An engine that has been installed meanwhile is asked, too, and it alone.
+    absent.clear()
+    assert rows() == (["pybullet", "drake"] * 2, [])
+    assert asked[3:] == ["drake"] * 2
 
 
 def test_tables_refuse_ragged_rows():

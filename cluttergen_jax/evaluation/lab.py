@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -146,6 +146,21 @@ class Lab:
             arrays = self.store.read_arrays(trial.title, key)
         assert arrays is not None, f"{self.store.root}: what was just written cannot be read"
         return arrays
+
+    def measured(self, trial: Trial, what: str, make: Callable[[], Record]) -> Record:
+        """What `make` finds out about a trial's scenes: from disk, or now.
+
+        Args:
+          what: the measure's name, and all but the trial that decides what it finds.
+        """
+        key, title = key_of(trial, self.sources(trial)), f"{what} of {trial.title}"
+        known = None if self.is_fresh else self.store.read(title, key)
+        if known is not None:
+            return known["figures"]
+        self.progress.begin(title)
+        figures = self.store.keep(title, key, make())
+        self.progress.say(f"{title}: done")
+        return figures
 
     def sources(self, trial: Trial) -> dict[str, Any]:
         """Hashes of what a trial is about, and versions: all that decides its result beside the trial."""

@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,8 @@ from cluttergen_jax.measures.survival import PEERS, SURVIVAL_SECONDS, movement_e
 
 Found = dict[str, Any]
 Measure = Callable[[Lab, Study, Path], Found]
+KEPT_BY_ROW = ("robustness", "survival")
+"""Measures so long that each row is kept by itself (`Lab.measured`) instead of all of them together."""
 _ENOUGH = 2
 _LEAST_SHARE = 0.25
 
@@ -170,29 +173,29 @@ def robustness(lab: Lab, study: Study, folder: Path) -> Found:
     """Creep over 1, 10 and 60 s, shaking, and changed physics."""
     rows: list[dict] = []
     for trial, scenes in each_standing(lab, study, rows):
-        models = SceneModels(scenes.world)
-        arrays = (scenes.poses, scenes.is_placed)
-        lab.progress.begin(f"robustness of {trial.title}")
-        moved = creep(models, *arrays, num_threads=lab.num_threads)
-        scores = shake(models, *arrays, num_threads=lab.num_threads).min(1)
-        standing = survives(models, *arrays, num_threads=lab.num_threads)
-        rows.append(
-            _row(
-                trial,
-                scenes=len(scenes),
-                creep=[
-                    {
-                        "seconds": seconds,
-                        "median_shift": _finite(np.median(moved.largest_shift[:, h])),
-                        **_share(moved.survives()[:, h]),
-                    }
-                    for h, seconds in enumerate(CREEP_SECONDS)
-                ],
-                shake=[float(each) for each in np.percentile(scores, [10, 50, 90])],
-                changes={name: _share(each) for name, each in standing.items()},
-            )
-        )
+        rows.append(_row(trial, **lab.measured(trial, "robustness", partial(_robustness_of, lab, scenes))))
     return found(rows)
+
+
+def _robustness_of(lab: Lab, scenes: Successes) -> dict[str, Any]:
+    models = SceneModels(scenes.world)
+    arrays = (scenes.poses, scenes.is_placed)
+    moved = creep(models, *arrays, num_threads=lab.num_threads)
+    scores = shake(models, *arrays, num_threads=lab.num_threads).min(1)
+    standing = survives(models, *arrays, num_threads=lab.num_threads)
+    return {
+        "scenes": len(scenes),
+        "creep": [
+            {
+                "seconds": seconds,
+                "median_shift": _finite(np.median(moved.largest_shift[:, h])),
+                **_share(moved.survives()[:, h]),
+            }
+            for h, seconds in enumerate(CREEP_SECONDS)
+        ],
+        "shake": [float(each) for each in np.percentile(scores, [10, 50, 90])],
+        "changes": {name: _share(each) for name, each in standing.items()},
+    }
 
 
 def survival(lab: Lab, study: Study, folder: Path) -> Found:
@@ -200,26 +203,28 @@ def survival(lab: Lab, study: Study, folder: Path) -> Found:
     rows: list[dict] = []
     notes: dict[str, None] = {}
     for trial, scenes in each_standing(lab, study, rows):
-        models = SceneModels(scenes.world)
-        lab.progress.begin(f"survival of {trial.title}")
         for engine in PEERS:
             try:
-                movement = movement_elsewhere(engine, models, scenes.poses, scenes.is_placed)
+                stood = lab.measured(
+                    trial, f"survival in {engine}", partial(_survival_of, lab, scenes, engine)
+                )
             except MissingExtraError as error:
                 notes[f"{engine}: {error}"] = None
                 continue
-            shift = movement.largest_shift[:, 0]
-            rows.append(
-                _row(
-                    trial,
-                    engine=engine,
-                    seconds=SURVIVAL_SECONDS[0],
-                    scenes=len(scenes),
-                    median_shift=_finite(np.median(shift)),
-                    **_share(movement.survives()[:, 0]),
-                )
-            )
+            rows.append(_row(trial, engine=engine, **stood))
     return found(rows, notes=list(notes))
+
+
+def _survival_of(lab: Lab, scenes: Successes, engine: str) -> dict[str, Any]:
+    movement = movement_elsewhere(
+        engine, SceneModels(scenes.world), scenes.poses, scenes.is_placed, num_threads=lab.num_threads
+    )
+    return {
+        "seconds": SURVIVAL_SECONDS[0],
+        "scenes": len(scenes),
+        "median_shift": _finite(np.median(movement.largest_shift[:, 0])),
+        **_share(movement.survives()[:, 0]),
+    }
 
 
 def relation_counts(lab: Lab, study: Study, folder: Path) -> Found:

@@ -75,6 +75,13 @@ class Store:
         write_atomically(path, json_bytes(stored))
         return stored
 
+    def keep(self, title: str, key: str, figures: Any) -> Any:
+        """Stores a finding that has no scenes of its own. Returns what was stored."""
+        write_atomically(
+            self.path(title, key), json_bytes({"format": FORMAT, "key": key, "figures": figures})
+        )
+        return json.loads(json.dumps(figures))
+
     def _set_aside(self, path: Path, problem: str) -> None:
         aside = path.with_name(f"{path.name}.damaged")
         os.replace(path, aside)

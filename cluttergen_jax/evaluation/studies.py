@@ -9,13 +9,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.evaluation.checkpoints import MissingCheckpointError
 from cluttergen_jax.evaluation.lab import Lab
 from cluttergen_jax.evaluation.machine import machine
-from cluttergen_jax.evaluation.measuring import MEASURES
+from cluttergen_jax.evaluation.measuring import KEPT_BY_ROW, MEASURES
 from cluttergen_jax.evaluation.plots import PLOTS
-from cluttergen_jax.evaluation.store import FORMAT, json_bytes
+from cluttergen_jax.evaluation.store import FORMAT
 from cluttergen_jax.evaluation.suites import Study
 from cluttergen_jax.evaluation.trial import key_of
 
@@ -60,15 +59,14 @@ def run_study(lab: Lab, study: Study, folder: Path, suite: str, command: str, qu
 
 def _measured(lab: Lab, study: Study, folder: Path) -> dict[str, Any]:
     """The measure's findings: those at hand if they are of the same trials, else made now."""
+    if study.measure in KEPT_BY_ROW:
+        return MEASURES[study.measure](lab, study, folder)
     key, title = _measure_key(lab, study), f"measure {study.name}"
-    path = lab.store.path(title, key)
     stored = None if lab.is_fresh else lab.store.read(title, key)
     if stored and all((folder / name).is_file() for name in stored["figures"]["pictures"]):
         return stored["figures"]
     lab.progress.begin(f"measuring {study.name}")
-    figures = MEASURES[study.measure](lab, study, folder)
-    write_atomically(path, json_bytes({"format": FORMAT, "key": key, "figures": figures}))
-    return json.loads(json.dumps(figures))
+    return lab.store.keep(title, key, MEASURES[study.measure](lab, study, folder))
 
 
 def _measure_key(lab: Lab, study: Study) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,7 +20,7 @@ from cluttergen_jax.measures.bullet_world import (
     write_compound,
 )
 from cluttergen_jax.measures.scene_models import SceneModels
-from cluttergen_jax.measures.simulate import Movement, no_movement, watch
+from cluttergen_jax.measures.simulate import Movement, each_scene, no_movement, watch
 
 PEERS = ("pybullet", "drake")
 SURVIVAL_SECONDS = (10.0,)
@@ -64,6 +65,7 @@ def movement_elsewhere(
     poses: np.ndarray,
     is_placed: np.ndarray,
     seconds: Sequence[float] = SURVIVAL_SECONDS,
+    num_threads: int = 0,
 ) -> Movement:
     """How far objects move in another engine; `Movement.survives` says which scenes stand (5 mm, 5 deg).
 
@@ -74,21 +76,27 @@ def movement_elsewhere(
       engine: "pybullet" or "drake" (extra `peers`).
       poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
       seconds: horizons, ascending.
+      num_threads: each with an engine of its own, 0 for every core; PyBullet uses one at a time.
     """
     models.check(poses, is_placed)
     poses, is_placed = np.asarray(poses, np.float64), np.asarray(is_placed, bool)
     result = no_movement(is_placed, seconds)
-    peer = make_peer(engine, models)
-    try:
-        for scene, placed in enumerate(is_placed):
-            objects = np.flatnonzero(placed)
-            start = poses[scene, objects].copy()
-            start[:, 3:] /= np.linalg.norm(start[:, 3:], axis=1, keepdims=True)
-            step = peer.begin(objects, start)
-            shift, turn = watch(step, start, result.seconds, models.stability.timestep)
-            result.shift[scene][:, objects], result.turn[scene][:, objects] = shift, turn
-    finally:
-        peer.close()
+    threads = min(num_threads or os.cpu_count() or 1, max(len(is_placed), 1))
+
+    def run(thread: int) -> None:
+        peer = make_peer(engine, models)
+        try:
+            for scene in range(thread, len(is_placed), threads):
+                objects = np.flatnonzero(is_placed[scene])
+                start = poses[scene, objects].copy()
+                start[:, 3:] /= np.linalg.norm(start[:, 3:], axis=1, keepdims=True)
+                step = peer.begin(objects, start)
+                shift, turn = watch(step, start, result.seconds, models.stability.timestep)
+                result.shift[scene][:, objects], result.turn[scene][:, objects] = shift, turn
+        finally:
+            peer.close()
+
+    each_scene(run, threads, threads)
     return result
 
 
