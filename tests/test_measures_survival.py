@@ -59,6 +59,20 @@ def test_scenes_in_drake(models):
     check(models, "drake")
 
 
+def test_what_diverges_in_drake_does_not_stand(models, monkeypatch):
+    drake = pytest.importorskip("pydrake.all", reason="needs the extra peers")
+
+    class Diverging(drake.Simulator):
+        def AdvanceTo(self, time):
+            raise RuntimeError("SceneGraph encountered a non-finite value")
+
+    monkeypatch.setattr(drake, "Simulator", Diverging)
+    poses, is_placed, _ = scenes()
+    result = movement_elsewhere("drake", models, poses[:1], is_placed[:1])
+    assert np.isinf(result.largest_shift).all()
+    assert not result.survives().any()
+
+
 def test_body_frames_go_there_and_back():
     rng = np.random.default_rng(0)
     frames = BodyFrames.of(OBJECTS)

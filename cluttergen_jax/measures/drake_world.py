@@ -21,6 +21,7 @@ class DrakePeer:
 
     Hulls and boxes are compliant hydroelastic bodies of `HYDROELASTIC_MODULUS`, pascals, so that they touch
     over areas; Drake's point contact has one point for each two hulls, on which nothing flat can stand still.
+    Where a simulation diverges, poses are NaN from then on.
     """
 
     def __init__(self, models: SceneModels) -> None:
@@ -52,7 +53,12 @@ class DrakePeer:
         simulator.Initialize()
 
         def step(count: int) -> np.ndarray:
-            simulator.AdvanceTo(root.get_time() + count * models.stability.timestep)
+            try:
+                simulator.AdvanceTo(root.get_time() + count * models.stability.timestep)
+            except RuntimeError as error:
+                if "non-finite" not in str(error):
+                    raise
+                return np.full((len(bodies), 7), np.nan)
             return np.array([_pose(plant.EvalBodyPoseInWorld(context, body)) for body in bodies])
 
         return step
