@@ -28,11 +28,12 @@ class Row:
 
     Attributes:
       name: its folder's. title: what is changed, for people.
-      variant: of the preset `cpu`. network, ppo: fields that are changed.
+      preset, variant: what it starts from. network, ppo: fields that are changed.
     """
 
     name: str
     title: str
+    preset: str = "cpu"
     variant: str = "policy"
     network: dict[str, Any] = field(default_factory=dict)
     ppo: dict[str, Any] = field(default_factory=dict)
@@ -48,6 +49,13 @@ ROWS = (
     Row("normal", "one truncated normal a coordinate, z about rest on the bare top", variant="normal"),
     Row("open_loop", "no history", variant="open_loop"),
     Row("narrow", "a fifth of the entropy bonus", ppo={"entropy_cost": 0.002}),
+    Row("far", "it looks farther ahead: discount 0.99, GAE 0.95", ppo={"discount": 0.99, "gae_lambda": 0.95}),
+    Row(
+        "undersides",
+        "what is lower than the object's underside is not in its way; 16 turns, opposite ones told apart",
+        network={"num_turns": 16, "turn_symmetry": 1, "undersides": True},
+    ),
+    Row("tight", "preset `tight`: both", preset="tight"),
 )
 
 
@@ -68,7 +76,12 @@ class Ablation(Train):
 def train(row: Row, out: Path, pool: str, num_attempts: int, seed: int) -> None:
     """Trains and evaluates one row, or takes it up again."""
     run = Ablation(
-        pool=pool, variant=row.variant, num_attempts=num_attempts, seed=seed, out=str(out / row.name)
+        pool=pool,
+        preset=row.preset,
+        variant=row.variant,
+        num_attempts=num_attempts,
+        seed=seed,
+        out=str(out / row.name),
     )
     object.__setattr__(run, "row", row)
     run.train()

@@ -29,6 +29,8 @@ def command_of(record: dict[str, Any]) -> str:
     """The command that makes the policy again."""
     words = ["python train.py", f"--pool {record['pool']}", f"--variant {record['variant']}"]
     words += [f"--seed {record['seed']}", f"--num-attempts {record['ppo']['num_attempts']}"]
+    if record["preset"] != "cpu":
+        words.append(f"--preset {record['preset']}")
     if record["support"] != "table":
         words.append(f"--support {record['support']}")
     if record["placement"]["num_objects"] != 10:

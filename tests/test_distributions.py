@@ -69,13 +69,14 @@ INSIDE = jnp.array([[0.5, 1.0], [-1.0, 0.5], [-1.1, 2.3], [0.0, 2.0]])
 BOTTOMS = jax.random.uniform(jax.random.key(5), (5, 5), maxval=0.7)
 
 
-def mixture_of(scores):
+def mixture_of(scores, symmetry=2):
     """5 x 5 cells, 3 turns; z in windows of 0.2."""
-    return Mixture.from_scores(scores, INSIDE, BOTTOMS, jnp.float32(0.2))
+    return Mixture.from_scores(scores, INSIDE, BOTTOMS, jnp.float32(0.2), symmetry)
 
 
-def test_mixture_integrates_to_one_and_its_entropy_is_exact():
-    mixture = mixture_of(SCORES)
+@pytest.mark.parametrize("symmetry", [1, 2])
+def test_mixture_integrates_to_one_and_its_entropy_is_exact(symmetry):
+    mixture = mixture_of(SCORES, symmetry)
     # Even draws over everything in which there is density: z in the window of the cell.
     actions = np.array(jax.random.uniform(jax.random.key(6), (1_000_000, 4)))
     start = np.asarray(BOTTOMS)[(actions[:, 0] * 5).astype(int), (actions[:, 1] * 5).astype(int)]
@@ -89,17 +90,19 @@ def test_mixture_integrates_to_one_and_its_entropy_is_exact():
     assert float(mixture.entropy()) == pytest.approx(surprise.mean(), abs=0.03)
 
 
-def test_mixture_draws_follow_its_weights():
-    mixture = mixture_of(SCORES)
+@pytest.mark.parametrize("symmetry", [1, 2])
+def test_mixture_draws_follow_its_weights(symmetry):
+    mixture = mixture_of(SCORES, symmetry)
     draws = np.asarray(jax.vmap(mixture.sample)(jax.random.split(jax.random.key(4), 20_000)))
-    turn = (draws[:, 3] * 2) % 1.0
+    turn = (draws[:, 3] * symmetry) % 1.0
     counts, _ = np.histogramdd(
         np.column_stack([draws[:, :2], turn]), bins=(5, 5, 3), range=[(0, 1), (0, 1), (0, 1)]
     )
     expected = np.exp(np.asarray(mixture.log_weight, np.float64))
     expected *= 20_000 / expected.sum()
     assert scipy.stats.chisquare(counts.reshape(-1), expected).pvalue > 1e-4
-    assert 0.47 < np.mean(draws[:, 3] < 0.5) < 0.53
+    if symmetry == 2:
+        assert 0.47 < np.mean(draws[:, 3] < 0.5) < 0.53
     start = np.asarray(BOTTOMS)[(draws[:, 0] * 5).astype(int), (draws[:, 1] * 5).astype(int)]
     assert ((draws[:, 2] >= start - 1e-4) & (draws[:, 2] <= start + 0.2 + 1e-4)).all()
     component = int(np.argmax(mixture.log_weight))
@@ -107,12 +110,13 @@ def test_mixture_draws_follow_its_weights():
     np.testing.assert_allclose(mixture.mean()[:2], middle, atol=0.1)
 
 
-def test_all_components_share_what_is_inside():
-    mixture = mixture_of(SCORES)
+@pytest.mark.parametrize("symmetry", [1, 2])
+def test_all_components_share_what_is_inside(symmetry):
+    mixture = mixture_of(SCORES, symmetry)
     draws = np.asarray(jax.vmap(mixture.sample)(jax.random.split(jax.random.key(7), 5000)))
     start = np.asarray(BOTTOMS)[(draws[:, 0] * 5).astype(int), (draws[:, 1] * 5).astype(int)]
     inside = np.column_stack(
-        [draws[:, :2] * 5 % 1, (draws[:, 2] - start) / 0.2, draws[:, 3] * 2 % 1.0 * 3 % 1]
+        [draws[:, :2] * 5 % 1, (draws[:, 2] - start) / 0.2, draws[:, 3] * symmetry % 1.0 * 3 % 1]
     )
     for axis in range(4):
         one = jax.tree.map(lambda leaf, axis=axis: leaf[axis], mixture.inside)

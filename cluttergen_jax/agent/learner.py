@@ -58,7 +58,15 @@ class Learner:
     @cached_property
     def room(self) -> Room:
         """The objects' footprints."""
-        return Room.of(self.cloud, self.region_side, self.config.num_cells, self.config.num_turns)
+        config = self.config
+        return Room.of(
+            self.cloud,
+            self.region_side,
+            config.num_cells,
+            config.num_turns,
+            config.turn_symmetry,
+            config.undersides,
+        )
 
     def init(self, key: Array, observation: Any) -> Params:
         """Fresh parameters; `observation` is one, or its shapes, without a leading axis."""

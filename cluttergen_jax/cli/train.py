@@ -36,7 +36,7 @@ class Train:
         shrinkage, expansion or all.
       num_objects: objects per scene.
       attempts: per object, 1 to 10.
-      preset: cpu, gpu or paper.
+      preset: cpu, tight (for crowded tables), gpu or paper.
       variant: policy (the full method), open_loop, short_memory, normal, beta or ranked.
       num_attempts: environment steps of the run; the preset's if not given.
       num_envs: environments side by side; the preset's if not given.

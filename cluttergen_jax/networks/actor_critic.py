@@ -112,7 +112,7 @@ class ActorCritic(nn.Module):
         if config.head == MIXTURE:
             bottom, width = _windows(observation["heights"], half_height, height_range)
             raw = raw.at[:, 2].add(jnp.array(_JUST_ABOVE_REST))
-            return Mixture.from_scores(scores, raw, bottom, width), value[..., 0]
+            return Mixture.from_scores(scores, raw, bottom, width, config.turn_symmetry), value[..., 0]
         if config.height_precision:
             raw = _about_bare_height(raw, half_height, height_range, config)
         return HEADS[config.head].from_raw(raw), value[..., 0]

@@ -20,6 +20,9 @@ class NetworkConfig:
     Attributes:
       head: "beta" (the paper's), "normal" or "mixture" (of Betas, over the cells of a grid of heights).
       num_cells, num_turns: of the mixture: cells along each side of the queried region, ranges of turns.
+      turn_symmetry: of objects, as a mixture sees them: 2 if half a turn is to make no difference (a range of
+        turns is also its opposite), 1 if it is (a pan's handle lies on one side).
+      undersides: whether a mixture is told that what is lower than the object's underside is not in its way.
       room: whether a mixture is told how much of the object's footprint would lie over other objects, and
         beyond the region, at each cell and turn.
       height_precision: where z of the other heads begins: 0 anywhere in its range, as in the paper; else
@@ -45,6 +48,8 @@ class NetworkConfig:
     head: str = "beta"
     num_cells: int = 20
     num_turns: int = 8
+    turn_symmetry: int = 2
+    undersides: bool = False
     room: bool = True
     height_precision: float = 0.0
     height_clearance: float = 0.002
@@ -71,6 +76,8 @@ class NetworkConfig:
         for name in _POSITIVE:
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name} = {getattr(self, name)}", "a positive number")
+        if self.turn_symmetry not in (1, 2):
+            raise ConfigError(f"turn_symmetry = {self.turn_symmetry}", "1 or 2")
         if not 64 <= self.scene_points <= MAX_POINTS:
             raise ConfigError(f"scene_points = {self.scene_points}", f"64 to {MAX_POINTS}")
 

@@ -138,14 +138,16 @@ class TruncatedNormal(struct.PyTreeNode):
 class Mixture(struct.PyTreeNode):
     """A mixture of Betas that can say "here or there", and there turned otherwise and higher up.
 
-    A component is one cell of the unit square with one range of turns: x, y and turn are Betas inside it,
-    turn in either of two opposite ranges; z is a Beta on a window about the cell's own height. A = 4.
+    A component is one cell of the unit square with one range of turns: x, y and turn are Betas inside it
+    (where symmetry is 2, turn is as often in the opposite range); z is a Beta on a window about the cell's
+    own height. A = 4.
 
     Attributes:
       log_weight: f32[..., G * G * T], normalised; axis 0 of the cells is x, turns come last.
       bottom: f32[..., G * G], where the window of z begins; width: f32[...], of the window.
       inside: Beta[..., 4], where in its cell, window and range a draw lies; all components share it.
       side, num_turns: G, T.
+      symmetry: 1 if the ranges divide a whole turn, 2 if half of one.
     """
 
     log_weight: Array
@@ -154,9 +156,10 @@ class Mixture(struct.PyTreeNode):
     inside: Beta
     side: int = struct.field(pytree_node=False)
     num_turns: int = struct.field(pytree_node=False)
+    symmetry: int = struct.field(pytree_node=False, default=2)
 
     @staticmethod
-    def from_scores(scores: Array, raw: Array, bottom: Array, width: Array) -> Mixture:
+    def from_scores(scores: Array, raw: Array, bottom: Array, width: Array, symmetry: int = 2) -> Mixture:
         """The distribution of the components' scores f32[..., G, G, T] and raw outputs f32[..., 4, 2].
 
         Args:
@@ -171,6 +174,7 @@ class Mixture(struct.PyTreeNode):
             Beta.from_raw(raw),
             side,
             num_turns,
+            symmetry,
         )
 
     def _bottom(self, cell: Array) -> Array:
@@ -180,7 +184,7 @@ class Mixture(struct.PyTreeNode):
         cell, turn = component // self.num_turns, component % self.num_turns
         xy = (jnp.stack([cell // self.side, cell % self.side], axis=-1) + inside[..., :2]) / self.side
         z = self._bottom(cell) + self.width * inside[..., 2]
-        yaw = (half + (turn + inside[..., 3]) / self.num_turns) / 2
+        yaw = (half + (turn + inside[..., 3]) / self.num_turns) / self.symmetry
         return off_edges(jnp.concatenate([xy, z[..., None], yaw[..., None]], axis=-1))
 
     def sample(self, key: Array) -> Array:
@@ -188,7 +192,7 @@ class Mixture(struct.PyTreeNode):
         key_component, key_inside, key_half = jax.random.split(key, 3)
         component = jax.random.categorical(key_component, self.log_weight)
         half = jax.random.bernoulli(key_half, shape=component.shape).astype(self.width.dtype)
-        return self._action(component, self.inside.sample(key_inside), half)
+        return self._action(component, self.inside.sample(key_inside), half * (self.symmetry - 1))
 
     def mean(self) -> Array:
         """f32[..., 4]: the mean of the likeliest component, where a mean of all may lie between two."""
@@ -198,7 +202,9 @@ class Mixture(struct.PyTreeNode):
     def log_prob(self, action: Array) -> Array:
         """f32[...]."""
         x, y = (jnp.clip(action[..., axis] * self.side, 0, self.side - EDGE) for axis in (0, 1))
-        turn = jnp.clip(jnp.mod(2 * action[..., 3], 1.0) * self.num_turns, 0, self.num_turns - EDGE)
+        turn = jnp.clip(
+            jnp.mod(self.symmetry * action[..., 3], 1.0) * self.num_turns, 0, self.num_turns - EDGE
+        )
         cell = x.astype(jnp.int32) * self.side + y.astype(jnp.int32)
         component = cell * self.num_turns + turn.astype(jnp.int32)
         weight = jnp.take_along_axis(self.log_weight, component[..., None], axis=-1)[..., 0]

@@ -19,6 +19,10 @@ from cluttergen_jax.types import Array
 _SIDE = 64
 _CELLS_OF_REGION = 48
 _POINTS = 256
+_EDGES = (BARE, 0.015, 0.03, 0.05, 0.08)
+"""Metres above the support at which layers of height begin."""
+_UNSURE = 0.004
+"""Metres by which an underside may lie lower than the points of a cloud tell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +30,8 @@ class Room:
     """Footprints of K objects, ready to be slid over scenes. Pictures have S x S cells, axis 0 along x.
 
     Attributes:
-      spectrum: c64[K, T, S, S / 2 + 1], conjugate, of the footprints at T turns; each sums to 1.
+      spectrum: c64[K, T, L, S, S / 2 + 1], conjugate, of the footprints at T turns, each cell in the layer in
+        which the object's underside lies there; the layers sum to 1.
       below: f32[K, T, S + 1, S + 1], how much of a footprint lies before each corner of a cell.
       cloud: f32[K, P, 3], every object's, object frames, metres.
       cell: metres.
@@ -40,26 +45,42 @@ class Room:
     num_cells: int
 
     @staticmethod
-    def of(cloud: Array, region_side: float, num_cells: int, num_turns: int) -> Room:
-        """Takes the footprints of clouds f32[K, P, 3], both ways round.
+    def of(
+        cloud: Array,
+        region_side: float,
+        num_cells: int,
+        num_turns: int,
+        symmetry: int = 2,
+        undersides: bool = False,
+    ) -> Room:
+        """Takes the footprints of clouds f32[K, P, 3].
 
         Args:
           region_side: metres, of a region that fills three quarters of a picture. In larger ones, places
             beyond the picture are told what is over its edge.
+          num_turns: T, which divide a whole turn, or half of one where symmetry is 2.
+          symmetry: 2 takes footprints both ways round, 1 as they are.
+          undersides: whether what stands lower than an object's underside is not in its way; else everything
+            below its footprint is.
         """
         cell = region_side / _CELLS_OF_REGION
         points = np.asarray(cloud, np.float64)[..., :2] / cell
-        angles = (np.arange(num_turns) + 0.5) / num_turns * np.pi
+        angles = (np.arange(num_turns) + 0.5) / num_turns * 2 * np.pi / symmetry
         cos, sin = np.cos(angles)[:, None], np.sin(angles)[:, None]
-        pictures = np.zeros((len(points), num_turns, _SIDE, _SIDE))
+        heights = np.asarray(cloud, np.float64)[..., 2]
+        underside = np.full((len(points), num_turns, _SIDE, _SIDE), np.inf)
         turn = np.arange(num_turns)[:, None]
-        for picture, xy in zip(pictures, points, strict=True):
+        for picture, xy, z in zip(underside, points, heights, strict=True):
             x, y = cos * xy[:, 0] - sin * xy[:, 1], sin * xy[:, 0] + cos * xy[:, 1]
-            for sign in (1, -1):
-                picture[turn, _pixel(sign * x), _pixel(sign * y)] = 1
+            for sign in (1, -1)[:symmetry]:
+                np.minimum.at(picture, (turn, _pixel(sign * x), _pixel(sign * y)), z - z.min() - _UNSURE)
+        pictures = np.isfinite(underside).astype(np.float64)
         pictures /= pictures.sum((2, 3), keepdims=True)
         below = np.pad(pictures.cumsum(2).cumsum(3), [(0, 0), (0, 0), (1, 0), (1, 0)])
-        spectrum = np.conj(np.fft.rfft2(np.fft.ifftshift(pictures, axes=(2, 3))))
+        edges = np.array(_EDGES if undersides else _EDGES[:1])
+        layer = np.clip(np.searchsorted(edges, underside, side="right") - 1, 0, len(edges) - 1)
+        layers = np.stack([pictures * (layer == number) for number in range(len(edges))], axis=2)
+        spectrum = np.conj(np.fft.rfft2(np.fft.ifftshift(layers, axes=(-2, -1))))
         read = np.asarray(cloud)[:, :_POINTS]
         return Room(spectrum.astype(np.complex64), below.astype(np.float32), read, cell, num_cells)
 
@@ -82,7 +103,7 @@ class Room:
     def _over(self, observation: Mapping[str, Any], focus: Array, x: Array, y: Array) -> Array:
         """f32[G, G, T]: the correlation at x and y, f32[G], cells; an inverse transform at these alone."""
         taken = self._taken(observation["T_region_object"], observation["is_placed"])
-        product = jnp.fft.rfft2(taken) * jnp.asarray(self.spectrum)[focus]
+        product = jnp.sum(jnp.fft.rfft2(taken) * jnp.asarray(self.spectrum)[focus], axis=1)
         x, y = (jnp.clip(axis, -_SIDE // 2, _SIDE // 2 - 1) for axis in (x, y))
         wave, half_wave = np.fft.fftfreq(_SIDE), np.fft.rfftfreq(_SIDE)
         twice = np.where((half_wave == 0) | (half_wave == 0.5), 1.0, 2.0)
@@ -101,12 +122,14 @@ class Room:
         return 1 - jnp.moveaxis(rows[..., j1] - rows[..., j0], 0, -1)
 
     def _taken(self, T_region_object: Array, is_placed: Array) -> Array:
-        """f32[S, S], 1 where an object stands; the region's middle is at [0, 0]."""
+        """f32[L, S, S], 1 where an object reaches into a layer; the region's middle is at [0, 0]."""
         points = placed_points(jnp.asarray(self.cloud), T_region_object, is_placed)
         at = jnp.rint(points[..., :2] / self.cell).astype(jnp.int32)
-        is_seen = jnp.all(jnp.abs(at) < _SIDE // 2, axis=-1) & (points[..., 2] > BARE) & is_placed[:, None]
+        is_seen = jnp.all(jnp.abs(at) < _SIDE // 2, axis=-1) & is_placed[:, None]
         index = jnp.where(is_seen, at[..., 0] % _SIDE * _SIDE + at[..., 1] % _SIDE, _SIDE**2)
-        return jnp.zeros(_SIDE**2).at[index.reshape(-1)].set(1.0, mode="drop").reshape(_SIDE, _SIDE)
+        top = jnp.zeros(_SIDE**2).at[index.reshape(-1)].max(points[..., 2].reshape(-1), mode="drop")
+        edges = jnp.array(_EDGES[: self.spectrum.shape[2]], jnp.float32)
+        return (top > edges[:, None]).astype(jnp.float32).reshape(-1, _SIDE, _SIDE)
 
 
 def _pixel(position: np.ndarray) -> np.ndarray:

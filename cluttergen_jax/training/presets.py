@@ -42,6 +42,16 @@ def cpu() -> Settings:
     )
 
 
+def tight() -> Settings:
+    """As `cpu`, but it looks farther ahead and more closely: for crowded tables, more slowly."""
+    settings = cpu()
+    return replace(
+        settings,
+        ppo=replace(settings.ppo, discount=0.99, gae_lambda=0.95),
+        network=replace(_TUNED, num_turns=16, turn_symmetry=1, undersides=True),
+    )
+
+
 def gpu() -> Settings:
     """For an accelerator: many environments, larger minibatches."""
     return Settings(
@@ -82,7 +92,7 @@ def paper() -> Settings:
     )
 
 
-PRESETS = {"cpu": cpu, "gpu": gpu, "paper": paper}
+PRESETS = {"cpu": cpu, "tight": tight, "gpu": gpu, "paper": paper}
 VARIANTS = ("policy", "beta", "normal", "open_loop", "short_memory", "ranked")
 """`policy` is the full method with the preset's head (a mixture; in `paper` a Beta a coordinate); `beta`
 and `normal` are the full method with the paper's heads; `open_loop` and `short_memory` look back on nothing
