@@ -1,8 +1,11 @@
 """The mixture head in the network: heights are read, z lies about what is below, densities are honest."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.placement.observation import height_grid
@@ -12,10 +15,10 @@ from tests.problems import made_up_rules
 CONFIG = NetworkConfig(head="mixture", num_cells=6, num_turns=4, width=16, num_layers=2, object_points=8)
 
 
-def made_up():
+def made_up(config=CONFIG):
     """Rules of six thin objects, their task, fresh weights and one observation."""
     rules = made_up_rules()
-    task = make_task(rules, CONFIG)
+    task = make_task(rules, config)
     observation = task.env.reset(jax.random.key(0)).obs
     return rules, task, task.learner.init(jax.random.key(1), observation), observation
 
@@ -45,8 +48,9 @@ def test_draws_lie_about_rest_on_what_is_below():
     assert abs(np.median(above) - 0.002) < 0.001
 
 
-def test_no_draw_has_a_broken_density():
-    _, task, params, observation = made_up()
+@pytest.mark.parametrize("config", [CONFIG, replace(CONFIG, turn_symmetry=1, undersides=True)])
+def test_no_draw_has_a_broken_density(config):
+    _, task, params, observation = made_up(config)
     # An object as high as the whole range: the window has to give way at both ends.
     for height_range, height in ((0.004, 0.0), (0.05, 0.2)):
         observation["region"] = observation["region"].at[2].set(height_range)

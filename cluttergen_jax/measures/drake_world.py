@@ -52,13 +52,20 @@ class DrakePeer:
             plant.SetFreeBodyPose(context, body, place)
         simulator.Initialize()
 
+        lost = np.full((len(bodies), 7), np.nan)
+        has_diverged = False
+
         def step(count: int) -> np.ndarray:
+            nonlocal has_diverged
+            if has_diverged:
+                return lost
             try:
                 simulator.AdvanceTo(root.get_time() + count * models.stability.timestep)
             except RuntimeError as error:
                 if "non-finite" not in str(error):
                     raise
-                return np.full((len(bodies), 7), np.nan)
+                has_diverged = True
+                return lost
             return np.array([_pose(plant.EvalBodyPoseInWorld(context, body)) for body in bodies])
 
         return step
