@@ -112,9 +112,9 @@ def main() -> None:
             train(row, args.out, args.pool, args.num_attempts, args.seed)
     body = prose(
         f"""Ten objects of {args.pool} on the paper's table, {args.num_attempts:,} attempts each, seed
-        {args.seed}; one thing differs from the first row in each. While training: mean success over the
-        {WINDOW} updates before a quarter, half and all of the attempts. Whole check: of 256 fresh episodes,
-        actions sampled, with the 95 % interval."""
+        {args.seed}; one thing differs from the first row in each but the last. While training: mean success
+        over the {WINDOW} updates before a quarter, half and all of the attempts. Whole check: of 256 fresh
+        episodes, actions sampled, with the 95 % interval."""
     )
     header = ["", "a quarter", "half", "all", "whole check", "entropy (nats)"]
     lines = table(header, [cells(row, args.out) for row in ROWS])
