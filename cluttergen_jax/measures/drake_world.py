@@ -14,15 +14,15 @@ from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.measures.scene_models import SceneModels
 
 HYDROELASTIC_MODULUS = 1e9
-"""Pascals: of hard plastic. As soft as rubber, 1e7, tables give way at their edges and what overhangs tips."""
+"""Pascals: of hard plastic. As soft as rubber (1e7), tables give way at edges, and what overhangs tips."""
 
 
 class DrakePeer:
     """Drake's discrete plant: a fresh simulator for every scene.
 
-    Hulls and boxes are compliant hydroelastic bodies of `HYDROELASTIC_MODULUS`, so that they touch over areas;
-    Drake's point contact has one point for each two hulls, on which nothing flat can stand still.
-    Where a simulation diverges, poses are NaN from then on.
+    Hulls and boxes are compliant hydroelastic bodies of `HYDROELASTIC_MODULUS`, so that they touch over areas:
+    Drake's point contact has one point for each two hulls, on which nothing flat can stand still. Where a
+    simulation diverges, poses are NaN from then on.
     """
 
     def __init__(self, models: SceneModels) -> None:
