@@ -20,7 +20,7 @@ HYDROELASTIC_MODULUS = 1e9
 class DrakePeer:
     """Drake's discrete plant: a fresh simulator for every scene.
 
-    Hulls and boxes are compliant hydroelastic bodies of `HYDROELASTIC_MODULUS`, so that they touch over areas:
+    Hulls and boxes are compliant hydroelastic bodies (`HYDROELASTIC_MODULUS`), so that they touch over areas:
     Drake's point contact has one point for each two hulls, on which nothing flat can stand still. Where a
     simulation diverges, poses are NaN from then on.
     """
