@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.agent.checkpoint import read_record
-from cluttergen_jax.training.records import read_rows
+from cluttergen_jax.training.records import draw_curve, read_rows
 
 MAX_BYTES = 1_000_000
 ROOT = Path(__file__).parent / "checkpoints"
@@ -70,8 +70,10 @@ def ship(run: Path, root: Path = ROOT) -> Path:
     folder = root / name_of(record)
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(run / "policy", folder)
-    shutil.copy(run / "curve.png", folder)
-    (folder / "README.md").write_text(card(record, read_rows(run / "progress.csv")))
+    rows, evaluations = (read_rows(run / f"{name}.csv") for name in ("progress", "evaluations"))
+    # The run's own curve is called after its folder, which may have any name.
+    draw_curve(rows, folder / "curve.png", f"{name_of(record)}-{record['seed']}", evaluations)
+    (folder / "README.md").write_text(card(record, rows))
     size = (folder / "weights.npz").stat().st_size
     if size > MAX_BYTES:
         raise SystemExit(f"{folder / 'weights.npz'} has {size:,} bytes; at most {MAX_BYTES:,}")

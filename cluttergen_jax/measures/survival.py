@@ -70,7 +70,8 @@ def movement_elsewhere(
     """How far objects move in another engine; `Movement.survives` says which scenes stand (5 mm, 5 deg).
 
     Hulls, masses, inertias, sliding friction, gravity and time step are the scene's own; everything else is
-    the other engine's default but for the hulls' margin (`BULLET_MARGIN`, metres).
+    the other engine's default but for the hulls' margin in PyBullet (`BULLET_MARGIN`, metres) and the bodies'
+    stiffness in Drake (`drake_world.HYDROELASTIC_MODULUS`).
 
     Args:
       engine: "pybullet" or "drake" (extra `peers`).
