@@ -16,7 +16,7 @@ from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, Resti
 from cluttergen_jax.assets.parts import MAX_BASE_CORNERS, as_meshes, finished, hull_of
 from cluttergen_jax.assets.pieces import drawn
 from cluttergen_jax.assets.rest import resting_poses, settled_turn, tilt_of
-from cluttergen_jax.assets.shape import Piece, Provenance, Shape
+from cluttergen_jax.assets.shape import Provenance, Shape
 from cluttergen_jax.assets.solid import Solid, solid_of
 from cluttergen_jax.errors import AssetError, ConfigError
 
@@ -207,7 +207,7 @@ def _asset(
     shift = -(vertices.min(0) + vertices.max(0)) / 2
     rotation = best.rotation
     moved = mass.moved(rotation, shift)
-    pieces = (Piece(p.mesh.transformed(rotation, shift), p.rgba) for p in drawn(shape.pieces))
+    pieces = (piece.transformed(rotation, shift) for piece in drawn(shape.pieces))
     cloud = surface_cloud(solid, config.seed) @ rotation.T + shift
     asset = replace(
         _draft([points + shift for points in best.parts], moved),

@@ -11,6 +11,7 @@ import tyro
 from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.assets.decompose import DecompositionConfig
 from cluttergen_jax.assets.readers import ReadOptions
+from cluttergen_jax.assets.texture import MAX_SIDE
 from cluttergen_jax.cli.pool_table import pool_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing.run import ImportConfig, ImportReport, import_sources
@@ -32,6 +33,7 @@ class Import:
       up: the files' vertical axis; auto is y for GLTF, what a DAE file says, and z for all others.
       density: kg/m^3, where the mass is not known.
       mass: kilograms for every object, such as the paper's 0.1.
+      max_texture: pixels a side that an image may have; larger ones are shrunk.
       decomposition: CoACD's parameters.
       trials: placements by which solo stability is measured.
       jobs: worker processes; 0 takes one for each core.
@@ -48,6 +50,7 @@ class Import:
     up: Literal["auto", "y", "z"] = "auto"
     density: float = 500.0
     mass: float | None = None
+    max_texture: int = MAX_SIDE
     decomposition: DecompositionConfig = field(default_factory=DecompositionConfig)
     trials: int = 256
     jobs: int = 0
@@ -56,7 +59,7 @@ class Import:
 
     def run(self) -> int:
         """Runs the command: 0, or 1 if an object could not be imported."""
-        read = ReadOptions(self.scale, self.up, self.density, self.mass)
+        read = ReadOptions(self.scale, self.up, self.density, self.mass, self.max_texture)
         if self.support is not None:
             return self._import_support(self.support, read)
         if self.pool is None or self.name is not None:

@@ -17,13 +17,12 @@ import cluttergen_jax
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.assets.readers import Source
+from cluttergen_jax.assets.readers.companions import companions
 from cluttergen_jax.errors import PoolError
 
 # Code that decides what a body is; a change in any of it makes every cached body stale.
 _CODE = ("assets", "importing", "physics", "config.py", "types.py")
-_LIBRARIES = ("mujoco", "coacd", "manifold3d", "trimesh", "numpy", "scipy", "fast-simplification")
-# Beside a mesh file, what may give it its colours.
-_COMPANIONS = (".mtl", ".png", ".jpg", ".jpeg", ".bin")
+_LIBRARIES = ("mujoco", "coacd", "manifold3d", "trimesh", "numpy", "scipy", "fast-simplification", "pillow")
 
 
 def cache_root() -> Path:
@@ -51,17 +50,16 @@ def code_digest() -> str:
 def source_digest(source: Source) -> str:
     """Hex digest of every byte that reading the source may touch.
 
-    Of a URDF or MJCF file that is all of its folder; of a mesh file, also materials and textures beside it.
+    Of a URDF or MJCF file that is all of its folder; of a mesh file, also the materials and images that it names.
     """
     folder = source.path.parent
     if source.kind == "mesh":
-        beside = [each for each in folder.iterdir() if each.suffix.lower() in _COMPANIONS]
-        files = [source.path, *sorted(beside)]
+        files = [source.path, *companions(source.path)]
     else:
         files = sorted(each for each in folder.rglob("*") if each.is_file())
     digest = hashlib.sha256()
     for file in files:
-        digest.update(f"{file.relative_to(folder)}\n".encode())
+        digest.update(f"{os.path.relpath(file, folder)}\n".encode())
         digest.update(hashlib.sha256(file.read_bytes()).digest())
     return digest.hexdigest()
 

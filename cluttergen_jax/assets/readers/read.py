@@ -12,7 +12,7 @@ from cluttergen_jax.assets.readers.mesh_file import read_mesh_file
 from cluttergen_jax.assets.readers.mjcf import read_mjcf
 from cluttergen_jax.assets.readers.source import ReadOptions, Source, find_sources
 from cluttergen_jax.assets.readers.urdf import read_urdf
-from cluttergen_jax.assets.shape import Piece, Provenance, Shape
+from cluttergen_jax.assets.shape import Provenance, Shape
 from cluttergen_jax.errors import AssetError
 
 _Y_TO_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -28,25 +28,27 @@ def read_shape(source: Source, options: ReadOptions | None = None) -> Shape:
     if options.up not in ("auto", "y", "z"):
         raise AssetError(f"up = {options.up!r}", "auto, y or z")
     parts: tuple[Mesh, ...] | None = None
+    notes: tuple[str, ...] = ()
     mass = options.mass
     if source.kind == "urdf":
-        pieces, parts = read_urdf(source.path)
+        pieces, parts, notes = read_urdf(source.path, options.max_texture)
         up = "z"
     elif source.kind == "mjcf":
-        pieces, parts, own_mass = read_mjcf(source.path, source.body)
+        pieces, parts, own_mass = read_mjcf(source.path, source.body, options.max_texture)
         mass, up = mass or own_mass * options.scale**3, "z"
     else:
-        pieces, up = read_mesh_file(source.path)
+        pieces, up, notes = read_mesh_file(source.path, options.max_texture)
     turn = _Y_TO_Z if (up if options.up == "auto" else options.up) == "y" else np.eye(3)
     turn = turn * options.scale
     shape = Shape(
         name=source.name,
         label=source.label,
-        pieces=tuple(Piece(piece.mesh.transformed(turn, np.zeros(3)), piece.rgba) for piece in pieces),
+        pieces=tuple(piece.transformed(turn, np.zeros(3)) for piece in pieces),
         provenance=source.provenance or Provenance(_public_name(source.path), "not stated"),
         parts=None if parts is None else tuple(part.transformed(turn, np.zeros(3)) for part in parts),
         mass=mass,
         density=options.density,
+        notes=notes,
     )
     check_shape(shape, source.path)
     return shape

@@ -10,6 +10,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from cluttergen_jax.assets.shape import Provenance
+from cluttergen_jax.assets.texture import MAX_SIDE
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import AssetError
 
@@ -31,15 +32,17 @@ class ReadOptions:
       up: "z", "y", or "auto": y for GLTF (its standard), what a DAE file declares, z for all others.
       density: kg/m^3, for objects whose mass is not known.
       mass: kilograms for every object, instead of volume times density.
+      max_texture: pixels a side that an image may have; larger ones are shrunk.
     """
 
     scale: float = 1.0
     up: str = "auto"
     density: float = 500.0
     mass: float | None = None
+    max_texture: int = MAX_SIDE
 
     def __post_init__(self) -> None:
-        check_positive(self, "scale", "density")
+        check_positive(self, "scale", "density", "max_texture")
         if self.mass is not None:
             check_positive(self, "mass")
 
