@@ -12,6 +12,7 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.shading import linear, shaded
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.bank.reference import parse_reference
@@ -20,9 +21,8 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.cli.parse import parse_numbers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.export import FORMATS, export_scenes
-from cluttergen_jax.export.frames import euler_of, linear, principal_of
+from cluttergen_jax.export.frames import euler_of, principal_of
 from cluttergen_jax.export.placement import scene_bounds
-from cluttergen_jax.export.shading import shaded
 from cluttergen_jax.physics.rotation import rotate
 from cluttergen_jax.scene import Origin, Scene
 from tests.shapes import slab

@@ -1,4 +1,4 @@
-"""A slab with a picture on it, in every format that can carry one: which corner is where shows how it is read."""
+"""A slab with a picture on it, in every format that can carry one: each corner has its own colour."""
 
 import io
 
@@ -99,6 +99,10 @@ def write_dae(folder):
     (folder / "slab.png").write_bytes(png(picture()))
     vertices, faces, uv = slab()
     index = " ".join(f"{k} {k}" for k in faces.ravel())
+
+    def numbers(values):
+        return " ".join(map(str, values.ravel()))
+
     text = f"""<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
 <asset><unit meter="1"/><up_axis>Z_UP</up_axis></asset>
@@ -110,10 +114,10 @@ def write_dae(folder):
 </profile_COMMON></effect></library_effects>
 <library_materials><material id="ma"><instance_effect url="#ef"/></material></library_materials>
 <library_geometries><geometry id="ge"><mesh>
-<source id="p"><float_array id="pa" count="{vertices.size}">{" ".join(map(str, vertices.ravel()))}</float_array>
+<source id="p"><float_array id="pa" count="{vertices.size}">{numbers(vertices)}</float_array>
 <technique_common><accessor source="#pa" count="{len(vertices)}" stride="3"><param name="X" type="float"/>
 <param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
-<source id="t"><float_array id="ta" count="{uv.size}">{" ".join(map(str, uv.ravel()))}</float_array>
+<source id="t"><float_array id="ta" count="{uv.size}">{numbers(uv)}</float_array>
 <technique_common><accessor source="#ta" count="{len(uv)}" stride="2"><param name="S" type="float"/>
 <param name="T" type="float"/></accessor></technique_common></source>
 <vertices id="v"><input semantic="POSITION" source="#p"/></vertices>

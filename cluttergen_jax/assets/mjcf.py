@@ -42,14 +42,23 @@ def _yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
     return (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
 
 
+def set_surface(mesh: mujoco.MjsMesh, piece: Piece) -> None:
+    """Gives a mesh the triangles of a piece, and its texture coordinates if it has some."""
+    vertices, faces = piece.mesh.vertices, piece.mesh.faces
+    if piece.uv is not None:
+        # MuJoCo shades what is one vertex, so that seams of the image must not split it. Its v runs down.
+        vertices, place = np.unique(np.round(vertices, 6), axis=0, return_inverse=True)
+        mesh.usertexcoord = (piece.uv * [1, -1] + [0, 1]).astype(np.float32).ravel()
+        mesh.userfacetexcoord = faces.ravel()
+        faces = place.reshape(-1)[faces].astype(np.int32)
+    mesh.uservert = vertices.astype(np.float32).ravel()
+    mesh.userface = faces.ravel()
+
+
 def _add_visuals(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pieces: tuple[Piece, ...]) -> None:
     for index, piece in enumerate(pieces):
         mesh = spec.add_mesh(name=f"{name}/visual-{index}")
-        mesh.uservert = piece.mesh.vertices.astype(np.float32).ravel()
-        mesh.userface = piece.mesh.faces.ravel()
-        if piece.uv is not None:
-            # MuJoCo's v runs down the image.
-            mesh.usertexcoord = (piece.uv * [1, -1] + [0, 1]).astype(np.float32).ravel()
+        set_surface(mesh, piece)
         # A shell's volume is never singular, and a visual mesh carries no mass here.
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         body.add_geom(
@@ -77,7 +86,9 @@ def add_texture(spec: mujoco.MjSpec, texture: Texture | None, folder: str = "") 
         return ""
     name = texture.file_name.removesuffix(".png")
     if spec.texture(name) is None:
-        image = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=folder + texture.file_name)
+        image = spec.add_texture(
+            name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=folder + texture.file_name
+        )
         spec.assets = {**spec.assets, folder + texture.file_name: texture.data}
         material = spec.add_material(name=name, specular=SPECULAR, shininess=SHININESS)
         material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = image.name

@@ -16,9 +16,8 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -37,6 +36,8 @@ from cluttergen_jax.files import write_atomically
 FORMAT = 1
 NAME_PATTERN = re.compile(r"[a-z0-9_-]+")
 _FILE = re.compile(r"[a-z0-9_-]+\.[a-z]+")
+SHARED_IMAGES = "../../textures/"
+"""Where the images of an object lie in a bank or an export, relative to the object's folder."""
 _CLOUD = "cloud.npy"
 _RECORD = "object.json"
 
@@ -45,8 +46,7 @@ def object_files(asset: ObjectAsset, images: str = "") -> dict[str, bytes]:
     """The files of an object's folder by name. Equal assets give equal bytes, before and after disk.
 
     Args:
-      images: where the images will lie, relative to the folder, such as `../../textures/`; the folder itself
-        if empty.
+      images: where the images will lie, relative to the folder; the folder itself if empty.
 
     Raises:
       AssetError: the name is not `[a-z0-9_-]+`.
@@ -82,24 +82,23 @@ def write_object(folder: Path, asset: ObjectAsset, images: Path | None = None) -
     """Writes the object's files into `folder`, which is made if need be.
 
     Args:
-      images: another folder for its images, which objects share; one that is there is not written again.
+      images: the folder that objects keep their images in together, two floors up from where `folder` will be
+        and called `textures`; None keeps them in `folder`.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    own = {each.file_name for each in asset.textures}
-    for name, data in object_files(asset, "" if images is None else _way(folder, images)).items():
-        if images is not None and name in own:
-            if not _holds(images / name, data):
-                write_atomically(images / name, data)
-        else:
+    for name, data in object_files(asset, "" if images is None else SHARED_IMAGES).items():
+        if images is None or not name.endswith(".png"):
             (folder / name).write_bytes(data)
+    if images is not None:
+        write_images(images, asset.textures)
 
 
-def _way(folder: Path, images: Path) -> str:
-    return os.path.relpath(images, folder).replace(os.sep, "/") + "/"
-
-
-def _holds(path: Path, data: bytes) -> bool:
-    return path.is_file() and path.read_bytes() == data
+def write_images(folder: Path, textures: Iterable[Texture]) -> None:
+    """Writes images into a folder that objects share; one that is there already stays."""
+    for each in textures:
+        path = folder / each.file_name
+        if not (path.is_file() and path.read_bytes() == each.data):
+            write_atomically(path, each.data)
 
 
 def read_object(folder: Path, images: Path | None = None) -> ObjectAsset:

@@ -72,7 +72,10 @@ def read_support(folder: str | Path) -> SupportAsset:
 
 def support_hash(support: SupportAsset) -> str:
     """Hex digest of everything that `write_support` would store: the same before and after disk."""
-    texts = [json.dumps(_record(support), sort_keys=True), *(surface_text(p, _DIGITS) for p in support.pieces)]
+    texts = [
+        json.dumps(_record(support), sort_keys=True),
+        *(surface_text(p, _DIGITS) for p in support.pieces),
+    ]
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 

@@ -68,7 +68,7 @@ class Texture:
             raise ValueError(f"a texture that is no PNG image ({error})") from error
 
     def at(self, uv: np.ndarray) -> np.ndarray:
-        """f64[N, 3], each in [0, 1]: the nearest pixel's colour at f[N, 2]; the image is repeated beyond [0, 1].
+        """f64[N, 3], in [0, 1]: the nearest pixel's colour at f[N, 2]; the image is repeated beyond [0, 1].
 
         (0, 0) is the lower left corner of the image, (1, 1) the upper right one.
         """

@@ -3,6 +3,7 @@
     bank.json               how it was made; what makes another run the same bank
     scenes-000000.parquet   block 0: scenes 0 to 255, a row each, failures included; and bank.json once more
     assets/objects/NAME/    each object once; assets/support/ the table
+    assets/textures/        the objects' images, each once
     scenes/000000.xml .png  successful scenes as MJCF, meshes by relative path, and their pictures
 
 A block is written as a whole or not at all, so an interrupted bank is continued where it stopped
@@ -105,7 +106,7 @@ class Bank:
           BankError: its files are missing or damaged, or it is not the one that the scenes were made with.
         """
         with _mended_by_generate():
-            asset = read_object(self.path / "assets" / "objects" / name)
+            asset = read_object(self.path / "assets" / "objects" / name, self.path / "assets" / "textures")
         self._check_asset(name, object_hash(asset), self._hashes["objects"].get(name))
         return asset
 

@@ -150,9 +150,9 @@ class BankWriter:
         root, hashes = self.path / "assets", self._record["assets"]
         for name, asset in objects.items():
             folder = root / "objects" / name
-            if not _is_sound(folder, asset, hashes["objects"][name]):
+            if not _is_sound(folder, asset, hashes["objects"][name], root / "textures"):
                 with folder_whole(folder, is_only_writer=True) as fresh:
-                    _write_object(asset, fresh)
+                    _write_object(asset, fresh, root / "textures")
         if _stored_support(root / "support") != hashes["support"]:
             with folder_whole(root / "support", is_only_writer=True) as fresh:
                 write_support(fresh, support)
@@ -202,16 +202,17 @@ def _check_same(path: Path, ours: dict[str, Any], theirs: dict[str, Any]) -> Non
         )
 
 
-def _write_object(asset: ObjectAsset, folder: Path) -> None:
+def _write_object(asset: ObjectAsset, folder: Path, images: Path) -> None:
     write_parts(folder, asset)
-    write_object(folder, asset)
+    write_object(folder, asset, images)
 
 
-def _is_sound(folder: Path, asset: ObjectAsset, digest: str) -> bool:
+def _is_sound(folder: Path, asset: ObjectAsset, digest: str, images: Path) -> bool:
     """Whether the bank has this very object, with all of its files."""
     names = [*(part_name(index) for index in range(len(asset.parts))), "object.json", "object.xml"]
     try:
-        return all((folder / name).is_file() for name in names) and object_hash(read_object(folder)) == digest
+        is_whole = all((folder / name).is_file() for name in names)
+        return is_whole and object_hash(read_object(folder, images)) == digest
     except ClutterGenError:
         return False
 

@@ -50,7 +50,7 @@ def code_digest() -> str:
 def source_digest(source: Source) -> str:
     """Hex digest of every byte that reading the source may touch.
 
-    Of a URDF or MJCF file that is all of its folder; of a mesh file, also the materials and images that it names.
+    Of a URDF or MJCF file that is all of its folder; of a mesh file, also materials and images that it names.
     """
     folder = source.path.parent
     if source.kind == "mesh":

@@ -1,4 +1,4 @@
-"""The files that a mesh file names (materials, images, buffers), found also where they are not quite as named."""
+"""The files that a mesh file names (materials, images, buffers), found also where they are not as named."""
 
 from __future__ import annotations
 

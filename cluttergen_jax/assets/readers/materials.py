@@ -73,7 +73,7 @@ class Dresser:
             clear = image.convert("RGBA")
         except (OSError, ValueError, SyntaxError) as error:
             raise AssetError(f"an image that cannot be decoded ({error})") from error
-        if clear.getextrema()[3][0] < _OPAQUE:
+        if min(clear.getchannel("A").tobytes()) < _OPAQUE:
             self._note("the transparency of an image is not kept")
         white = Image.new("RGBA", clear.size, (255, 255, 255, 255))
         return Image.alpha_composite(white, clear)
@@ -183,7 +183,7 @@ def gltf_notes(path: Path, materials: Iterable[Any]) -> Iterator[str]:
         if material.get("name") in read and material["name"] not in has_image:
             yield f"the image of material {name!r} cannot be read"
         if "KHR_texture_transform" in image.get("extensions", {}):
-            yield f"the image of material {name!r} is moved or scaled (KHR_texture_transform): this is ignored"
+            yield f"the image of material {name!r} is transformed (KHR_texture_transform): that is ignored"
         if image.get("texCoord", 0) != 0:
             yield f"material {name!r} wants other texture coordinates than the first: those are taken"
 

@@ -93,12 +93,10 @@ def is_solid(model: mujoco.MjModel, geom: int) -> bool:
     return model.geom_type[geom] not in (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_HFIELD, _GEOM.mjGEOM_SDF)
 
 
-def geom_piece(
-    model: mujoco.MjModel, data: mujoco.MjData, geom: int, max_side: int = MAX_SIDE
-) -> Piece:
+def geom_piece(model: mujoco.MjModel, data: mujoco.MjData, geom: int, max_side: int = MAX_SIDE) -> Piece:
     """The geom's surface in the world frame, with its colour, and its image if it is a mesh with one.
 
-    Images that MuJoCo itself lays around a shape (cube maps, shapes without texture coordinates) are left out.
+    Images that MuJoCo lays around a shape by itself (cube maps, no texture coordinates) are left out.
     """
     colour = geom_colour(model, geom)
     texture, mesh = _texture(model, geom, max_side), int(model.geom_dataid[geom])
@@ -119,7 +117,9 @@ def _texture(model: mujoco.MjModel, geom: int, max_side: int) -> Texture | None:
     index = model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB] if material >= 0 else -1
     if index < 0 or model.tex_type[index] != mujoco.mjtTexture.mjTEXTURE_2D or model.tex_nchannel[index] < 3:
         return None
-    height, width, channels = (int(of[index]) for of in (model.tex_height, model.tex_width, model.tex_nchannel))
+    height, width, channels = (
+        int(of[index]) for of in (model.tex_height, model.tex_width, model.tex_nchannel)
+    )
     start = int(model.tex_adr[index])
     pixels = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
     return Texture.of(Image.fromarray(np.ascontiguousarray(pixels[..., :3])), max_side)

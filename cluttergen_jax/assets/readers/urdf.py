@@ -27,7 +27,7 @@ Element = ElementTree.Element
 def read_urdf(
     path: Path, max_side: int = MAX_SIDE
 ) -> tuple[list[Piece], tuple[Mesh, ...] | None, tuple[str, ...]]:
-    """The model as one rigid thing: its pieces, its collision meshes if all of them are convex parts, and notes.
+    """The model as one rigid thing: its pieces, its collision meshes if all are convex parts, and notes.
 
     Pieces are the visuals, or the collision elements where there are none. `globalScaling` in a
     `label.json` beside the file scales everything; its `ori_rpy` repeats origins that the URDF already
