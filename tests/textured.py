@@ -6,11 +6,17 @@ import numpy as np
 import trimesh
 from PIL import Image
 
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, RestingPose
+from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.scene import Scene
+
 SIZE = (0.12, 0.10, 0.03)
 """Metres."""
 QUADRANTS = {(-1, 1): (220, 30, 30), (1, 1): (30, 200, 30), (-1, -1): (30, 30, 220), (1, -1): (230, 210, 20)}
 """The colour over each quarter of the top, by the signs of x and y: the image's upper left is at -x, +y."""
-SIDE = (120, 120, 120)
 
 
 def picture(side=64):
@@ -159,3 +165,38 @@ def write_mjcf(folder):
         '<geom type="mesh" mesh="m" material="a"/></body></worldbody></mujoco>'
     )
     return path
+
+
+def piece():
+    """The slab as a reader hands it on."""
+    vertices, faces, uv = slab()
+    return Piece(Mesh(vertices, faces), (1.0, 1.0, 1.0, 1.0), uv, Texture.of(picture()))
+
+
+def asset(name="slab", surface=None):
+    """The slab as a body, made by hand."""
+    half = np.array(SIZE) / 2
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+    rng = np.random.default_rng(0)
+    return ObjectAsset(
+        name=name,
+        label=name,
+        pieces=(surface or piece(),),
+        parts=(Mesh.points(corners),),
+        mass=0.2,
+        center_of_mass=np.zeros(3),
+        inertia=np.eye(3) * 2e-4,
+        cloud=(rng.uniform(-1, 1, (CLOUD_SIZE, 3)) * half).astype(np.float32),
+        resting=(RestingPose((1.0, 0.0, 0.0, 0.0), SIZE[2] / 2, 1.0),),
+        provenance=Provenance("test", "Apache-2.0"),
+    )
+
+
+def scene(*assets):
+    """Slabs side by side on a table, none turned: 0.2 m from one to the next, along x."""
+    assets = assets or (asset(),)
+    table = cuboid_table(0.6, 0.7, 0.7)
+    poses = np.zeros((len(assets), 7))
+    poses[:, 0] = 0.2 * np.arange(len(assets))
+    poses[:, 2], poses[:, 3] = table.top + SIZE[2] / 2, 1.0
+    return Scene(tuple(each.name for each in assets), tuple(assets), poses, table)

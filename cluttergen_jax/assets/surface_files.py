@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.shading import shaded
 from cluttergen_jax.assets.shape import Piece
 
 
-def surface_text(piece: Piece, digits: int, material: tuple[str, str] | None = None) -> str:
+def surface_text(piece: Piece, digits: int) -> str:
     """A compact OBJ: vertices, `vt` where there is a texture, triangles.
 
     A vertex that comes several times, once for each side of a seam of the image, is written once: so readers
@@ -16,7 +17,6 @@ def surface_text(piece: Piece, digits: int, material: tuple[str, str] | None = N
 
     Args:
       digits: significant ones of a coordinate, none finer than a micrometre.
-      material: an MTL file and the name of a material in it, for readers that look there.
     """
     rounded = np.round(piece.mesh.vertices, 6) + 0.0
     vertices = [f"v {x:.{digits}g} {y:.{digits}g} {z:.{digits}g}" for x, y, z in rounded.tolist()]
@@ -24,16 +24,40 @@ def surface_text(piece: Piece, digits: int, material: tuple[str, str] | None = N
         return (
             "\n".join([*vertices, *(f"f {a} {b} {c}" for a, b, c in (piece.mesh.faces + 1).tolist())]) + "\n"
         )
-    number = {line: index for index, line in enumerate(dict.fromkeys(vertices), 1)}
+    number = _numbered(vertices)
     corners = [f"{number[line]}/{index}" for index, line in enumerate(vertices, 1)]
-    lines = [
-        *([f"mtllib {material[0]}"] if material else []),
-        *number,
-        *(f"vt {u:.6g} {v:.6g}" for u, v in (piece.uv + np.float32(0)).tolist()),
-        *([f"usemtl {material[1]}"] if material else []),
-        *(f"f {corners[a]} {corners[b]} {corners[c]}" for a, b, c in piece.mesh.faces.tolist()),
-    ]
+    lines = [*number, *_uv_lines(piece.uv), *_face_lines(corners, piece.mesh.faces)]
     return "\n".join(lines) + "\n"
+
+
+def shaded_text(piece: Piece, material: tuple[str, str] | None = None) -> str:
+    """An OBJ for other programs: with normals, and with texture coordinates where there is an image.
+
+    Args:
+      material: an MTL file, and the name of a material in it.
+    """
+    vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
+    places = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in vertices.tolist()]
+    turns = [f"vn {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (normals + np.float32(0)).tolist()]
+    shown = [] if uv is None else _uv_lines(uv)
+    place, turn, show = _numbered(places), _numbered(turns), _numbered(shown)
+    images = [str(show[line]) for line in shown] or [""] * len(places)
+    corners = [f"{place[p]}/{i}/{turn[t]}" for p, i, t in zip(places, images, turns, strict=True)]
+    head, use = ([f"mtllib {material[0]}"], [f"usemtl {material[1]}"]) if material else ([], [])
+    return "\n".join([*head, *place, *show, *turn, *use, *_face_lines(corners, faces)]) + "\n"
+
+
+def _numbered(lines: list[str]) -> dict[str, int]:
+    """Each line once, in order, and its number from 1."""
+    return {line: index for index, line in enumerate(dict.fromkeys(lines), 1)}
+
+
+def _uv_lines(uv: np.ndarray) -> list[str]:
+    return [f"vt {u:.6g} {v:.6g}" for u, v in (uv + np.float32(0)).tolist()]
+
+
+def _face_lines(corners: list[str], faces: np.ndarray) -> list[str]:
+    return [f"f {corners[a]} {corners[b]} {corners[c]}" for a, b, c in faces.tolist()]
 
 
 def parse_surface(text: str) -> tuple[Mesh, np.ndarray | None]:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import SHARED_IMAGES, write_images
-from cluttergen_jax.assets.part_files import hull_of, obj_text, write_parts
+from cluttergen_jax.assets.part_files import hull_of, write_parts
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.assets.surface_files import surface_text
+from cluttergen_jax.assets.surface_files import shaded_text
 
 
 def object_folder(name: str) -> str:
@@ -67,12 +67,13 @@ def write_support_meshes(folder: Path, support: SupportAsset) -> None:
 
 
 def _write_piece(folder: Path, index: int, piece: Piece, image: str | None) -> None:
+    # Normals because Drake draws no OBJ without them.
     path = folder / visual_name(index)
     if image is None:
-        path.write_text(obj_text(piece.mesh), encoding="ascii")
+        path.write_text(shaded_text(piece), encoding="ascii")
         return
     library, name = path.with_suffix(".mtl"), f"image-{index}"
-    path.write_text(surface_text(piece, 8, (library.name, name)), encoding="ascii")
+    path.write_text(shaded_text(piece, (library.name, name)), encoding="ascii")
     colour = " ".join(f"{value:.6g}" for value in piece.rgba[:3])
     library.write_text(
         f"newmtl {name}\nKa {colour}\nKd {colour}\nKs 0 0 0\nd {piece.rgba[3]:.6g}\nmap_Kd {image}\n",

@@ -5,7 +5,6 @@ Drake's own element `drake:declare_convex` says that a part is convex; other rea
 
 from __future__ import annotations
 
-import posixpath
 from pathlib import PurePosixPath
 from xml.etree import ElementTree as ET
 
@@ -13,17 +12,11 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.part_files import part_name
+from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.export.frames import text, yaw_quaternion
-from cluttergen_jax.export.meshes import (
-    SUPPORT_FOLDER,
-    drawn_pieces,
-    object_folder,
-    object_image,
-    support_image,
-    visual_name,
-)
+from cluttergen_jax.export.meshes import SUPPORT_FOLDER, drawn_pieces, object_folder, visual_name
 from cluttergen_jax.scene import Scene
 
 VERSION = "1.9"
@@ -69,7 +62,7 @@ def _add_support(world: ET.Element, support: SupportAsset, contact: ContactConfi
     _leaf(model, "static", "true")
     link = ET.SubElement(model, "link", name="body")
     for index, piece in enumerate(support.pieces):
-        _add_visual(link, index, SUPPORT_FOLDER, piece.rgba, support_image(piece))
+        _add_visual(link, index, SUPPORT_FOLDER, piece)
     for index, box in enumerate(support.boxes):
         kinds = ["collision"] if support.pieces else ["collision", "visual"]
         for kind in kinds:
@@ -97,7 +90,7 @@ def _add_object(
         _leaf(inertia, f"i{'xyz'[row]}{'xyz'[column]}", text([asset.inertia[row][column]]))
     folder = object_folder(asset.name)
     for index, piece in enumerate(drawn_pieces(asset)):
-        _add_visual(link, index, folder, piece.rgba, object_image(piece))
+        _add_visual(link, index, folder, piece)
     for index in range(len(asset.parts)):
         collision = ET.SubElement(link, "collision", name=f"part-{index}")
         mesh = _add_mesh(collision, f"{folder}/{part_name(index)}")
@@ -111,27 +104,22 @@ def _add_mesh(parent: ET.Element, file: str) -> ET.Element:
     return mesh
 
 
-def _add_visual(
-    link: ET.Element, index: int, folder: str, rgba: tuple[float, ...], image: str | None
-) -> None:
+def _add_visual(link: ET.Element, index: int, folder: str, piece: Piece) -> None:
     visual = ET.SubElement(link, "visual", name=f"visual-{index}")
     _add_mesh(visual, f"{folder}/{visual_name(index)}")
-    material = _add_colour(visual, rgba)
-    if image is not None:
-        # Gazebo's word for an image; other readers take the one that the OBJ's own material names.
-        metal = ET.SubElement(ET.SubElement(material, "pbr"), "metal")
-        _leaf(metal, "albedo_map", posixpath.normpath(posixpath.join("..", folder, image)))
-        _leaf(metal, "metalness", "0")
-        _leaf(metal, "roughness", "0.65")
+    if piece.texture is None:
+        _add_colour(visual, piece.rgba)
+    elif piece.rgba[3] < 1:
+        # The OBJ's own material names the image; one given here would stand in its place.
+        _leaf(visual, "transparency", text([1 - piece.rgba[3]]))
 
 
-def _add_colour(visual: ET.Element, rgba: tuple[float, ...]) -> ET.Element:
+def _add_colour(visual: ET.Element, rgba: tuple[float, ...]) -> None:
     material = ET.SubElement(visual, "material")
     _leaf(material, "ambient", text(rgba))
     _leaf(material, "diffuse", text(rgba))
     if rgba[3] < 1:
         _leaf(visual, "transparency", text([1 - rgba[3]]))
-    return material
 
 
 def _add_friction(collision: ET.Element, contact: ContactConfig) -> None:
