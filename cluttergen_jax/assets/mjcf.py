@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.shading import shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.texture import Texture
@@ -43,16 +44,17 @@ def _yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
 
 
 def set_surface(mesh: mujoco.MjsMesh, piece: Piece) -> None:
-    """Gives a mesh the triangles of a piece, and its texture coordinates if it has some."""
+    """Gives a mesh the triangles of a piece, and normals and texture coordinates if it has an image."""
     vertices, faces = piece.mesh.vertices, piece.mesh.faces
     if piece.uv is not None:
-        # MuJoCo shades what is one vertex, so that seams of the image must not split it. Its v runs down.
-        vertices, place = np.unique(np.round(vertices, 6), axis=0, return_inverse=True)
-        mesh.usertexcoord = (piece.uv * [1, -1] + [0, 1]).astype(np.float32).ravel()
-        mesh.userfacetexcoord = faces.ravel()
-        faces = place.reshape(-1)[faces].astype(np.int32)
+        # MuJoCo's own normals would show each seam of the image as an edge.
+        vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
+        assert uv is not None
+        mesh.usernormal = normals.ravel()
+        # Its v runs down the image.
+        mesh.usertexcoord = (uv * [1, -1] + [0, 1]).astype(np.float32).ravel()
     mesh.uservert = vertices.astype(np.float32).ravel()
-    mesh.userface = faces.ravel()
+    mesh.userface = faces.astype(np.int32).ravel()
 
 
 def _add_visuals(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pieces: tuple[Piece, ...]) -> None:
