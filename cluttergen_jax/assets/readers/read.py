@@ -12,6 +12,7 @@ from cluttergen_jax.assets.readers.mesh_file import read_mesh_file
 from cluttergen_jax.assets.readers.mjcf import read_mjcf
 from cluttergen_jax.assets.readers.source import ReadOptions, Source, find_sources
 from cluttergen_jax.assets.readers.urdf import read_urdf
+from cluttergen_jax.assets.readers.ycb import ycb_provenance
 from cluttergen_jax.assets.shape import Provenance, Shape
 from cluttergen_jax.errors import AssetError
 
@@ -44,7 +45,9 @@ def read_shape(source: Source, options: ReadOptions | None = None) -> Shape:
         name=source.name,
         label=source.label,
         pieces=tuple(piece.transformed(turn, np.zeros(3)) for piece in pieces),
-        provenance=source.provenance or Provenance(_public_name(source.path), "not stated"),
+        provenance=source.provenance
+        or ycb_provenance(source.path)
+        or Provenance(_public_name(source.path), "not stated"),
         parts=None if parts is None else tuple(part.transformed(turn, np.zeros(3)) for part in parts),
         mass=mass,
         density=options.density,

@@ -19,7 +19,7 @@ MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".ply", ".stl")
 # File and folder names that say nothing about the object.
 _GENERIC = re.compile(
     r"\d{1,2}|mobility|model|models|object|mesh|meshes|textured|nontextured|textured_objs|visual|collision"
-    r"|scene|base|main|urdf|mjcf|google_\d+k|assets|untitled"
+    r"|scene|base|main|urdf|mjcf|google_\d+k|textured_simple(_reordered)?|assets|untitled"
 )
 
 
