@@ -1,7 +1,7 @@
 """Makes a pool of textured objects, and its picture in the README: python docs/make_textured.py [FOLDER].
 
-Cartons, cans, crockery, books and a globe: printed with Pillow, written into FOLDER/meshes as OBJ with MTL and
-PNG, or as GLB. Then it does what a user would:
+Cartons, cans, crockery, books and a globe: printed with Pillow, written into FOLDER/meshes as OBJ with MTL
+and PNG, or as GLB. Then it does what a user would:
 
     cluttergen import FOLDER/meshes --pool printed
     cluttergen generate --pool printed --num-objects 8 --num-scenes 8 --method clear --out FOLDER/scenes
@@ -143,7 +143,7 @@ def world() -> Image.Image:
     pixels[np.abs(v) > 0.86] = (238, 242, 246)
     pixels[(np.abs(np.sin(6 * u)) < 0.03) & (np.abs(v) < 0.86)] = (228, 232, 238)
     # The profile begins with the stand.
-    pixels[v > 0.62] = BROWN
+    pixels[v > 0.38] = BROWN
     return Image.fromarray(pixels.astype(np.uint8))
 
 

@@ -19,10 +19,12 @@ MAX_TEXTURED = 20000
 _COLOUR_STEPS = 32
 
 
-def drawn(pieces: Sequence[Piece], max_triangles: int = MAX_TRIANGLES) -> tuple[Piece, ...]:
+def drawn(
+    pieces: Sequence[Piece], max_triangles: int = MAX_TRIANGLES, max_textured: int = MAX_TEXTURED
+) -> tuple[Piece, ...]:
     """Pieces of like colour and image joined, welded and simplified.
 
-    To about `max_triangles` in all without an image, and `MAX_TEXTURED` in all with one.
+    To about `max_triangles` in all without an image, and `max_textured` in all with one.
     """
     groups: dict[tuple[object, ...], list[Piece]] = {}
     for piece in pieces:
@@ -35,7 +37,7 @@ def drawn(pieces: Sequence[Piece], max_triangles: int = MAX_TRIANGLES) -> tuple[
     return tuple(
         replace(piece, mesh=_simplified(piece.mesh, min(1.0, max_triangles / plain)))
         if piece.texture is None
-        else _simplified_textured(piece, min(1.0, MAX_TEXTURED / textured))
+        else _simplified_textured(piece, min(1.0, max_textured / textured))
         for piece in merged
     )
 

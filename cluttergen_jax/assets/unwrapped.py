@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import trimesh
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.mesh import Mesh
@@ -16,57 +14,75 @@ from cluttergen_jax.assets.shape import Piece
 UV_DIGITS = 6
 _NEAR = 16
 """Triangles among which the nearest is looked for."""
+_STRETCH = 3.0
+"""Times the stretch of the image at a triangle's middle by which it may be stretched up to a corner."""
 
 
 def transferred(piece: Piece, mesh: Mesh) -> Piece:
     """The textured piece with `mesh` in place of its own, each corner's uv taken from the nearest old place.
 
-    The old surface falls into charts, between which the image is cut. A new triangle takes all of its uv
-    from the chart nearest to its middle, so that none is stretched from one side of a cut to the other; a
-    vertex at a cut comes once for each chart.
+    The image is cut along seams, and what lies beyond a seam is elsewhere in the image. So the place of a new
+    triangle's middle is found first, and its corners' places are taken only where the image runs on from
+    there; elsewhere it is continued as it lies on the old triangle in the middle.
     """
     assert piece.uv is not None
-    old = piece.mesh
-    chart = _charts(old)
+    old, uv = piece.mesh, piece.uv.astype(np.float64)
     tree = cKDTree(old.vertices[old.faces].mean(1))
     corners = mesh.vertices[mesh.faces]
-    everything = np.full(len(mesh.faces), -1)
-    middle = _nearest(old, tree, chart, corners.mean(1), everything)[0]
-    own = np.repeat(chart[middle], 3)
-    face, weights = _nearest(old, tree, chart, corners.reshape(-1, 3), own)
-    uv = (piece.uv[old.faces[face]] * weights[..., None]).sum(1)
-    keys = np.column_stack([mesh.faces.ravel(), own])
+    middle = corners.mean(1)
+    places, away, owner = _candidates(old, uv, tree, middle)
+    best = np.argmin(away, axis=1)
+    row = np.arange(len(middle))
+    start, triangle = places[row, best], owner[row, best]
+    stretch = _STRETCH * _scale(old, uv)[triangle]
+    found = np.empty((len(middle), 3, 2))
+    for k in range(3):
+        places, away, _ = _candidates(old, uv, tree, corners[:, k])
+        step = np.linalg.norm(places - start[:, None], axis=2)
+        runs_on = step <= (stretch * np.linalg.norm(corners[:, k] - middle, axis=1))[:, None] + 1e-6
+        best = np.argmin(np.where(runs_on, away, np.inf), axis=1)
+        continued = _continued(old, uv, triangle, corners[:, k])
+        found[:, k] = np.where(runs_on.any(1)[:, None], places[row, best], continued)
+    keys = np.column_stack([mesh.faces.ravel(), np.round(found.reshape(-1, 2), UV_DIGITS)])
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     vertices = mesh.vertices[mesh.faces.ravel()[first]]
-    return replace(piece, mesh=Mesh(vertices, inverse.reshape(-1, 3)), uv=uv[first].astype(np.float32))
+    return replace(
+        piece,
+        mesh=Mesh(vertices, inverse.reshape(-1, 3)),
+        uv=found.reshape(-1, 2)[first].astype(np.float32),
+    )
 
 
-def _charts(mesh: Mesh) -> np.ndarray:
-    """i[F]: for each triangle the number of its chart: those that share a vertex are of one."""
-    size = len(mesh.vertices)
-    rows, columns = mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel()
-    linked = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(size, size))
-    return connected_components(linked, directed=False)[1][mesh.faces[:, 0]]
+def _candidates(
+    mesh: Mesh, uv: np.ndarray, tree: cKDTree, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For each of P points the nearest places on C triangles near it.
 
-
-def _nearest(
-    mesh: Mesh, tree: cKDTree, chart: np.ndarray, points: np.ndarray, wanted: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """i[P] and f64[P, 3]: the triangle nearest to each point, and the weights of its corners there.
-
-    Args:
-      wanted: i[P], the chart to which the triangle must belong where any that is near does; -1 for any.
+    Returns:
+      f64[P, C, 2], their uv; f64[P, C], how far they are, metres; i[P, C], the triangles.
     """
     near = tree.query(points, min(_NEAR, len(mesh.faces)))[1].reshape(len(points), -1)
     triangles = mesh.vertices[mesh.faces[near.ravel()]]
     targets = np.repeat(points, near.shape[1], axis=0)
     closest = trimesh.triangles.closest_point(triangles, targets)
-    away = np.linalg.norm(closest - targets, axis=1).reshape(near.shape)
-    is_other = (wanted[:, None] >= 0) & (chart[near] != wanted[:, None])
-    # A chart that has nothing near is worse than none only by being far away.
-    best = np.argmin(away + np.where(is_other, np.ptp(mesh.vertices, axis=0).max() * 4, 0.0), axis=1)
-    picked = np.arange(len(points)) * near.shape[1] + best
-    weights = trimesh.triangles.points_to_barycentric(triangles[picked], closest[picked])
-    is_flat = ~np.isfinite(weights).all(1)
-    weights[is_flat] = 1 / 3
-    return near[np.arange(len(points)), best], np.clip(weights, 0, 1)
+    weights = trimesh.triangles.points_to_barycentric(triangles, closest)
+    weights = np.where(np.isfinite(weights).all(1)[:, None], weights, 1 / 3)
+    places = (uv[mesh.faces[near.ravel()]] * weights[..., None]).sum(1)
+    away = np.linalg.norm(closest - targets, axis=1)
+    return places.reshape(*near.shape, 2), away.reshape(near.shape), near
+
+
+def _scale(mesh: Mesh, uv: np.ndarray) -> np.ndarray:
+    """f64[F]: the most that the image moves on a triangle, in uv for each metre."""
+    corners, places = mesh.vertices[mesh.faces], uv[mesh.faces]
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    steps = np.linalg.norm(places - np.roll(places, 1, axis=1), axis=2)
+    return (steps / np.maximum(sides, 1e-9)).max(1)
+
+
+def _continued(mesh: Mesh, uv: np.ndarray, triangle: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """f64[P, 2]: uv at points in the plane of triangles, as if these went on."""
+    faces = mesh.faces[triangle]
+    weights = trimesh.triangles.points_to_barycentric(mesh.vertices[faces], points)
+    weights = np.where(np.isfinite(weights).all(1)[:, None], weights, 1 / 3)
+    return np.asarray((uv[faces] * weights[..., None]).sum(1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -167,14 +167,14 @@ def _texture_colours(visual: Any, is_linear: bool) -> np.ndarray:
     return np.append(_shown(main[:3]), main[3:]) if is_linear else main
 
 
-def gltf_notes(path: Path, materials: Iterable[Any]) -> Iterator[str]:
+def gltf_notes(path: Path, materials: Sequence[Any]) -> Iterator[str]:
     """What a glTF file says of its images that is not followed, or that could not be read.
 
     Args:
-      materials: as trimesh has read them.
+      materials: as trimesh has read them, None where there is none.
     """
     has_image = {each.name for each in materials if getattr(each, "baseColorTexture", None) is not None}
-    read = {each.name for each in materials}
+    read = {each.name for each in materials if each is not None}
     for index, material in enumerate(_header(path).get("materials", [])):
         name = material.get("name", f"number {index}")
         image = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")

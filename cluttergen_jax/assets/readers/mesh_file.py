@@ -65,7 +65,7 @@ def read_mesh_file(path: Path, max_side: int = MAX_SIDE, image: Texture | None =
             materials.append(getattr(geometry.visual, "material", None))
     if not pieces:
         raise AssetError(f"{path} holds no triangles", "a surface mesh, not points or curves")
-    notes = [*beside.notes, *(gltf_notes(path, filter(None, materials)) if is_gltf else ()), *dresser.notes]
+    notes = [*beside.notes, *(gltf_notes(path, materials) if is_gltf else ()), *dresser.notes]
     return MeshFile(pieces, _up(path, is_gltf), tuple(dict.fromkeys(notes)))
 
 
