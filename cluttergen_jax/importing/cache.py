@@ -24,6 +24,9 @@ from cluttergen_jax.errors import PoolError
 _CODE = ("assets", "importing", "physics", "config.py", "types.py")
 _LIBRARIES = ("mujoco", "coacd", "manifold3d", "trimesh", "numpy", "scipy", "fast-simplification", "pillow")
 
+# Beside a mesh file, what may give it its colours.
+_COMPANIONS = (".mtl", ".png", ".jpg", ".jpeg", ".bin")
+
 
 def cache_root() -> Path:
     """The cache's folder: `$CLUTTERGEN_HOME/cache`, else the XDG cache home's."""
@@ -50,11 +53,13 @@ def code_digest() -> str:
 def source_digest(source: Source) -> str:
     """Hex digest of every byte that reading the source may touch.
 
-    Of a URDF or MJCF file that is all of its folder; of a mesh file, also materials and images that it names.
+    Of a URDF or MJCF file that is all of its folder; of a mesh file, also the materials and images beside it
+    and those that it names.
     """
     folder = source.path.parent
     if source.kind == "mesh":
-        files = [source.path, *companions(source.path)]
+        beside = [each for each in folder.iterdir() if each.suffix.lower() in _COMPANIONS]
+        files = [source.path, *sorted({*beside, *companions(source.path)})]
     else:
         files = sorted(each for each in folder.rglob("*") if each.is_file())
     digest = hashlib.sha256()
