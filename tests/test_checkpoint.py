@@ -72,10 +72,12 @@ def test_no_weights_at_all_are_no_weights(folder):
 
 def test_a_bomb_is_not_unpacked(folder):
     # 64 MB of zeros in a file of 64 kB: refused by its size, before it is in memory.
-    with zipfile.ZipFile(folder / "weights.npz", "a", zipfile.ZIP_DEFLATED) as archive:
-        with archive.open("params/critic/kernel.npy", "w") as file:
-            for _ in range(64):
-                file.write(bytes(1 << 20))
+    with (
+        zipfile.ZipFile(folder / "weights.npz", "a", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("params/critic/kernel.npy", "w") as file,
+    ):
+        for _ in range(64):
+            file.write(bytes(1 << 20))
     with pytest.raises(PoolError, match="67108864 bytes"):
         read_policy(folder, LIKE)
 
