@@ -105,7 +105,7 @@ def folder_whole(folder: Path, is_only_writer: bool = False) -> Iterator[Path]:
     try:
         with _naming(folder):
             yield scratch / folder.name
-        _swap_in(scratch / folder.name, folder)
+        swap_in(scratch / folder.name, folder)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
 
@@ -121,7 +121,7 @@ def _naming(path: Path) -> Iterator[None]:
         raise
 
 
-def _swap_in(fresh: Path, folder: Path) -> None:
+def swap_in(fresh: Path, folder: Path) -> None:
     """Puts `fresh` where `folder` is; the old one is put back if that fails, and removed if not."""
     aside = _aside(folder)
     if folder.exists():
