@@ -8,11 +8,8 @@ import pytest
 
 from cluttergen_jax.agent.checkpoint import read_policy, save_policy
 from cluttergen_jax.agent.learner import ENCODER
-from cluttergen_jax.assets.pool import EMBEDDED
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.policies import list_policies, load_policy
 from cluttergen_jax.training.encoder_weights import with_encoder
-from tests.problems import made_up_rules
 
 KERNEL, BIAS = "params/actor/kernel", "params/actor/bias"
 LIKE = {
@@ -93,13 +90,3 @@ def test_weights_of_an_encoder_are_looked_at_too(tmp_path):
     change(tmp_path, **{"Dense_0/bias": None})
     with pytest.raises(PoolError, match="'Dense_0/bias' is missing"):
         with_encoder(params, tmp_path)
-
-
-@pytest.mark.parametrize(
-    "pool", ["dining", *(pytest.param(pool, marks=pytest.mark.slow) for pool in EMBEDDED if pool != "dining")]
-)
-def test_shipped_policies_load(pool):
-    policies = [folder for name, folder in list_policies().items() if name.startswith(f"{pool}-")]
-    assert len(policies) >= 3
-    for folder in policies:
-        load_policy(folder, made_up_rules(history_stride=12))

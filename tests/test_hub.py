@@ -8,13 +8,13 @@ import shutil
 import sys
 from pathlib import Path
 
-import jax
 import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.bank.bank import index_bytes
-from cluttergen_jax.bank.hub import hub_of, local_paths, pulled_path
+from cluttergen_jax.bank.card import write_card
+from cluttergen_jax.bank.hub import find_bank, hub_of, local_paths, pulled_path
 from cluttergen_jax.bank.hubs import FolderHub
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, UnsafePathError
@@ -87,23 +87,29 @@ def test_what_is_pushed_is_pulled_to_the_bit(bank, tmp_path, hub, capsys):
     assert [each.name for each in tmp_path.glob(".*")] == []
 
 
+def test_the_card_says_what_a_hub_wants_to_know(bank):
+    card = pytest.importorskip("huggingface_hub").DatasetCard.load(write_card(read_bank(bank)))
+    assert card.data.license == "apache-2.0"
+    assert "robotics" in card.data.tags
+    (config,) = card.data.to_dict()["configs"]
+    assert [path.name for path in bank.glob(config["data_files"])] == ["scenes-000000.parquet"]
+
+
 def test_a_bank_is_loaded_by_its_name_and_pulled_once(bank, folder, monkeypatch):
     cg.push_bank(bank, NAME, hub=str(folder))
     monkeypatch.setenv("CLUTTERGEN_HUB", str(folder))
-    scenes = cg.load_bank(NAME)
-    assert len(scenes) == 2
-    scenes.reset(jax.random.key(0))
+    assert len(cg.load_bank(NAME)) == 2
     # It is kept where one's own things are: the hub may be gone.
     shutil.rmtree(folder)
-    assert len(cg.load_bank(NAME)) == 2
-    assert read_bank(pulled_path(NAME)).num_scenes == 3
+    assert find_bank(NAME) == pulled_path(NAME)
+    assert read_bank(find_bank(NAME)).num_scenes == 3
 
 
 def test_a_folder_goes_before_a_name(bank, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "me").mkdir()
     bank.rename(tmp_path / NAME)
-    assert len(cg.load_bank(NAME)) == 2
+    assert find_bank(NAME) == Path(NAME)
 
 
 def test_an_interrupted_pull_goes_on(bank, tmp_path, server):

@@ -131,14 +131,15 @@ def _stored_weights(file: Path, flat: dict[str, Any]) -> dict[str, np.ndarray]:
             # The sizes are looked at before anything is unpacked: a small file may hold terabytes of zeros.
             with zipfile.ZipFile(file) as archive:
                 sizes = {each.filename.removesuffix(".npy"): each.file_size for each in archive.infolist()}
-            faults += [
-                f"array {name!r} has {size} bytes, and the network's shape is {flat[name].shape}"
-                for name, size in sizes.items()
-                if name in flat and size > _MOST_BYTES * flat[name].size + _HEADER
-            ]
-            weights = {} if faults else {name: stored[name] for name in stored.files}
+            known = [name for name in stored.files if name in flat]
+            large = [name for name in known if sizes[name] > _MOST_BYTES * flat[name].size + _HEADER]
+            weights = {name: stored[name] for name in known if name not in large}
     except Exception as error:  # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
         raise PoolError(f"{file} cannot be read ({type(error).__name__}: {error})", hint=_FRESH) from error
+    faults += [
+        f"array {name!r} has {sizes[name]} bytes, and the network's is of shape {flat[name].shape}"
+        for name in large
+    ]
     faults += [fault for name, value in weights.items() if (fault := _wrong_array(name, value, flat[name]))]
     if faults:
         more = f"; and {len(faults) - _SHOWN} more" if len(faults) > _SHOWN else ""

@@ -8,7 +8,7 @@ checksums of their own.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -69,15 +69,17 @@ def _names_in(path: Path) -> list[str]:
 
 
 def touched(changes: Iterable[Change], file: str, objects: Iterable[str]) -> list[str]:
-    """Those of the changed files that a scene is made of: its own, its objects' and the support's.
+    """Those of the changed files that a scene is made of: its own, its objects', and what all scenes share.
 
     Args:
       file: the name of the scene's file in `scenes`.
       objects: the names of its bodies.
     """
-    folders = {f"{_ASSETS}/objects/{base_name(name)}/" for name in objects} | {f"{_ASSETS}/support/"}
-    return [
-        change.name
-        for change in changes
-        if change.name == f"{_SCENES}/{file}" or any(change.name.startswith(each) for each in folders)
-    ]
+    names = {base_name(name) for name in objects}
+
+    def is_of_scene(parts: Sequence[str]) -> bool:
+        if parts[0] == _SCENES:
+            return parts[1:] == [file]
+        return parts[1] != "objects" or parts[2] in names
+
+    return [change.name for change in changes if is_of_scene(change.name.split("/"))]

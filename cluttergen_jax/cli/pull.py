@@ -7,15 +7,14 @@ from pathlib import PurePosixPath
 
 import tyro
 
-from cluttergen_jax.bank import read_bank
-from cluttergen_jax.bank.hub import pull_bank
-
 
 @dataclass(frozen=True)
 class Pull:
     """Fetch a bank from the Hugging Face Hub (extra `hub`) and check every file of it.
 
     The same command goes on where it was interrupted.
+
+    Example: `cluttergen pull me/breakfast --out breakfast`
 
     Attributes:
       name: OWNER/NAME.
@@ -33,6 +32,9 @@ class Pull:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        from cluttergen_jax.bank import read_bank
+        from cluttergen_jax.bank.hub import pull_bank
+
         out = self.out or PurePosixPath(self.name).name
         path = pull_bank(self.name, out, hub=self.hub, revision=self.revision, overwrite=self.overwrite)
         bank = read_bank(path)

@@ -6,15 +6,14 @@ from dataclasses import dataclass
 
 import tyro
 
-from cluttergen_jax.bank import read_bank
-from cluttergen_jax.bank.hub import local_paths, push_bank
-
 
 @dataclass(frozen=True)
 class Push:
     """Publish a bank as a data set on the Hugging Face Hub (extra `hub`), with its card.
 
     The bank is checked first, and replaces an earlier one of that name in one commit.
+
+    Example: `cluttergen push out me/breakfast`
 
     Attributes:
       bank: its folder.
@@ -30,6 +29,9 @@ class Push:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        from cluttergen_jax.bank import read_bank
+        from cluttergen_jax.bank.hub import local_paths, push_bank
+
         for path in local_paths(read_bank(self.bank)):
             print(f"note: the bank's record names a path of this machine, and will show it: {path}")
         print(f"pushed     {push_bank(self.bank, self.name, hub=self.hub, is_private=self.private)}")

@@ -70,7 +70,7 @@ def _changes(path: Path) -> list[Change]:
     elif changes:
         shown = "".join(f"\n  {change.name}: {change.what}" for change in changes[:_SHOWN])
         more = f"\n  and {len(changes) - _SHOWN} more" if len(changes) > _SHOWN else ""
-        print(f"{len(changes)} files of {path} are not what `cluttergen generate` wrote:{shown}{more}")
+        print(f"files of {path} that are not what `cluttergen generate` wrote ({len(changes)}):{shown}{more}")
         print("  the same `cluttergen generate` again mends them; what is not in bank.json, remove")
     return changes or []
 
