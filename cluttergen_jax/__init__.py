@@ -5,8 +5,7 @@
     bank = cluttergen_jax.load_bank("owner/name")                          # pulled from a hub
 
 `Rectangle` tells `make_sampler` of a region or a keep-out box; `make_region` and `KeepOut` are for those of
-`sample(key, region=..., keep_out=...)`, which may be traced. README.md, "The house",
-says what the packages are.
+`sample(key, region=..., keep_out=...)`, which may be traced. CONTRIBUTING.md says what the packages are.
 """
 
 from importlib import import_module
