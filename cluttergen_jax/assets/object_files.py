@@ -31,7 +31,7 @@ from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.surface_files import parse_surface, surface_text
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError, PoolError
-from cluttergen_jax.files import write_atomically
+from cluttergen_jax.files import inside, write_atomically
 
 FORMAT = 1
 NAME_PATTERN = re.compile(r"[a-z0-9_-]+")
@@ -108,15 +108,21 @@ def read_object(folder: Path, images: Path | None = None) -> ObjectAsset:
       images: the folder of its images, if that is another.
 
     Raises:
-      PoolError: a file is missing, damaged or of another format; the message names it.
+      PoolError: a file is missing, damaged or of another format, or the object's name is none; the message
+        names it.
+      UnsafePathError: a file is a link that leads out of the folder.
     """
     record = _read_record(folder / _RECORD)
+    if not (isinstance(record.get("name"), str) and NAME_PATTERN.fullmatch(record["name"])):
+        raise PoolError(
+            f"{folder / _RECORD}: an object called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'"
+        )
     blobs: dict[str, bytes] = {}
     digests = record.get("files")
     if not isinstance(digests, dict) or not all(_FILE.fullmatch(name) for name in digests):
         raise PoolError(f"{folder / _RECORD} is damaged: its list of files is none", hint=_REWRITE)
     for name, digest in digests.items():
-        path = (images if images is not None and name.endswith(".png") else folder) / name
+        path = inside(images if images is not None and name.endswith(".png") else folder, name)
         blobs[name] = _read_bytes(path)
         if _digest(blobs[name]) != digest:
             raise PoolError(f"{path} does not match its digest in {_RECORD}", hint=_REWRITE)

@@ -21,7 +21,7 @@ from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_t
 from cluttergen_jax.assets.surface_files import parse_surface, surface_text
 from cluttergen_jax.assets.texture import Texture, texture_name
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.files import folder_whole
+from cluttergen_jax.files import folder_whole, inside
 
 FORMAT = 1
 _RECORD = "support.json"
@@ -56,12 +56,16 @@ def read_support(folder: str | Path) -> SupportAsset:
     """Reads what `write_support` wrote.
 
     Raises:
-      PoolError: a file is missing, damaged or of another format; the message names it.
+      PoolError: a file is missing, damaged or of another format, or the support's name is none; the message
+        names it.
+      UnsafePathError: it names a file outside of its folder.
     """
     path = Path(folder) / _RECORD
     record = _read_json(path)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PoolError(f"{path} is not a support of format {FORMAT}", hint=_REWRITE)
+    if not (isinstance(record.get("name"), str) and _NAME.fullmatch(record["name"])):
+        raise PoolError(f"{path}: a support called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'")
     try:
         return _support(record, Path(folder))
     except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -207,12 +211,12 @@ def _support(record: dict[str, Any], folder: Path) -> SupportAsset:
 
 
 def _piece(record: dict[str, Any], folder: Path) -> Piece:
-    mesh, uv = parse_surface((folder / Path(record["file"]).name).read_text(encoding="ascii"))
+    mesh, uv = parse_surface(inside(folder, record["file"]).read_text(encoding="ascii"))
     texture = None
     if digest := record.get("texture"):
         if not re.fullmatch(r"[0-9a-f]{64}", digest):
             raise ValueError(f"{digest!r} where the digest of an image belongs")
-        texture = Texture((folder / texture_name(digest)).read_bytes())
+        texture = Texture(inside(folder, texture_name(digest)).read_bytes())
         if texture.digest != digest:
             raise ValueError(f"{texture_name(digest)} is not the image that it was")
     return Piece(mesh, _floats(record["rgba"], 4), uv, texture)
