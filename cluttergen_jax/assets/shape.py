@@ -54,7 +54,7 @@ class Shape:
       cavity: given where the object is hollow and known to be.
       mass: kilograms, or None to take it from `density`.
       density: kg/m^3 of the solid material, used if `mass` is None.
-      friction: sliding coefficient of the object wherever it touches something; None leaves it to the contact's.
+      friction: sliding coefficient wherever the object touches something; None for the contact's.
     """
 
     name: str

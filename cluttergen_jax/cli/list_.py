@@ -25,7 +25,9 @@ class List:
             except PoolError as error:
                 print(f"  {name:12} damaged: {error}")
         print(f"  {ALL:12}     the union of {', '.join(EMBEDDED)}")
-        print("  (* flagged: `cluttergen inspect POOL` says why)")
+        print(
+            "  (* flagged: `cluttergen inspect POOL` says why; a+b is the union of two, a~mug leaves mug out)"
+        )
         print("supports")
         for name in list_supports():
             print(f"  {name}")

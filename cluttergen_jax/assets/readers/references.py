@@ -83,9 +83,7 @@ def _mjcf(path: Path) -> Model:
                 files |= inner.files
         else:
             files |= there
-    bodies = tuple(
-        body.get("name", "") for world in root.iter("worldbody") for body in world.findall("body")
-    )
+    bodies = tuple(body.get("name", "") for world in root.iter("worldbody") for body in world.findall("body"))
     return Model(path, "mjcf", frozenset(files), frozenset(includes), bodies, is_whole)
 
 

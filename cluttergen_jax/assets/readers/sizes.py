@@ -31,7 +31,15 @@ def check_sizes(path: Path) -> None:
         return
     try:
         look(path)
-    except (TypeError, KeyError, AttributeError, ValueError, IndexError, struct.error, RecursionError) as error:
+    except (
+        TypeError,
+        KeyError,
+        AttributeError,
+        ValueError,
+        IndexError,
+        struct.error,
+        RecursionError,
+    ) as error:
         raise AssetError(f"{path} cannot be read as a mesh: its header is damaged ({error!r})") from error
 
 
@@ -126,7 +134,7 @@ def _check_stl(path: Path) -> None:
 
 
 def _check_ply(path: Path) -> None:
-    """Each row of an element takes at least the bytes of its properties, or in text a digit and a space each."""
+    """A row takes at least the bytes of its properties, or in text a digit and a space for each."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(1 << 16)

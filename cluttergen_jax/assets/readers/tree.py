@@ -20,7 +20,9 @@ SETTINGS = "objects.toml"
 # Materials, textures and buffers belong to a mesh beside them; label.json to a URDF.
 _COMPANIONS = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp", ".gif")
 _NOTES = (SETTINGS, "label.json")
-_OTHER_FORMATS = re.compile(r"\.(fbx|blend|usd[acz]?|3ds|3mf|max|ma|mb|off|x3d|wrl|step|stp|iges|igs|drc|skp)")
+_OTHER_FORMATS = re.compile(
+    r"\.(fbx|blend|usd[acz]?|3ds|3mf|max|ma|mb|off|x3d|wrl|step|stp|iges|igs|drc|skp)"
+)
 _STANDS_IN = re.compile(GENERIC)
 # What published sets, such as PartNet-Mobility, call the pieces of a model.
 _PIECE = re.compile(r"(original|new)-\d+|visual|collision")
@@ -66,9 +68,10 @@ def survey(path: str | Path) -> Found:
     if path.is_dir():
         tree = _Tree(path)
         tree.enter_all()
-        found = Found(named_apart(list(tree.sources())), tuple(tree.skipped))
+        sources = named_apart(list(tree.sources()))
+        found = Found(tuple(sources), tuple(tree.skipped))
     else:
-        found = Found(named_apart(list(_from_file(path))))
+        found = Found(tuple(named_apart(list(_from_file(path)))))
     if not found.sources:
         passed = ", ".join(each.name for each in found.skipped[:5])
         raise AssetError(

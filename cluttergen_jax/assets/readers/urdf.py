@@ -129,7 +129,7 @@ class _Reader:
 
 
 def mesh_place(urdf: Path, name: str) -> Path | None:
-    """The file that a URDF names, with `package://` and `file://` looked up around the URDF; None if missing."""
+    """The file that a URDF names, None if it is not there; `package://` is looked up around the URDF."""
     plain = name.removeprefix("file://").removeprefix("package://").removeprefix("model://")
     tails = [plain]
     if name.startswith(("package://", "model://")):
