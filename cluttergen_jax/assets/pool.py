@@ -241,9 +241,7 @@ def user_pool_folder(name: str) -> Path:
     own = _pools_in(user_root())
     if name in (*EMBEDDED, ALL) or name not in own:
         kind = "embedded" if name in (*EMBEDDED, ALL) else "not among your own"
-        raise PoolError(
-            f"pool {name!r} is {kind}", ", ".join(own) or "none: you have no pool of your own yet"
-        )
+        raise PoolError(f"pool {name!r} is {kind}", f"pools of your own: {', '.join(own) or 'none yet'}")
     return own[name]
 
 

@@ -62,8 +62,9 @@ def _urdf(path: Path) -> Model:
 
 
 def _mjcf(path: Path) -> Model:
-    includes: set[Path] = set()
+    includes = {path.resolve()}
     root = _expanded(path, path.parent, includes)
+    includes.discard(path.resolve())
     if root is None:
         return Model(path, "mjcf", is_whole=False)
     folders = {path.parent}

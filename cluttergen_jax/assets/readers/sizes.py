@@ -125,7 +125,7 @@ def _check_stl(path: Path) -> None:
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(84)
-        is_text = head.lstrip()[:5].lower() == b"solid" and b"facet" in head.lower() + file.read(1000).lower()
+        is_text = b"facet" in head.lower() + file.read(1000).lower()
     if is_text or len(head) < 84:
         return
     triangles = int.from_bytes(head[80:84], "little")
