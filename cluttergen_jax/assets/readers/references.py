@@ -10,6 +10,8 @@ from xml.etree import ElementTree
 from cluttergen_jax.assets.readers.urdf import mesh_place
 
 Element = ElementTree.Element
+_BROKEN = (OSError, ElementTree.ParseError, ValueError, LookupError)
+"""What a file that is no XML, or in no known encoding, raises."""
 _FOLDERS = ("meshdir", "assetdir", "texturedir")
 
 
@@ -47,7 +49,7 @@ def read_model(path: Path) -> Model | str:
 def _root_tag(path: Path) -> str:
     try:
         return next(iter(ElementTree.iterparse(path, events=("start",))))[1].tag
-    except (ElementTree.ParseError, StopIteration):
+    except (*_BROKEN, StopIteration):
         return ""
 
 
@@ -123,5 +125,5 @@ def _expanded(path: Path, main: Path, includes: set[Path]) -> Element | None:
 def _parsed(path: Path) -> Element | None:
     try:
         return ElementTree.parse(path).getroot()
-    except (OSError, ElementTree.ParseError):
+    except _BROKEN:
         return None

@@ -84,23 +84,26 @@ def _check_document(path: Path, document: dict[str, Any], binary: int) -> None:
         if end > held:
             raise _too_short(path, f"view {index} of buffer {view['buffer']}", end, held)
     for index, accessor in enumerate(document.get("accessors", [])):
-        count = _count(accessor["count"])
-        sparse = accessor.get("sparse")
-        for part in (sparse["indices"], sparse["values"]) if sparse else ():
-            if _count(sparse["count"]) > _count(views[part["bufferView"]]["byteLength"]):
-                raise _too_short(
-                    path, f"sparse accessor {index}", sparse["count"], views[part["bufferView"]]["byteLength"]
-                )
-        if "bufferView" not in accessor:
-            if count > _MOST_ZEROS:
-                raise AssetError(f"{path}: accessor {index} of {count:,} elements", f"up to {_MOST_ZEROS:,}")
-            continue
-        view = views[accessor["bufferView"]]
-        element = _COMPONENT_BYTES[accessor["componentType"]] * _COMPONENTS[accessor["type"]]
-        stride = _count(view.get("byteStride", 0)) or element
-        needed = _count(accessor.get("byteOffset", 0)) + (stride * (count - 1) + element if count else 0)
-        if needed > view["byteLength"]:
-            raise _too_short(path, f"accessor {index} of {count:,} elements", needed, view["byteLength"])
+        _check_accessor(path, f"accessor {index}", accessor, views)
+
+
+def _check_accessor(path: Path, name: str, accessor: dict[str, Any], views: list[dict[str, Any]]) -> None:
+    count, sparse = _count(accessor["count"]), accessor.get("sparse")
+    for part in (sparse["indices"], sparse["values"]) if sparse else ():
+        # Each of these elements takes at least a byte.
+        held = views[part["bufferView"]]["byteLength"]
+        if _count(sparse["count"]) > held:
+            raise _too_short(path, f"sparse {name}", sparse["count"], held)
+    if "bufferView" not in accessor:
+        if count > _MOST_ZEROS:
+            raise AssetError(f"{path}: {name} of {count:,} elements", f"up to {_MOST_ZEROS:,} without data")
+        return
+    view = views[accessor["bufferView"]]
+    element = _COMPONENT_BYTES[accessor["componentType"]] * _COMPONENTS[accessor["type"]]
+    stride = _count(view.get("byteStride", 0)) or element
+    needed = _count(accessor.get("byteOffset", 0)) + (stride * (count - 1) + element if count else 0)
+    if needed > view["byteLength"]:
+        raise _too_short(path, f"{name} of {count:,} elements", needed, view["byteLength"])
 
 
 def _count(value: Any) -> int:

@@ -101,7 +101,7 @@ def _sources_of(model: Model) -> Iterator[Source]:
 def _why_a_piece(mesh: Path, model: Model) -> str:
     """Why a mesh that a model beside it does not name is a piece of it after all; empty if it is not."""
     is_named_after_folder = _STANDS_IN.fullmatch(model.path.stem.lower()) is not None
-    if is_named_after_folder and not model.is_whole:
+    if is_named_after_folder and not model.is_whole and mesh.parent == model.path.parent:
         return f"perhaps one of the files that {model.path.name} names and that are missing"
     stem = mesh.stem.lower()
     if _PIECE.fullmatch(stem) or (is_named_after_folder and _STANDS_IN.fullmatch(stem)):
