@@ -132,10 +132,10 @@ def ply_of(encoding, rows):
         ("a.glb", glb(negative), "header is damaged"),
         ("a.glb", glb(no_number), "header is damaged"),
         ("a.glb", glb(lambda _: None)[:-50], "damaged"),
-        ("a.stl", stl_of(3_000_000_000), "3,000,000,000 triangles needs"),
+        ("a.stl", stl_of(3_000_000_000), "3,000,000,000 triangles"),
         ("a.stl", stl_of(11), "11 triangles"),
-        ("a.ply", ply_of("binary", 3_000_000_000), "what its header announces needs"),
-        ("a.ply", ply_of("ascii", 3_000_000_000), "what its header announces needs"),
+        ("a.ply", ply_of("binary", 3_000_000_000), "header announces|promises"),
+        ("a.ply", ply_of("ascii", 3_000_000_000), "header announces|promises"),
     ],
 )
 def test_more_than_there_is_is_refused_before_it_is_read(tmp_path, name, data, message):

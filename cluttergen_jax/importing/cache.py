@@ -17,7 +17,7 @@ import cluttergen_jax
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.assets.readers import Source
-from cluttergen_jax.assets.readers.references import Model, read_model
+from cluttergen_jax.assets.readers.references import ModelFile, model_file
 from cluttergen_jax.errors import PoolError
 
 # Code that decides what a body is; a change in any of it makes every cached body stale.
@@ -56,7 +56,7 @@ def source_digest(source: Source) -> str:
       OSError: a file cannot be read.
     """
     files = {source.path.resolve()}
-    if source.kind != "mesh" and isinstance(model := read_model(source.path), Model):
+    if source.kind != "mesh" and isinstance(model := model_file(source.path), ModelFile):
         files |= model.files | model.includes | {source.path.parent.resolve() / "label.json"}
     for folder in {file.parent for file in files}:
         files |= {each for each in folder.iterdir() if each.suffix.lower() in _COMPANIONS}

@@ -10,7 +10,7 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers.sizes import check_sizes
-from cluttergen_jax.assets.readers.text import opened
+from cluttergen_jax.assets.readers.text import TextResolver, opened
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.errors import AssetError
 
@@ -31,7 +31,7 @@ def read_mesh_file(path: Path) -> list[Piece]:
         raise AssetError(f"mesh file {path} is missing", hint="restoring the file or its name")
     check_sizes(path)
     try:
-        scene = trimesh.load_scene(**opened(path), process=False)
+        scene = trimesh.load_scene(**opened(path), resolver=TextResolver(str(path)), process=False)
     except Exception as error:  # trimesh's loaders raise whatever their parsers do.
         raise AssetError(f"{path} cannot be read as a mesh: {type(error).__name__}: {error}") from error
     is_linear = path.suffix.lower() in (".glb", ".gltf")

@@ -16,7 +16,7 @@ _FOLDERS = ("meshdir", "assetdir", "texturedir")
 
 
 @dataclass(frozen=True)
-class Model:
+class ModelFile:
     """A URDF or MJCF file.
 
     Attributes:
@@ -36,7 +36,7 @@ class Model:
     is_whole: bool = True
 
 
-def read_model(path: Path) -> Model | str:
+def model_file(path: Path) -> ModelFile | str:
     """The model in a .urdf or .xml file, or why it is none. One that is broken further down names nothing."""
     tag = _root_tag(path)
     if tag == "mujoco":
@@ -53,22 +53,22 @@ def _root_tag(path: Path) -> str:
         return ""
 
 
-def _urdf(path: Path) -> Model:
+def _urdf(path: Path) -> ModelFile:
     root = _parsed(path)
     if root is None:
-        return Model(path, "urdf", is_whole=False)
+        return ModelFile(path, "urdf", is_whole=False)
     named = [each.get("filename", "") for each in root.iter() if each.tag in ("mesh", "texture")]
     files = {name: file for name in named if (file := mesh_place(path, name)) is not None}
     real = frozenset(file.resolve() for file in files.values())
-    return Model(path, "urdf", real, is_whole=len(files) == len(set(named)))
+    return ModelFile(path, "urdf", real, is_whole=len(files) == len(set(named)))
 
 
-def _mjcf(path: Path) -> Model:
+def _mjcf(path: Path) -> ModelFile:
     includes = {path.resolve()}
     root = _expanded(path, path.parent, includes)
     includes.discard(path.resolve())
     if root is None:
-        return Model(path, "mjcf", is_whole=False)
+        return ModelFile(path, "mjcf", is_whole=False)
     folders = {path.parent}
     for compiler in root.iter("compiler"):
         folders |= {path.parent / compiler.get(name, "") for name in _FOLDERS}
@@ -87,7 +87,7 @@ def _mjcf(path: Path) -> Model:
         else:
             files |= there
     bodies = tuple(body.get("name", "") for world in root.iter("worldbody") for body in world.findall("body"))
-    return Model(path, "mjcf", frozenset(files), frozenset(includes), bodies, is_whole)
+    return ModelFile(path, "mjcf", frozenset(files), frozenset(includes), bodies, is_whole)
 
 
 def _candidates(name: str, folders: set[Path]) -> Iterator[Path]:

@@ -88,10 +88,10 @@ def _check_document(path: Path, document: dict[str, Any], binary: int) -> None:
 
 
 def _check_accessor(path: Path, name: str, accessor: dict[str, Any], views: list[dict[str, Any]]) -> None:
-    count, sparse = _count(accessor["count"]), accessor.get("sparse")
-    for part in (sparse["indices"], sparse["values"]) if sparse else ():
-        # Each of these elements takes at least a byte.
-        held = views[part["bufferView"]]["byteLength"]
+    count = _count(accessor["count"])
+    if sparse := accessor.get("sparse"):
+        # Each of its elements takes at least a byte, of indices as of values.
+        held = min(views[sparse[part]["bufferView"]]["byteLength"] for part in ("indices", "values"))
         if _count(sparse["count"]) > held:
             raise _too_short(path, f"sparse {name}", sparse["count"], held)
     if "bufferView" not in accessor:

@@ -18,17 +18,17 @@ _END_OF_HEADER = b"end_header"
 
 
 def opened(path: Path) -> dict[str, Any]:
-    """Arguments of `trimesh.load_scene` for a mesh file."""
+    """A mesh file as `trimesh.load_scene` takes it: `file_obj`, and `file_type` where that is no path."""
     suffix = path.suffix.lower()
     if suffix not in (".obj", ".ply", ".stl"):
         return {"file_obj": str(path)}
     data = path.read_bytes()
-    if suffix == ".obj" or (suffix == ".stl" and data.lstrip()[:5].lower() == b"solid"):
-        data = utf8(data) if not _is_binary_stl(suffix, data) else data
-    elif suffix == ".ply":
+    if suffix == ".ply":
         head, end, body = data.partition(_END_OF_HEADER)
         data = (utf8(head) if end else head) + end + body
-    return {"file_obj": io.BytesIO(data), "file_type": suffix[1:], "resolver": _TextResolver(str(path))}
+    elif suffix == ".obj" or not _is_binary_stl(data):
+        data = utf8(data)
+    return {"file_obj": io.BytesIO(data), "file_type": suffix[1:]}
 
 
 def utf8(data: bytes) -> bytes:
@@ -43,14 +43,15 @@ def utf8(data: bytes) -> bytes:
     return data.decode("latin-1").encode()
 
 
-def _is_binary_stl(suffix: str, data: bytes) -> bool:
-    """Binary files whose free header happens to begin with the word of text files."""
-    return suffix == ".stl" and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
+def _is_binary_stl(data: bytes) -> bool:
+    """By its length: the free header of a binary file may begin with the first word of text files."""
+    return len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
 
 
-class _TextResolver(FilePathResolver):
+class TextResolver(FilePathResolver):
     """Finds what a mesh file names; material files come in UTF-8."""
 
     def get(self, name: str) -> bytes:
+        """The content of the file that is called so."""
         data: bytes = super().get(name)
         return utf8(data) if name.strip().lower().endswith(".mtl") else data

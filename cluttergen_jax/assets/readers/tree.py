@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from cluttergen_jax.assets.readers.references import Model, read_model
+from cluttergen_jax.assets.readers.references import ModelFile, model_file
 from cluttergen_jax.assets.readers.source import GENERIC, Source, make_source, named_apart
 from cluttergen_jax.errors import AssetError
 
@@ -84,11 +84,11 @@ def survey(path: str | Path) -> Found:
 def _from_file(path: Path) -> Iterator[Source]:
     if path.suffix.lower() in MESH_SUFFIXES:
         yield make_source(path, "mesh")
-    elif path.suffix.lower() in MODEL_SUFFIXES and isinstance(model := read_model(path), Model):
+    elif path.suffix.lower() in MODEL_SUFFIXES and isinstance(model := model_file(path), ModelFile):
         yield from _sources_of(model)
 
 
-def _sources_of(model: Model) -> Iterator[Source]:
+def _sources_of(model: ModelFile) -> Iterator[Source]:
     """One source for each body that hangs on the world body; the file itself if it does not say."""
     if len(model.bodies) < 2:
         yield make_source(model.path, model.kind)
@@ -98,7 +98,7 @@ def _sources_of(model: Model) -> Iterator[Source]:
         yield replace(source, body=name or f"#{index}")
 
 
-def _why_a_piece(mesh: Path, model: Model) -> str:
+def _why_a_piece(mesh: Path, model: ModelFile) -> str:
     """Why a mesh that a model beside it does not name is a piece of it after all; empty if it is not."""
     is_named_after_folder = _STANDS_IN.fullmatch(model.path.stem.lower()) is not None
     if is_named_after_folder and not model.is_whole and mesh.parent == model.path.parent:
@@ -152,14 +152,14 @@ class _Tree:
     def sources(self) -> Iterator[Source]:
         """What is imported; the rest is added to `skipped`."""
         models = {
-            file: read_model(file)
+            file: model_file(file)
             for files in self.files.values()
             for file in files
             if file.suffix.lower() in MODEL_SUFFIXES
         }
-        owner: dict[Path, Model] = {}
+        owner: dict[Path, ModelFile] = {}
         for model in models.values():
-            if isinstance(model, Model):
+            if isinstance(model, ModelFile):
                 for file in model.files | model.includes:
                     owner.setdefault(file, model)
         for files in self.files.values():
@@ -167,9 +167,9 @@ class _Tree:
             for file in files:
                 self._explain(file, models.get(file), owner)
             yield from self._models(here, owner)
-            yield from self._meshes(files, [each for each in here if isinstance(each, Model)], owner)
+            yield from self._meshes(files, [each for each in here if isinstance(each, ModelFile)], owner)
 
-    def _explain(self, file: Path, model: Model | str | None, owner: dict[Path, Model]) -> None:
+    def _explain(self, file: Path, model: ModelFile | str | None, owner: dict[Path, ModelFile]) -> None:
         """Says why a file that can be no object is none."""
         suffix = file.suffix.lower()
         if isinstance(model, str):
@@ -180,7 +180,7 @@ class _Tree:
         elif not (model or suffix in (*MESH_SUFFIXES, *_COMPANIONS) or file.name in _NOTES):
             self._skip(file, "not a mesh format")
 
-    def _models(self, here: list[Model | str], owner: dict[Path, Model]) -> Iterator[Source]:
+    def _models(self, here: list[ModelFile | str], owner: dict[Path, ModelFile]) -> Iterator[Source]:
         first: dict[str, Path] = {}
         for model in here:
             if isinstance(model, str):
@@ -194,7 +194,9 @@ class _Tree:
             else:
                 yield from _sources_of(model)
 
-    def _meshes(self, files: list[Path], models: list[Model], owner: dict[Path, Model]) -> Iterator[Source]:
+    def _meshes(
+        self, files: list[Path], models: list[ModelFile], owner: dict[Path, ModelFile]
+    ) -> Iterator[Source]:
         """Mesh files that no model names, one for each object."""
         meshes = [each for each in files if each.suffix.lower() in MESH_SUFFIXES]
         meshes.sort(
