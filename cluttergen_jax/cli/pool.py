@@ -11,7 +11,7 @@ import tyro
 from cluttergen_jax.assets import pool as pools
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool, list_pools, read_pool, remove_pool, user_pool_folder
-from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.errors import ClutterGenError, ConfigError
 
 _HEADER = ("object", "size mm", "mass kg", "friction", "licence", "what people call it")
 
@@ -50,7 +50,7 @@ def _list() -> None:
     for name, folder in list_pools().items():
         try:
             pool = read_pool(folder)
-        except PoolError as error:
+        except ClutterGenError as error:
             print(f"{name:16} damaged: {error}")
             continue
         flagged = sum(bool(asset.flags) for asset in pool.objects)
