@@ -159,6 +159,7 @@ def _readme(kind: Format, num_scenes: int) -> str:
     return (
         f"{num_scenes} tabletop scenes, exported by cluttergen_jax as {kind.name}.\n\n"
         f"Open with {kind.opens_in}\n\n"
-        f"{MANIFEST}: how each scene came about, poses, masses and hashes. {LICENCES}: terms.\n"
+        + (f"{kind.notes}\n\n" if kind.notes else "")
+        + f"{MANIFEST}: how each scene came about, poses, masses and hashes. {LICENCES}: terms.\n"
         "Metres, kilograms, z up, origin on the floor below the support.\n"
     )

@@ -1,6 +1,8 @@
 """SDFormat 1.9: one world file per scene, for Gazebo and for Drake.
 
-Drake's own element `drake:declare_convex` says that a part is convex; other readers skip it.
+Drake's own elements say that a part is convex, and make parts and boxes compliant hydroelastic bodies, which
+touch over areas: its point contact has one point for each two bodies, on which nothing flat stands still.
+Other readers skip them.
 """
 
 from __future__ import annotations
@@ -20,6 +22,10 @@ from cluttergen_jax.scene import Scene
 
 VERSION = "1.9"
 _DRAKE = "http://drake.mit.edu"
+HYDROELASTIC_MODULUS = 1e9
+"""Pascals: of hard plastic. As soft as rubber (1e7), tables give way at edges, and what overhangs tips."""
+DISSIPATION = 50.0
+"""Seconds per metre, of Hunt and Crossley: nothing springs back from more than 2 cm/s."""
 
 
 def sdf_text(scene: Scene) -> bytes:
@@ -72,7 +78,7 @@ def _add_support(world: ET.Element, support: SupportAsset, contact: ContactConfi
             if kind == "visual":
                 _add_colour(element, box.rgba)
             else:
-                _add_friction(element, contact)
+                _add_contact(element, contact)
 
 
 def _add_object(
@@ -94,7 +100,7 @@ def _add_object(
         collision = ET.SubElement(link, "collision", name=f"part-{index}")
         mesh = _add_mesh(collision, f"{folder}/{part_name(index)}")
         ET.SubElement(mesh, "drake:declare_convex")
-        _add_friction(collision, contact)
+        _add_contact(collision, contact)
 
 
 def _add_mesh(parent: ET.Element, file: str) -> ET.Element:
@@ -117,10 +123,16 @@ def _add_colour(visual: ET.Element, rgba: tuple[float, ...]) -> None:
         _leaf(visual, "transparency", text([1 - rgba[3]]))
 
 
-def _add_friction(collision: ET.Element, contact: ContactConfig) -> None:
+def _add_contact(collision: ET.Element, contact: ContactConfig) -> None:
     # Torsional friction is left out: SDFormat's depends on a patch radius that nobody has measured here.
     sliding = contact.friction[0]
     friction = ET.SubElement(ET.SubElement(collision, "surface"), "friction")
     ode = ET.SubElement(friction, "ode")
     _leaf(ode, "mu", text([sliding]))
     _leaf(ode, "mu2", text([sliding]))
+    proximity = ET.SubElement(collision, "drake:proximity_properties")
+    ET.SubElement(proximity, "drake:compliant_hydroelastic")
+    _leaf(proximity, "drake:hydroelastic_modulus", text([HYDROELASTIC_MODULUS]))
+    _leaf(proximity, "drake:hunt_crossley_dissipation", text([DISSIPATION]))
+    _leaf(proximity, "drake:mu_dynamic", text([sliding]))
+    _leaf(proximity, "drake:mu_static", text([sliding]))
