@@ -117,7 +117,7 @@ def _require_usd() -> None:
 
 
 _DRAKE_NOTES = (
-    "For Drake (1.40 or newer) every part and box is a compliant hydroelastic body of 1e9 Pa with the friction "
+    "For Drake (1.40 or newer) parts and boxes are compliant hydroelastic bodies of 1e9 Pa with the friction "
     "of the scene (drake:proximity_properties); other readers skip this. The plant needs the time step named "
     "above, and all else as Drake has it: contact hydroelastic_with_fallback, approximation lagged."
 )

@@ -26,6 +26,10 @@ class Source(Protocol):
         """How new scenes can be sampled; empty if they cannot."""
         ...
 
+    def notice(self, method: str | None = None) -> str:
+        """What to say while a scene by `method`, or by number, is made; empty where it comes at once."""
+        ...
+
     def still(self, number: int) -> Recording:
         """A scene as it is stored, perhaps without its attempts. Quick."""
         ...
