@@ -11,6 +11,7 @@ from pathlib import PurePosixPath
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.part_files import part_name
@@ -18,7 +19,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.export.frames import text, yaw_quaternion
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, drawn_pieces, object_folder, visual_name
-from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene import Camera, Scene
 
 VERSION = "1.9"
 _DRAKE = "http://drake.mit.edu"
@@ -40,6 +41,8 @@ def sdf_text(scene: Scene) -> bytes:
     _add_support(world, scene.support, scene.contact)
     for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
         _add_object(world, name, asset, pose, scene.contact)
+    for camera in scene.cameras:
+        _add_camera(world, camera)
     ET.indent(root)
     return b'<?xml version="1.0"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
 
@@ -101,6 +104,27 @@ def _add_object(
         mesh = _add_mesh(collision, f"{folder}/{part_name(index)}")
         ET.SubElement(mesh, "drake:declare_convex")
         _add_contact(collision, contact)
+
+
+def _add_camera(world: ET.Element, camera: Camera) -> None:
+    """A sensor on a model that stands still; SDFormat's cameras look along +x, +z is up."""
+    right, up, backward = camera.rotation.T
+    x, y, z, w = Rotation.from_matrix(np.stack([-backward, -right, up], axis=1)).as_quat()
+    model = ET.SubElement(world, "model", name=f"camera-{camera.name}")
+    _leaf(model, "static", "true")
+    _add_pose(model, camera.position, np.array([w, x, y, z]))
+    link = ET.SubElement(model, "link", name="body")
+    sensor = ET.SubElement(link, "sensor", name=camera.name, type="camera")
+    _leaf(sensor, "always_on", "true")
+    _leaf(sensor, "update_rate", "30")
+    lens = ET.SubElement(sensor, "camera")
+    _leaf(lens, "horizontal_fov", text([np.radians(camera.fovx)]))
+    image = ET.SubElement(lens, "image")
+    _leaf(image, "width", str(camera.width))
+    _leaf(image, "height", str(camera.height))
+    clip = ET.SubElement(lens, "clip")
+    _leaf(clip, "near", "0.01")
+    _leaf(clip, "far", "20")
 
 
 def _add_mesh(parent: ET.Element, file: str) -> ET.Element:

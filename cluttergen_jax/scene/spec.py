@@ -60,6 +60,8 @@ def to_mjspec(scene: Scene, prefix: str = "", *, support: bool = True) -> mujoco
         # The attached scene keeps its contact parameters even where the other model has defaults of its own.
         geom.friction, geom.condim = scene.contact.friction, scene.contact.condim
         geom.solref, geom.solimp = scene.contact.solref, scene.contact.solimp
+    for each in scene.cameras:
+        spec.worldbody.add_camera(name=each.name, pos=each.position, quat=each.quaternion, fovy=each.fovy)
     spec.add_key(name=KEYFRAME, qpos=scene.poses.ravel())
     spec.modelname = "cluttergen scene"
     if not prefix:
