@@ -259,6 +259,7 @@ def test_what_goes_wrong_is_said(page, monkeypatch):
     page.until(lambda: "the bank is gone. Try: another." in page.text())
 
 
+@pytest.mark.slow
 def test_two_browsers_look_at_different_scenes(page, open_page):
     page.enter("Number", 0)
     page.until(lambda: page.session.recording.title == "scene 0" and "objects placed" in page.text())
@@ -275,10 +276,11 @@ def test_two_browsers_look_at_different_scenes(page, open_page):
     assert not page.session.scenery.shown.hulls
     assert not changed(before, page.picture())
     assert (page.session.number, other.session.number) == (0, 1)
-    other.browser.get("about:blank")
+    other.browser.close()
     page.until(lambda: list(page.viewer.sessions.values()) == [page.session])
 
 
+@pytest.mark.slow
 def test_a_page_says_that_it_compiles_and_then_shows_the_scene(page, open_page, monkeypatch):
     source, go = page.session.source, threading.Event()
     made = source.still
