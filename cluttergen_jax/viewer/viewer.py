@@ -33,6 +33,9 @@ class Viewer:
         self._lock = threading.Lock()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="scenes")
         self._offer = Offer(source, source.methods, first, folder, self._worker)
+        if source.notice():
+            # What has to be compiled is begun before the first browser has come.
+            self._worker.submit(source.still, first)
         server.on_client_disconnect(self._leave)
         server.on_client_connect(self._enter)
 
