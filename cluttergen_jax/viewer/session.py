@@ -243,7 +243,7 @@ class Session:
         with gui.add_folder("Scene"):
             self._status = gui.add_markdown("")
             self._scene = gui.add_number(
-                "Number", self.number, min=int(min(numbers)), max=int(max(numbers)), step=1
+                "Number", self.number, min=int(numbers[0]), max=int(numbers[-1]), step=1
             )
             turn = gui.add_button_group("Go to", ("Previous", "Next"))
         with gui.add_folder("Attempts"):

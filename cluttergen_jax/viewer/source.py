@@ -18,7 +18,7 @@ class Source(Protocol):
 
     @property
     def numbers(self) -> Sequence[int]:
-        """The scenes that it holds, at least one."""
+        """The scenes that it holds, at least one, in ascending order; where they are seeds, a vast range."""
         ...
 
     @property
