@@ -16,6 +16,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
@@ -150,9 +151,10 @@ def _rounded(values: np.ndarray, digits: int) -> Any:
 
 def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
     files = [None if piece.texture is None else piece.texture.file_name for piece in asset.pieces]
-    # Objects without images are recorded as they were before there were any.
+    # Absent where an object has none, so that objects keep the digest that they had before there were any.
     textures = {"textures": files} if any(files) else {}
-    return {
+    friction = {} if asset.friction is None else {"friction": float(asset.friction)}
+    return friction | {
         "format": FORMAT,
         "name": asset.name,
         "label": asset.label,
@@ -200,7 +202,17 @@ def _asset(record: dict[str, Any], blobs: dict[str, bytes]) -> ObjectAsset:
         tier=record["tier"],
         quality=Quality(**record["quality"]),
         flags=tuple(record["flags"]),
+        friction=_friction(record.get("friction")),
     )
+
+
+def _friction(value: Any) -> float | None:
+    """ValueError for what is no coefficient."""
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+        raise ValueError(f"friction {value!r}")
+    return float(value)
 
 
 def _read_bytes(path: Path) -> bytes:

@@ -83,6 +83,7 @@ class Shape:
       cavity: given where the object is hollow and known to be.
       mass: kilograms, or None to take it from `density`.
       density: kg/m^3 of the solid material, used if `mass` is None.
+      friction: sliding coefficient wherever the object touches something; None for the contact's.
       notes: what could not be kept when it was read, in words.
     """
 
@@ -94,4 +95,5 @@ class Shape:
     cavity: Cavity | None = None
     mass: float | None = None
     density: float = 500.0
+    friction: float | None = None
     notes: tuple[str, ...] = field(default_factory=tuple)

@@ -11,6 +11,8 @@ from urllib.parse import unquote
 import trimesh
 from PIL import Image
 
+from cluttergen_jax.assets.readers.text import utf8
+
 _NAMED = {
     ".obj": rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$",
     ".mtl": rb"^[ \t]*map_[Kk][Dd][ \t]+(.+?)[ \t\r]*$",
@@ -20,14 +22,13 @@ _NAMED = {
 # In MTL a file name may stand behind options: map_Kd -s 1 1 1 -clamp on label.png
 _OPTIONS = re.compile(r"(?:-[a-z]+\s+(?:(?:[-+.\de]+|on|off)\s+)*)+")
 _FOLDERS = (".", "textures", "../textures", "../materials/textures")
-_NOT_IMAGES = (".mtl", ".bin")
 
 
 def companions(path: Path) -> Iterator[Path]:
     """The files that a mesh file names, and that its materials name, as far as they are there."""
     pattern = _NAMED.get(path.suffix.lower())
-    for name in re.findall(pattern, path.read_bytes(), re.MULTILINE) if pattern else ():
-        found = find_named(path.parent, name.decode("utf-8", "replace"))
+    for name in re.findall(pattern, utf8(path.read_bytes()), re.MULTILINE) if pattern else ():
+        found = find_named(path.parent, name.decode())
         if found is not None:
             yield found
             yield from companions(found) if found.suffix.lower() == ".mtl" else ()
@@ -72,7 +73,9 @@ class Companions(trimesh.resolvers.FilePathResolver):
         if _OPTIONS.match(str(name).strip()):
             self.notes.append(f"the options of an image are ignored ({str(name).strip()})")
         data = found.read_bytes()
-        if found.suffix.lower() not in _NOT_IMAGES:
+        if found.suffix.lower() == ".mtl":
+            return utf8(data)
+        if found.suffix.lower() != ".bin":
             try:
                 Image.open(io.BytesIO(data))
             except Exception as error:  # Pillow's decoders raise whatever they do.

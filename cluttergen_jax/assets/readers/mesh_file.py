@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +11,8 @@ import trimesh
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers.companions import Companions
 from cluttergen_jax.assets.readers.materials import Dresser, gltf_notes
+from cluttergen_jax.assets.readers.sizes import check_sizes
+from cluttergen_jax.assets.readers.text import opened
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import MAX_SIDE, Texture
 from cluttergen_jax.errors import AssetError
@@ -22,12 +23,10 @@ class MeshFile(NamedTuple):
 
     Attributes:
       pieces: its surfaces, in the file's own unit and frame.
-      up: which axis is up: "x", "y" or "z".
       notes: what could not be kept of its materials, in words.
     """
 
     pieces: list[Piece]
-    up: str
     notes: tuple[str, ...]
 
 
@@ -42,13 +41,14 @@ def read_mesh_file(path: Path, max_side: int = MAX_SIDE, image: Texture | None =
       image: for surfaces that have texture coordinates but no image of their own.
 
     Raises:
-      AssetError: the file is missing or cannot be understood.
+      AssetError: the file is missing, announces more than it holds, or cannot be understood.
     """
     if not path.is_file():
         raise AssetError(f"mesh file {path} is missing", hint="restoring the file or its name")
+    check_sizes(path)
     beside = Companions(path)
     try:
-        scene = trimesh.load_scene(str(path), process=False, resolver=beside)
+        scene = trimesh.load_scene(**opened(path), resolver=beside, process=False)
     except Exception as error:  # trimesh's loaders raise whatever their parsers do.
         raise AssetError(f"{path} cannot be read as a mesh: {type(error).__name__}: {error}") from error
     is_gltf = path.suffix.lower() in (".glb", ".gltf")
@@ -66,7 +66,7 @@ def read_mesh_file(path: Path, max_side: int = MAX_SIDE, image: Texture | None =
     if not pieces:
         raise AssetError(f"{path} holds no triangles", "a surface mesh, not points or curves")
     notes = [*beside.notes, *(gltf_notes(path, materials) if is_gltf else ()), *dresser.notes]
-    return MeshFile(pieces, _up(path, is_gltf), tuple(dict.fromkeys(notes)))
+    return MeshFile(pieces, tuple(dict.fromkeys(notes)))
 
 
 def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:
@@ -77,16 +77,6 @@ def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise AssetError(f"{path} is damaged: its triangles name vertices that it does not have")
     return Mesh(vertices, faces)
-
-
-def _up(path: Path, is_gltf: bool) -> str:
-    if is_gltf:
-        return "y"
-    if path.suffix.lower() == ".dae":
-        declared = re.search(rb"<up_axis>\s*([XYZ])_UP", path.read_bytes())
-        # COLLADA's own default is y.
-        return declared.group(1).decode().lower() if declared else "y"
-    return "z"
 
 
 def cleaned(mesh: Mesh, is_closed: bool = False) -> Mesh:

@@ -119,10 +119,13 @@ class _Reader:
         raise AssetError(f"{self.path}: geometry <{form.tag}>", "mesh, box, cylinder, sphere or capsule")
 
     def _mesh(self, form: Element, texture: Texture | None) -> list[Piece]:
-        file = _find_mesh(self.path, form.get("filename", ""))
+        name = form.get("filename", "")
+        if (file := mesh_place(self.path, name)) is None:
+            raise AssetError(
+                f"{self.path} names mesh file {name!r}, which is not there", hint="restoring the file"
+            )
         if (file, texture) not in self.files:
-            pieces, _, notes = read_mesh_file(file, self.max_side, texture)
-            self.files[file, texture] = pieces
+            self.files[file, texture], notes = read_mesh_file(file, self.max_side, texture)
             self.notes.extend(notes)
         factors = np.diag(_floats(form.get("scale", "1 1 1"), 3))
         is_mirrored = np.linalg.det(factors) < 0
@@ -155,8 +158,11 @@ class _Reader:
         name = "" if named is None else named.get("filename", "")
         if not name:
             return None
+        if (file := mesh_place(self.path, name)) is None:
+            self.notes.append(f"the image {name!r} is left out: it is not there")
+            return None
         try:
-            with Image.open(_find_file(self.path, name)) as image:
+            with Image.open(file) as image:
                 return Texture.of(image, self.max_side)
         except (AssetError, OSError, ValueError, Image.DecompressionBombError) as error:
             reason = error.given if isinstance(error, AssetError) else str(error)
@@ -164,22 +170,8 @@ class _Reader:
             return None
 
 
-def _find_mesh(urdf: Path, name: str) -> Path:
-    """The mesh file that a URDF names."""
-    try:
-        return _find_file(urdf, name)
-    except FileNotFoundError as error:
-        raise AssetError(
-            f"{urdf} names mesh file {name!r}, which is not there", hint="restoring the file"
-        ) from error
-
-
-def _find_file(urdf: Path, name: str) -> Path:
-    """A file that a URDF names, with `package://` and `file://` looked up around the URDF.
-
-    Raises:
-      FileNotFoundError: it is not there.
-    """
+def mesh_place(urdf: Path, name: str) -> Path | None:
+    """The file that a URDF names, None if it is not there; `package://` is looked up around the URDF."""
     plain = name.removeprefix("file://").removeprefix("package://").removeprefix("model://")
     tails = [plain]
     if name.startswith(("package://", "model://")):
@@ -188,7 +180,7 @@ def _find_file(urdf: Path, name: str) -> Path:
         for tail in tails:
             if tail and (root / tail).is_file():
                 return root / tail
-    raise FileNotFoundError(f"{name} is not there")
+    return None
 
 
 def _link_poses(robot: Element, path: Path) -> dict[str, np.ndarray]:

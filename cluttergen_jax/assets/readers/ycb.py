@@ -12,7 +12,8 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from cluttergen_jax.assets.readers.source import Source, find_sources
+from cluttergen_jax.assets.readers.source import Source
+from cluttergen_jax.assets.readers.tree import find_sources
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import MissingExtraError
 
