@@ -39,7 +39,7 @@ from cluttergen_jax.evaluation.tables import Table
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.measures.simulate import no_movement
 from cluttergen_jax.placement.changes import CHANGES, draw_region, find_change
-from cluttergen_jax.policies import list_policies
+from cluttergen_jax.policies.embedded import list_policies
 from cluttergen_jax.sampling import BlockSampler, sample_blocks
 from tests.problems import HalfTable, made_up_rules
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from cluttergen_jax.config import check_positive
+from cluttergen_jax.config import VerifyConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.rotation import turn_between
@@ -16,24 +16,6 @@ from cluttergen_jax.physics.rotation import turn_between
 _STRIDE = 12
 _SHORTEST_STEP, _LONGEST_STEP = 1e-4, 0.05
 _OURS = "files written by `cluttergen generate`"
-
-
-@dataclass(frozen=True)
-class VerifyConfig:
-    """What it takes to stand (docs/contract.md).
-
-    Attributes:
-      seconds: how long the scene is simulated.
-      max_shift: metres any object may be from its start at any time.
-      max_turn_deg: degrees any object may have turned.
-    """
-
-    seconds: float = 10.0
-    max_shift: float = 0.005
-    max_turn_deg: float = 5.0
-
-    def __post_init__(self) -> None:
-        check_positive(self, "seconds", "max_shift", "max_turn_deg")
 
 
 @dataclass(frozen=True, eq=False)

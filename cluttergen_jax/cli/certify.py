@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import tyro
-from tqdm import tqdm
 
-from cluttergen_jax.bank import Bank, read_bank
-from cluttergen_jax.bank.bank import block_numbers, read_block
-from cluttergen_jax.bank.card import write_card
-from cluttergen_jax.bank.disk import writing
-from cluttergen_jax.bank.lock import BankLock
-from cluttergen_jax.bank.table import is_certified
-from cluttergen_jax.bank.writer import write_rows
-from cluttergen_jax.certification import certified, models_of
 from cluttergen_jax.config import check_workers
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.measures.simulate import horizons_of
+
+if TYPE_CHECKING:
+    from cluttergen_jax.bank import Bank
 
 
 @dataclass(frozen=True)
@@ -27,6 +21,8 @@ class Certify:
 
     Residual speed, drift, overlap, contacts, shake score, who rests on whom. The same command goes on where
     it was interrupted.
+
+    Example: `cluttergen certify out --seconds 10`
 
     Attributes:
       path: a bank.
@@ -42,6 +38,12 @@ class Certify:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        from cluttergen_jax.bank import read_bank
+        from cluttergen_jax.bank.card import write_card
+        from cluttergen_jax.bank.disk import writing
+        from cluttergen_jax.bank.lock import BankLock
+        from cluttergen_jax.measures.simulate import horizons_of
+
         check_workers("--jobs", self.jobs)
         horizons_of((self.seconds,))
         bank = read_bank(self.path)
@@ -57,6 +59,13 @@ class Certify:
 
 
 def _certify(args: Certify, bank: Bank) -> str:
+    from tqdm import tqdm
+
+    from cluttergen_jax.bank.bank import block_numbers, read_block
+    from cluttergen_jax.bank.table import is_certified
+    from cluttergen_jax.bank.writer import write_rows
+    from cluttergen_jax.certification import certified, models_of
+
     record = {name: value for name, value in bank.record.items() if name != "num_scenes"}
     models, num_new, shake = models_of(bank), 0, []
     with tqdm(total=bank.num_scenes, unit="scene", disable=None) as bar:

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from cluttergen_jax.assets.body import BodyConfig
-from cluttergen_jax.assets.decompose import DecompositionConfig
-from cluttergen_jax.assets.readers import ReadOptions
-from cluttergen_jax.cli.pool_table import pool_table
+from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.importing.run import ImportConfig, ImportReport, import_sources
-from cluttergen_jax.importing.table import import_support
-from cluttergen_jax.importing.worker import ObjectConfig
+
+if TYPE_CHECKING:
+    from cluttergen_jax.assets.readers import ReadOptions
+    from cluttergen_jax.importing.run import ImportReport
 
 
 @dataclass(frozen=True)
 class Import:
     """Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, MJCF, folders, or `ycb`.
+
+    Example: `cluttergen import my_meshes/ --pool mine --scale 0.001`
 
     Attributes:
       sources: files or folders; the word ycb stands for the 78 YCB objects (extra `ycb`).
@@ -56,6 +56,11 @@ class Import:
 
     def run(self) -> int:
         """Runs the command: 0, or 1 if an object could not be imported."""
+        from cluttergen_jax.assets.body import BodyConfig
+        from cluttergen_jax.assets.readers import ReadOptions
+        from cluttergen_jax.importing.run import ImportConfig, import_sources
+        from cluttergen_jax.importing.worker import ObjectConfig
+
         read = ReadOptions(self.scale, self.up, self.density, self.mass)
         if self.support is not None:
             return self._import_support(self.support, read)
@@ -72,6 +77,8 @@ class Import:
         return report.status
 
     def _import_support(self, path: str, read: ReadOptions) -> int:
+        from cluttergen_jax.importing.table import import_support
+
         if self.sources or self.pool is not None:
             raise ConfigError("--support together with sources or --pool", "one of them", "two commands")
         folder, support = import_support(path, self.name, read, self.force)
@@ -85,6 +92,8 @@ class Import:
 
 def print_report(report: ImportReport) -> None:
     """The table of what was made, and of what failed and why."""
+    from cluttergen_jax.cli.pool_table import pool_table
+
     if report.objects:
         print(pool_table(report.objects))
         made = len(report.objects) - report.num_cached

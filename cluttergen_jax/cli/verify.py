@@ -8,19 +8,23 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import tyro
-from tqdm import tqdm
 
-from cluttergen_jax.bank.disk import write_atomically
-from cluttergen_jax.bank.verify import Verification, VerifyConfig, scene_files, verify_scene
-from cluttergen_jax.config import check_workers
+from cluttergen_jax.config import VerifyConfig, check_workers
+from cluttergen_jax.files import write_atomically
+
+if TYPE_CHECKING:
+    from cluttergen_jax.bank.verify import Verification
 
 
 @dataclass(frozen=True)
 class Verify:
     """Check that saved scenes stand: plain MuJoCo, everything awake. Exit status 1 if one does not.
+
+    Example: `cluttergen verify out`
 
     Attributes:
       path: a bank, or one MJCF file with a keyframe called scene.
@@ -34,6 +38,10 @@ class Verify:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        from tqdm import tqdm
+
+        from cluttergen_jax.bank.verify import scene_files, verify_scene
+
         check_workers("--jobs", self.jobs)
         files = scene_files(self.path)
         jobs = self.jobs or os.cpu_count() or 1

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import jax
 
-from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.config import Engine, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.protocol import Physics
 
-ENGINES = ("auto", "native", "warp", "jax")
+ENGINES = get_args(Engine)
 
 
 def make_physics(

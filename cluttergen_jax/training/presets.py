@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, get_args
 
 from cluttergen_jax.agent.config import PPOConfig
-from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.config import StabilityConfig, Variant
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.ranking import RankerConfig
@@ -93,7 +93,7 @@ def paper() -> Settings:
 
 
 PRESETS = {"cpu": cpu, "tight": tight, "gpu": gpu, "paper": paper}
-VARIANTS = ("policy", "beta", "normal", "open_loop", "short_memory", "ranked")
+VARIANTS = get_args(Variant)
 """`policy` is the full method with the preset's head (a mixture; in `paper` a Beta a coordinate); `beta`
 and `normal` are the full method with the paper's heads; `open_loop` and `short_memory` look back on nothing
 and on one attempt; `ranked` chooses among poses that geometry has found."""
