@@ -4,9 +4,9 @@ import difflib
 from collections.abc import Iterable
 
 
-def closest(given: str, known: Iterable[str]) -> str:
+def closest(given: object, known: Iterable[str]) -> str:
     """The known name that is most like a misspelt one; "" if none is."""
-    return next(iter(difflib.get_close_matches(given, list(known), n=1)), "")
+    return next(iter(difflib.get_close_matches(str(given), list(known), n=1)), "")
 
 
 class ClutterGenError(Exception):

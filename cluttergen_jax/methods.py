@@ -9,7 +9,7 @@ from pathlib import Path
 from cluttergen_jax.agent.checkpoint import read_record
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.baselines import Clear, make_proposer
-from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.errors import ConfigError, PoolError, closest
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.proposer import Proposer
 from cluttergen_jax.placement.rules import Rules
@@ -53,7 +53,9 @@ def checkpoint_of(method: str, pool: str, checkpoint: str | None = None) -> Path
       PoolError: no checkpoint is embedded for it, or there is none in the given folder.
     """
     if method not in METHODS:
-        raise ConfigError(f"method {method!r}", ", ".join(METHODS), "--method clear")
+        raise ConfigError(
+            f"method {method!r}", ", ".join(METHODS), "--method clear", closest(method, METHODS)
+        )
     if method in BASELINES:
         if checkpoint is not None:
             raise ConfigError(f"--checkpoint with method {method!r}, which has none", ", ".join(VARIANTS))

@@ -12,7 +12,7 @@ import scipy.stats
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import list_supports
-from cluttergen_jax.cli import evaluate as command
+from cluttergen_jax.cli import evaluation as command
 from cluttergen_jax.cli.evaluate import Evaluate
 from cluttergen_jax.cli.main import run
 from cluttergen_jax.config import StabilityConfig

@@ -13,7 +13,7 @@ import pytest
 from cluttergen_jax.assets.readers.mjcf_scene import read_mjcf_scene
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.cli.render import chosen_numbers, parse_size
+from cluttergen_jax.cli.rendering import chosen_numbers, parse_size
 from cluttergen_jax.cli.view import native_model
 from cluttergen_jax.errors import AssetError, BankError, ConfigError, MissingExtraError, PoolError
 from cluttergen_jax.sources import BankSource, LiveConfig, LiveSource, open_source

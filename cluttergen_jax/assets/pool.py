@@ -18,7 +18,7 @@ from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
-from cluttergen_jax.errors import PoolError
+from cluttergen_jax.errors import PoolError, closest
 from cluttergen_jax.files import folder_whole
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
@@ -76,7 +76,11 @@ class Pool:
         for asset in self.objects:
             if asset.name == name:
                 return asset
-        raise PoolError(f"no object {name!r} in pool {self.name!r}", ", ".join(self.names))
+        raise PoolError(
+            f"no object {name!r} in pool {self.name!r}",
+            ", ".join(self.names),
+            meant=closest(name, self.names),
+        )
 
 
 def write_pool(path: str | Path, pool: Pool, *, overwrite: bool = False) -> Path:
@@ -183,6 +187,7 @@ def find_pool(name_or_path: str | Path) -> Pool:
         f"no pool is called {name!r}, and there is none at that path",
         ", ".join([*pools, ALL]) or "none exists yet",
         "cluttergen import SOURCE --pool NAME makes one",
+        closest(name, [*pools, ALL]),
     )
 
 

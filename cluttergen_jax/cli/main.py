@@ -44,7 +44,7 @@ def main(args: Sequence[str] | None = None) -> int:
         print(_version() if name == "--version" else overview())
         return 0 if name else 2
     if name.startswith("--tyro-"):
-        return run(_parsed(all_commands(), "cluttergen", words))
+        return run(parsed(all_commands(), "cluttergen", words))
     if name not in COMMANDS:
         error = ConfigError(
             f"no command is called {name!r}",
@@ -54,10 +54,10 @@ def main(args: Sequence[str] | None = None) -> int:
         )
         print(f"error: {error}", file=sys.stderr)
         return 2
-    return run(_parsed(COMMANDS[name].load(), f"cluttergen {name}", words[1:]))
+    return run(parsed(COMMANDS[name].load(), f"cluttergen {name}", words[1:]))
 
 
-def _parsed(command: Any, prog: str, words: Sequence[str]) -> Any:
+def parsed(command: Any, prog: str, words: Sequence[str]) -> Any:
     """What the words make of a command; tyro exits where they make nothing, or ask for help."""
     import tyro
 

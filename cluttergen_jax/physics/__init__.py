@@ -7,7 +7,7 @@ from typing import get_args
 import jax
 
 from cluttergen_jax.config import Engine, StabilityConfig
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.protocol import Physics
@@ -32,7 +32,12 @@ def make_physics(
       MissingExtraError: "warp" without Warp installed.
     """
     if engine not in ENGINES:
-        raise ConfigError(f"engine = {engine!r}", ", ".join(ENGINES), "engine native, which runs everywhere")
+        raise ConfigError(
+            f"engine = {engine!r}",
+            ", ".join(ENGINES),
+            "engine native, which runs everywhere",
+            closest(engine, ENGINES),
+        )
     if engine == "auto":
         engine = "warp" if jax.default_backend() == "gpu" else "native"
     if engine == "native":

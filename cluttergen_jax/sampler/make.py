@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Never
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.reach import check_keep_out
@@ -14,7 +15,7 @@ from cluttergen_jax.methods import checkpoint_of, default_method, proposer_of, s
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.problem import ProblemConfig, keep_out_of, make_problem
-from cluttergen_jax.sampler.arguments import check_names, check_rectangles, check_whole
+from cluttergen_jax.sampler.arguments import check_known, check_names, check_rectangles, check_whole
 from cluttergen_jax.sampler.sampler import Sampler
 from cluttergen_jax.sampling import BlockSampler
 
@@ -40,6 +41,7 @@ def make_sampler(
     num_scene_points: int = 0,
     engine: str = "auto",
     num_threads: int = 0,
+    **unknown: Never,
 ) -> Sampler:
     """A function `sample(key) -> SampledScene` that may be compiled, mapped, scanned and sharded.
 
@@ -69,10 +71,11 @@ def make_sampler(
       num_threads: of the native engine; 0 takes every core.
 
     Raises:
-      ConfigError: a setting is out of range or contradicts another.
+      ConfigError: a setting is unknown, out of range, or contradicts another.
       PoolError: a pool, an object, a support or a checkpoint cannot be found or read.
       BankError: the scene to start from cannot be read, or does not stand.
     """
+    check_known(unknown, make_sampler)
     check_whole(
         num_objects=num_objects,
         max_retries=max_retries,

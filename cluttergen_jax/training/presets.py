@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 from cluttergen_jax.agent.config import PPOConfig
 from cluttergen_jax.config import StabilityConfig, Variant
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.ranking import RankerConfig
 from cluttergen_jax.placement.config import PlacementConfig
@@ -114,9 +114,9 @@ def make_settings(preset: str, variant: str) -> Settings:
       ConfigError: there is no such preset or variant.
     """
     if preset not in PRESETS:
-        raise ConfigError(f"preset {preset!r}", ", ".join(PRESETS))
+        raise ConfigError(f"preset {preset!r}", ", ".join(PRESETS), meant=closest(preset, PRESETS))
     if variant not in VARIANTS:
-        raise ConfigError(f"variant {variant!r}", ", ".join(VARIANTS))
+        raise ConfigError(f"variant {variant!r}", ", ".join(VARIANTS), meant=closest(variant, VARIANTS))
     settings = PRESETS[preset]()
     if variant == "ranked":
         return _ranked(settings)
