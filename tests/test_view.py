@@ -170,7 +170,7 @@ def test_missing_scene_and_format_are_explained(bank, capsys):
     assert main(["render", f"{bank}:77"]) == 2
     assert "no scene 77" in capsys.readouterr().err
     assert main(["render", f"{bank}:0", "--replay", "--film", "avi"]) == 2
-    assert "gif, mp4" in capsys.readouterr().err
+    assert "('gif', 'mp4')" in capsys.readouterr().err
     assert main(["view", f"{bank}:77", "--port", "0", "--no-browser"]) == 2
     assert "no scene 77" in capsys.readouterr().err
 

@@ -43,18 +43,20 @@ def main(args: Sequence[str] | None = None) -> int:
     if name in ("-h", "--help", "") or name == "--version":
         print(_version() if name == "--version" else overview())
         return 0 if name else 2
-    if name.startswith("--tyro-"):
-        return run(parsed(all_commands(), "cluttergen", words))
-    if name not in COMMANDS:
-        error = ConfigError(
-            f"no command is called {name!r}",
-            ", ".join(COMMANDS),
-            "cluttergen --help",
-            closest(name, COMMANDS),
-        )
+    is_completion = name.startswith("--tyro-")
+    if not (is_completion or name in COMMANDS):
+        given, meant = f"no command is called {name!r}", closest(name, COMMANDS)
+        error = ConfigError(given, ", ".join(COMMANDS), "cluttergen --help", meant)
         print(f"error: {error}", file=sys.stderr)
         return 2
-    return run(parsed(COMMANDS[name].load(), f"cluttergen {name}", words[1:]))
+    try:
+        if is_completion:
+            return run(parsed(all_commands(), "cluttergen", words))
+        command = parsed(COMMANDS[name].load(), f"cluttergen {name}", words[1:])
+    except SystemExit as ended:
+        # tyro ends the process where it has said what is wrong, or has explained a command.
+        return int(ended.code or 0)
+    return run(command)
 
 
 def parsed(command: Any, prog: str, words: Sequence[str]) -> Any:
