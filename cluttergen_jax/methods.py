@@ -89,7 +89,7 @@ def checkpoint_hash(checkpoint: Path) -> str:
         files = [(checkpoint / name).read_bytes() for name in ("record.json", "weights.npz")]
     except OSError as error:
         raise PoolError(
-            f"{checkpoint} holds no policy ({error})", hint="the folder `policy` of a run"
+            f"{checkpoint} holds no policy ({error.strerror})", hint="the folder `policy` of a run"
         ) from error
     return hashlib.sha256(b"".join(hashlib.sha256(data).digest() for data in files)).hexdigest()
 

@@ -11,17 +11,22 @@ import pytest
 
 from cluttergen_jax import config
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.cli import generation
 from cluttergen_jax.cli.commands import COMMANDS, overview
 from cluttergen_jax.cli.main import main, parsed
-from cluttergen_jax.errors import ClutterGenError, closest
+from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.evaluation.suites import SUITES
 from cluttergen_jax.export.formats import FORMATS
 from cluttergen_jax.methods import METHODS
+from cluttergen_jax.physics.log import silent_import
 from cluttergen_jax.placement.changes import CHANGES
-from cluttergen_jax.problem import ProblemConfig, make_problem
+from cluttergen_jax.problem import ProblemConfig, crowding, make_problem
 from cluttergen_jax.sampler import make_sampler
 from cluttergen_jax.training.presets import PRESETS
+from tests.banks import two_scenes
+from tests.worlds import box
 
 HEAVY = {"jax", "mujoco", "flax", "brax", "scipy", "trimesh", "coacd", "pyarrow", "matplotlib", "PIL"}
 EXPLAINED = """
@@ -138,3 +143,73 @@ def test_nothing_is_guessed_from_far_away():
     with pytest.raises(ClutterGenError) as raised:
         find_pool("zzz")
     assert "Did you mean" not in str(raised.value)
+
+
+# What cannot be met is said before anything is compiled
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--num-objects", "50"], "50 objects asked for, 10 chosen of pool 'dining'. Allowed: 1 to 10,"),
+        (
+            ["--num-objects", "3", "--objects", "mug", "bowl"],
+            "3 objects asked for, 2 chosen of pool 'dining'",
+        ),
+        (["--support", "table-0.1x0.1"], "footprints cover 10.6 times its area"),
+    ],
+)
+def test_a_request_that_cannot_be_met_is_refused_at_once(words, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(generation, "run_blocks", None)
+    assert main(["generate", *words, "--out", str(tmp_path / "bank")]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "bank").exists()
+
+
+def test_a_sampler_is_asked_for_no_more_than_its_pool_holds():
+    with pytest.raises(ConfigError, match="10 chosen of pool 'dining'"):
+        make_sampler(num_objects=50)
+
+
+def test_crowding_counts_the_smallest_objects_and_every_repeat():
+    plates = [box(f"plate{side}", (side, side, 0.01)) for side in (0.1, 0.05, 0.15)]
+    region = Rectangle((0.0, 0.0), (0.1, 0.25))
+    assert crowding(plates, 1, region) == pytest.approx(0.1)
+    assert crowding(plates, 2, region) == pytest.approx(0.5)
+    assert crowding(plates, 4, region) == pytest.approx(1.5)
+
+
+# Errors that name a path once, and speak of what was given
+
+
+def test_a_file_of_a_bank_is_no_bank(tmp_path, capsys):
+    two_scenes(tmp_path / "bank")
+    (part,) = (tmp_path / "bank").glob("scenes-*.parquet")
+    assert main(["verify", str(part)]) == 2
+    said = capsys.readouterr().err
+    assert f"cluttergen verify {tmp_path / 'bank'}." in said
+    assert "again" not in said
+
+
+@pytest.mark.parametrize(
+    "words", [["generate", "--method", "policy", "--checkpoint"], ["import", "--pool", "mine"]]
+)
+def test_a_path_is_named_once(words, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
+    path = str(tmp_path / "nowhere")
+    main([*words, path])
+    assert capsys.readouterr().err.count(path) == 1
+
+
+def test_only_remarks_on_missing_packages_are_left_out(capsys):
+    with silent_import():
+        print("Failed to import warp: No module named 'warp'")
+        print("something else")
+    assert capsys.readouterr().out == "something else\n"
+
+
+@pytest.mark.slow
+def test_mjx_says_nothing_of_warp():
+    code = "import sys; sys.modules['warp'] = None; from cluttergen_jax.physics.brax_env import Env"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == ""

@@ -15,6 +15,7 @@ from cluttergen_jax.physics.rotation import turn_between
 
 _STRIDE = 12
 _SHORTEST_STEP, _LONGEST_STEP = 1e-4, 0.05
+_GIVEN = "the folder of a bank with files, or one MJCF file"
 _OURS = "files written by `cluttergen generate`"
 
 
@@ -110,13 +111,15 @@ def scene_files(path: str | Path) -> list[Path]:
       BankError: there is nothing to verify.
     """
     path = Path(path)
+    if path.suffix in (".parquet", ".json"):
+        raise BankError(f"{path} is a part of a bank", _GIVEN, f"cluttergen verify {path.parent}")
     if path.is_file():
         return [path]
     files = sorted((path / "scenes").glob("*.xml"))
     if not files:
         raise BankError(
             f"{path} holds no scene files",
-            "a bank with files, or one MJCF file",
+            _GIVEN,
             "cluttergen generate --out DIR (it writes files for the first --max-files scenes)",
         )
     return files

@@ -35,7 +35,7 @@ from cluttergen_jax.methods import (
     suited,
 )
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
-from cluttergen_jax.problem import Problem, ProblemConfig, keep_out_of, make_problem
+from cluttergen_jax.problem import Problem, ProblemConfig, check_number, crowding, keep_out_of, make_problem
 from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
 
 MAX_SCENES = 10_000_000
@@ -74,6 +74,7 @@ def generate(args: Generate) -> int:
     )
     sampler = BlockSampler(problem.rules, proposer_of(method, checkpoint, problem.rules), begin)
     _warn_of_flags(problem)
+    _warn_of_crowding(problem)
     with BankWriter(
         args.out,
         recipe_of(args, method, problem, checkpoint),
@@ -99,6 +100,7 @@ def problem_config(args: Generate) -> ProblemConfig:
     """The problem that the command line asks for."""
     available = len(args.objects) or len(find_pool(args.pool))
     num_objects = args.num_objects if args.num_objects is not None else min(available, MAX_SLOTS)
+    check_number(num_objects, available, args.pool, args.repeat)
     region: Rectangle | None = None
     if args.region is not None:
         region = parse_region(args.region, find_support(args.support).region)
@@ -156,6 +158,12 @@ def _advice(method: str, success: float) -> str:
         return ""
     better = _BETTER.get(method, f"--method {SCREENED}")
     return f"advice     few scenes succeed with {method} here; try {better} or a larger support"
+
+
+def _warn_of_crowding(problem: Problem) -> None:
+    crowded = crowding(problem.world.objects, problem.config.placement.num_objects, problem.region)
+    if crowded > 1:
+        print(f"note: it is tight: the smallest objects alone cover {crowded:.1f} times the region's area")
 
 
 def _warn_of_flags(problem: Problem) -> None:

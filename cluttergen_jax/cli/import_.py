@@ -103,4 +103,6 @@ def print_report(report: ImportReport) -> None:
     if report.failures:
         print(f"{len(report.failures)} failed:", file=sys.stderr)
         for failure in report.failures:
-            print(f"  {failure.name}: {failure.reason}", file=sys.stderr)
+            # A source that could not be found is named in its reason already.
+            is_named = failure.reason.startswith(failure.name)
+            print(f"  {failure.reason if is_named else f'{failure.name}: {failure.reason}'}", file=sys.stderr)

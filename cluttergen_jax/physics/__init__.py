@@ -9,6 +9,7 @@ import jax
 from cluttergen_jax.config import Engine, StabilityConfig
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.physics.log import silent_import
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.protocol import Physics
 
@@ -43,6 +44,7 @@ def make_physics(
     if engine == "native":
         return NativePhysics(layout, config, num_threads)
     # MJX takes a second to import, and only who asks for it pays.
-    from cluttergen_jax.physics.mjx import MjxPhysics
+    with silent_import():
+        from cluttergen_jax.physics.mjx import MjxPhysics
 
     return MjxPhysics(layout, config, engine)

@@ -6,9 +6,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from brax.envs.base import Env, State
 from flax import struct
 
+from cluttergen_jax.physics.brax_env import Env, State
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rules import Rules

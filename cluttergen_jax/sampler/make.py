@@ -14,7 +14,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.methods import checkpoint_of, default_method, proposer_of, suited
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.problem import ProblemConfig, keep_out_of, make_problem
+from cluttergen_jax.problem import ProblemConfig, check_number, keep_out_of, make_problem
 from cluttergen_jax.sampler.arguments import check_known, check_names, check_rectangles, check_whole
 from cluttergen_jax.sampler.sampler import Sampler
 from cluttergen_jax.sampling import BlockSampler
@@ -89,8 +89,10 @@ def make_sampler(
         raise ConfigError(f"max_retries = {max_retries}", f"0 to {MAX_RETRIES}", "max_retries=5")
     ObservationConfig(num_scene_points=num_scene_points)
     pool, given = str(pool), None if checkpoint is None else str(checkpoint)
+    available = len(objects) or len(find_pool(pool))
     if num_objects is None:
-        num_objects = min(len(objects) or len(find_pool(pool)), MAX_SLOTS)
+        num_objects = min(available, MAX_SLOTS)
+    check_number(num_objects, available, pool, repeat)
     method = method or default_method(pool, str(support), num_objects, given)
     policy = checkpoint_of(method, pool, given)
     placement = PlacementConfig(
