@@ -29,7 +29,7 @@ from cluttergen_jax.world import World, make_world, repeated
 
 SMALLEST_REGION = 0.02
 MOST_CROWDED = 8.0
-"""Footprints over the region's area from which a request is refused. Objects overhang and stand on one another:
+"""Footprints over the region's area from which a request is refused. Objects overhang and stand on others:
 `drop` fills 2 of 16 tables with ten of dining at 1.7, none at 4.2; only a stack of plates gets farther."""
 _RUN = 64
 

@@ -14,6 +14,7 @@ FLOORS = {
     "types": 0,
     "config": 0,
     "files": 0,
+    "progress": 0,
     "assets": 1,
     "physics": 1,
     "networks": 1,

@@ -10,6 +10,7 @@ import tyro
 
 from cluttergen_jax.config import check_workers
 from cluttergen_jax.errors import BankError
+from cluttergen_jax.progress import Progress
 
 if TYPE_CHECKING:
     from cluttergen_jax.bank import Bank
@@ -59,8 +60,6 @@ class Certify:
 
 
 def _certify(args: Certify, bank: Bank) -> str:
-    from tqdm import tqdm
-
     from cluttergen_jax.bank.bank import block_numbers, read_block
     from cluttergen_jax.bank.table import is_certified
     from cluttergen_jax.bank.writer import write_rows
@@ -68,7 +67,7 @@ def _certify(args: Certify, bank: Bank) -> str:
 
     record = {name: value for name, value in bank.record.items() if name != "num_scenes"}
     models, num_new, shake = models_of(bank), 0, []
-    with tqdm(total=bank.num_scenes, unit="scene", disable=None) as bar:
+    with Progress("certifying", bank.num_scenes, "scene") as progress:
         for number in block_numbers(bank.path):
             rows = read_block(bank.path, number)
             if args.force or not is_certified(rows):
@@ -76,7 +75,7 @@ def _certify(args: Certify, bank: Bank) -> str:
                 write_rows(bank.path, number, rows, record)
                 num_new += rows.num_rows
             shake.append(np.array(rows["shake"].drop_null()))
-            bar.update(rows.num_rows)
+            progress.update(rows.num_rows)
     scores = np.concatenate([*shake, np.zeros(0)])
     if not len(scores):
         raise BankError(f"{bank.path}: no scene in it stands", hint="more scenes")

@@ -36,15 +36,24 @@ def _lab(args: Evaluate, out: Path, trials: tuple[Trial, ...]) -> Lab:
         folder=None if args.checkpoints is None else Path(args.checkpoints),
         path=None if args.checkpoint is None else Path(args.checkpoint),
     )
-    progress = Progress(0)
-    lab = Lab(
-        Store(out / "results", progress.say), checkpoints, args.engine, args.threads, args.fresh, progress
-    )
+    store = Store(out / "results", Progress(0).say)
+    lab = Lab(store, checkpoints, args.engine, args.threads, args.fresh)
     lab.check(trials)
     # Before hours of work: a place that cannot be written to.
     out.mkdir(parents=True, exist_ok=True)
-    progress.total = sum(trial.num_episodes for trial in dict.fromkeys(trials) if lab.at_hand(trial) is None)
+    lab.progress = _planned(lab, trials)
     return lab
+
+
+def _planned(lab: Lab, trials: tuple[Trial, ...]) -> Progress:
+    """Progress over all rows that can be made, those at hand counted as done; said at once."""
+    at_hand = {trial: lab.at_hand(trial) for trial in trials}
+    rows = {trial: known is not None for trial, known in at_hand.items() if "missing" not in (known or {})}
+    episodes = sum(trial.num_episodes for trial in rows)
+    kept = [trial for trial, is_kept in rows.items() if is_kept]
+    progress = Progress(episodes, len(rows), len(kept), sum(trial.num_episodes for trial in kept))
+    progress.say(f"{len(rows)} rows, {len(kept)} kept from before, {len(rows) - len(kept)} to be made")
+    return progress
 
 
 def compare(args: Evaluate) -> int:

@@ -11,6 +11,7 @@ import tyro
 from cluttergen_jax.cli.parse import parse_numbers
 from cluttergen_jax.config import ExportFormat
 from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.progress import tracked
 
 if TYPE_CHECKING:
     from cluttergen_jax.scene import Scene
@@ -66,6 +67,4 @@ class Export:
 def _shown(scenes: Iterable[Scene], total: int) -> Iterable[Scene]:
     if total <= _MANY:
         return scenes
-    from tqdm import tqdm
-
-    return tqdm(scenes, total=total, unit="scene", desc="exporting", disable=None)
+    return tracked(scenes, "exporting", total, "scene")

@@ -86,7 +86,7 @@ def generate(args: Generate) -> int:
         started = time.perf_counter()
         num_new = run_blocks(sampler, problem, writer, args.num_scenes, args.seed)
         bank = read_bank(args.out)
-        print(summary_of(bank.table, args.num_scenes, num_new, time.perf_counter() - started))
+        print(summary_of(bank.table, args.num_scenes, num_new, time.perf_counter() - started), flush=True)
         if advice := _advice(method, float(np.mean(bank.table["is_success"]))):
             print(advice)
         with writing(bank.path):

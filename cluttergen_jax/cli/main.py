@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 import sys
 from collections.abc import Sequence
+from types import FrameType
 from typing import Any
 
 from cluttergen_jax.cli.commands import COMMANDS, all_commands, overview
@@ -26,6 +28,7 @@ INTERRUPTED = 130
 
 def program(args: Sequence[str] | None = None) -> None:
     """The console script: `main`, and an exit that waits for nothing once Ctrl-C was pressed."""
+    signal.signal(signal.SIGINT, _struck)
     status = main(args)
     if status == INTERRUPTED:
         # What was computed is on disk. A compilation that is still at work in a thread would hold up an
@@ -34,6 +37,12 @@ def program(args: Sequence[str] | None = None) -> None:
         sys.stderr.flush()
         os._exit(status)
     sys.exit(status)
+
+
+def _struck(number: int, frame: FrameType | None) -> None:
+    """The first Ctrl-C interrupts what is done, in good order; a second one waits for nothing."""
+    signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
+    raise KeyboardInterrupt
 
 
 def main(args: Sequence[str] | None = None) -> int:

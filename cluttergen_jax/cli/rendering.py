@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from cluttergen_jax.assets.scene_cloud import ply_of, scene_points
 from cluttergen_jax.bank.disk import write_atomically
@@ -15,6 +14,7 @@ from cluttergen_jax.cli.parse import parse_numbers
 from cluttergen_jax.cli.render import Render
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.recording import Recording
+from cluttergen_jax.progress import tracked
 from cluttergen_jax.render.assets import render_scene
 from cluttergen_jax.render.figure import closed_loop_figure
 from cluttergen_jax.render.film import replay, replay_frames, turntable
@@ -91,14 +91,14 @@ class Rendering(Render):
         yield _written(_named(stem, "-sensors.npz"), npz_of(sensed))
 
     def _filmed(self, frames: Iterable[np.ndarray], count: int, path: Path) -> Path:
-        shown = tqdm(frames, total=count, unit="frame", desc=path.name, disable=None, leave=False)
+        shown = tracked(frames, path.name, count, "frame")
         return save_film(shown, path.with_name(f"{path.name}.{self.film}"), self.pace.fps)
 
     def _sheet(self, source: Source, numbers: list[int]) -> np.ndarray:
         shooting = self._shooting(_CELL, _QUICK if len(numbers) > _SHEET else _FINE)
-        bar = tqdm(numbers, unit="picture", desc="sheet.png", disable=None, leave=False)
         recordings = [source.still(number) for number in numbers]
-        images = [drawn(recording, shooting) for recording, _ in zip(recordings, bar, strict=True)]
+        shown = tracked(recordings, "sheet.png", len(recordings), "picture")
+        images = [drawn(recording, shooting) for recording in shown]
         captions = [
             f"{number:06d}" + ("" if recording.is_success else f" (failed: {recording.verdict})")
             for number, recording in zip(numbers, recordings, strict=True)

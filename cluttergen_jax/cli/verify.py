@@ -15,6 +15,7 @@ import tyro
 
 from cluttergen_jax.config import VerifyConfig, check_workers
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.progress import tracked
 
 if TYPE_CHECKING:
     from cluttergen_jax.bank.verify import Verification
@@ -38,8 +39,6 @@ class Verify:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        from tqdm import tqdm
-
         from cluttergen_jax.bank.verify import scene_files, verify_scene
 
         check_workers("--jobs", self.jobs)
@@ -47,7 +46,12 @@ class Verify:
         jobs = self.jobs or os.cpu_count() or 1
         with ThreadPoolExecutor(jobs) as pool:
             checks = pool.map(lambda file: verify_scene(file, self.check), files)
-            results = list(tqdm(checks, total=len(files), unit="scene", desc="verifying", disable=None))
+            try:
+                results = list(tracked(checks, "verifying", len(files), "scene"))
+            except BaseException:
+                # Leaving the pool waits for what has begun; what has not is not to begin.
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
         print(report_of(results, self.check))
         if Path(self.path).is_dir():
             record = json.dumps([_record(each) for each in results], indent=1) + "\n"
