@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from types import TracebackType
 from typing import Any, TextIO, TypeVar
 
@@ -15,6 +15,7 @@ from tqdm import tqdm
 T = TypeVar("T")
 EVERY = 10.0
 """Seconds between two lines in a log."""
+_LONGEST_WAIT = 0.2
 COMPILING = "compiling: about 20 s the first time"
 
 
@@ -118,4 +119,7 @@ def interruptible(function: Callable[..., T], *args: Any) -> T:
             result.set_exception(error)
 
     threading.Thread(target=work, daemon=True).start()
+    while not result.done():
+        # A signal that comes just before the wait begins does not end it, so no wait is a long one.
+        wait([result], _LONGEST_WAIT)
     return result.result()

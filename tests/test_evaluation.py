@@ -570,8 +570,10 @@ def test_command_resumes_after_an_interruption(tmp_path, monkeypatch, capsys):
     rows = json.loads((tmp_path / "results.json").read_text())
     assert [row["support"] for row in rows] == list(asked["supports"])
     assert {path.suffix for path in tmp_path.iterdir() if path.is_file()} == {".md", ".csv", ".tex", ".json"}
-    shown = capsys.readouterr().out
+    shown, said = capsys.readouterr()
     assert shown.startswith("| pool | support | objects | method | success [95 %] |")
+    assert "2 rows, 1 kept from before, 1 to be made\n" in said
+    assert "[2 of 2 rows, 1 kept from before, " in said
 
 
 @pytest.mark.parametrize(
