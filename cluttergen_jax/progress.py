@@ -16,6 +16,8 @@ T = TypeVar("T")
 EVERY = 10.0
 """Seconds between two lines in a log."""
 _LONGEST_WAIT = 0.2
+stop_asked = threading.Event()
+"""Set by the console script at Ctrl-C. An import may swallow a KeyboardInterrupt, which comes again then."""
 COMPILING = "compiling: about 20 s the first time"
 
 
@@ -107,7 +109,12 @@ def interruptible(function: Callable[..., T], *args: Any) -> T:
     It is made in a thread of its own while this one waits. Where Ctrl-C ends the wait the call is abandoned:
     it goes on until the process ends, and nobody sees what becomes of it. Outside the main thread, where
     Python answers no signals, it is an ordinary call.
+
+    Raises:
+      KeyboardInterrupt: Ctrl-C, now or before.
     """
+    if stop_asked.is_set():
+        raise KeyboardInterrupt
     if threading.current_thread() is not threading.main_thread():
         return function(*args)
     result: Future[T] = Future()

@@ -12,6 +12,7 @@ from typing import Any
 
 from cluttergen_jax.cli.commands import COMMANDS, all_commands, overview
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
+from cluttergen_jax.progress import stop_asked
 
 _ADVICE = {
     errno.EEXIST: "another --out: where a folder has to be, there is a file",
@@ -42,6 +43,7 @@ def program(args: Sequence[str] | None = None) -> None:
 def _struck(number: int, frame: FrameType | None) -> None:
     """The first Ctrl-C interrupts what is done, in good order; a second one waits for nothing."""
     signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
+    stop_asked.set()
     raise KeyboardInterrupt
 
 
