@@ -50,6 +50,14 @@ COMMANDS = {
         "Stats",
         "Show what a bank holds: successes, verdicts, objects, attempts, duplicates, what is missing.",
     ),
+    "push": Command(
+        "push",
+        "Push",
+        "Publish a bank as a data set on the Hugging Face Hub (extra `hub`), with its card.",
+    ),
+    "pull": Command(
+        "pull", "Pull", "Fetch a bank from the Hugging Face Hub (extra `hub`) and check every file of it."
+    ),
     "view": Command(
         "view",
         "View",
