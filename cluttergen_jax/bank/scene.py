@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.bank.bank import Bank, SceneRecord
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
@@ -68,7 +69,7 @@ def _scene(bank: Bank, record: SceneRecord, drift: float, objects: Sequence[Obje
         origin=Origin(
             bank=bank.path.resolve().name,
             index=record.index,
-            pool=_named(recipe.get("pool", "")),
+            pool=public_name(recipe.get("pool", "")),
             method=recipe.get("method", ""),
             checkpoint=None if recipe.get("checkpoint") is None else _named(recipe["checkpoint"]),
             seed=recipe.get("seed"),

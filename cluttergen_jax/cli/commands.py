@@ -88,6 +88,11 @@ COMMANDS = {
         "Import",
         "Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, MJCF, folders, or `ycb`.",
     ),
+    "pool": Command(
+        "pool",
+        "Pool",
+        "List pools, show what one holds, or remove pools of your own: cluttergen pool show mine.",
+    ),
     "inspect": Command(
         "inspect_",
         "Inspect",

@@ -9,7 +9,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.assets.pool import find_pool, list_pools
+from cluttergen_jax.assets.pool import composed, find_pool, list_pools
 from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.cli.evaluate import Evaluate
@@ -62,7 +62,7 @@ def compare(args: Evaluate) -> int:
     methods: tuple[str, ...] = args.methods or tuple(BASELINES)
     trials = tuple(
         Trial(
-            pool=pool,
+            pool=composed(pool, args.exclude),
             support=support,
             method=method,
             num_objects=args.num_objects,

@@ -18,7 +18,7 @@ class Generate:
 
     Attributes:
       out: the bank's folder; the same command continues an interrupted one.
-      pool: a pool's name or folder (`cluttergen list`).
+      pool: a pool's name or folder (`cluttergen list`), or several joined by +: dining+mine.
       num_scenes: scenes to make, failures counted.
       method: how poses are proposed: random, clear, drop, or a trained policy: policy, policy-clear, ranked,
         beta, normal, open_loop or short_memory. If not given: the checkpoint's own; else policy where one
@@ -26,6 +26,7 @@ class Generate:
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       num_objects: objects per scene; all of the pool's (40 at most) if not given.
       objects: names of the pool's objects to use.
+      exclude: names of the pool's objects to leave out; --exclude mug is the same as --pool dining~mug.
       support: a support's name or folder; table-0.40x0.50 is a cuboid of that size.
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
       containment: what must lie in the region: the bounding box's center, or its whole footprint.
@@ -49,6 +50,7 @@ class Generate:
     checkpoint: str | None = None
     num_objects: int | None = None
     objects: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
     support: str = "table"
     region: str | None = None
     containment: Containment = "center"

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.pool import composed, find_pool
 from cluttergen_jax.assets.reach import check_keep_out
 from cluttergen_jax.assets.rectangle_text import parse_keep_out, parse_region
 from cluttergen_jax.assets.support import Rectangle
@@ -57,6 +57,7 @@ def generate(args: Generate) -> int:
         raise ConfigError(f"--seed {args.seed}", "0 to 4294967295")
     if args.max_files < 0:
         raise ConfigError(f"--max-files {args.max_files}", "0 or more", "--max-files 0 for none")
+    args = dataclasses.replace(args, pool=composed(args.pool, args.exclude), exclude=())
     config = problem_config(args)
     num_objects = config.placement.num_objects
     method = args.method or default_method(args.pool, args.support, num_objects, args.checkpoint)

@@ -15,15 +15,17 @@ class Inspect:
     Example: `cluttergen inspect dining --out dining.png`
 
     Attributes:
-      pool: a pool's name or folder.
+      pool: a pool's name or folder, or several joined by +.
       out: write a contact sheet to this PNG file.
       objects: only these.
+      exclude: all but these.
       columns: objects in a row of the sheet.
     """
 
     pool: tyro.conf.Positional[str]
     out: Path | None = None
     objects: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
     columns: int = 4
 
     def run(self) -> int:
@@ -31,7 +33,7 @@ class Inspect:
         from cluttergen_jax.assets.pool import find_pool
         from cluttergen_jax.cli.pool_table import pool_table
 
-        pool = find_pool(self.pool)
+        pool = find_pool(self.pool, self.exclude)
         objects = tuple(pool[name] for name in self.objects) or pool.objects
         print(f"pool {pool.name}, licence: {pool.licence or 'not stated'}, content {pool.hash[:12]}")
         print(pool_table(objects))

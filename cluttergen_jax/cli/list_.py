@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cluttergen_jax.errors import PoolError
+from cluttergen_jax.errors import ClutterGenError
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,12 @@ class List:
                 pool = read_pool(path)
                 names = ", ".join(f"{n}*" if pool[n].flags else n for n in pool.names)
                 print(f"  {name:12} {len(pool):3} objects: {names}")
-            except PoolError as error:
+            except ClutterGenError as error:
                 print(f"  {name:12} damaged: {error}")
         print(f"  {ALL:12}     the union of {', '.join(EMBEDDED)}")
-        print("  (* flagged: `cluttergen inspect POOL` says why)")
+        print(
+            "  (* flagged: `cluttergen inspect POOL` says why; a+b is the union of two, a~mug leaves mug out)"
+        )
         print("supports")
         for name in list_supports():
             print(f"  {name}")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Action = Literal["sampled", "mean"]
 ACTIONS = get_args(Action)
 _OF_SUITES = ("suite_list", "suite_only", "pools", "seeds")
-_OF_RUNS = ("pool", "support", "change", "num_objects", "variant", "attempts", "seed")
+_OF_RUNS = ("pool", "exclude", "support", "change", "num_objects", "variant", "attempts", "seed")
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,8 @@ class Train:
     Example: `cluttergen train --pool dining --preset cpu`
 
     Attributes:
-      pool: a pool's name or folder.
+      pool: a pool's name or folder, or several joined by +: dining+mine.
+      exclude: names of the pool's objects to leave out; --exclude mug is the same as --pool dining~mug.
       support: a support's name or folder; table-0.40x0.50 is a cuboid of that size.
       change: how the queried region is changed at random in every episode: none, translation, rotation,
         shrinkage, expansion or all.
@@ -64,6 +65,7 @@ class Train:
     """
 
     pool: str = "dining"
+    exclude: tuple[str, ...] = ()
     support: str = "table"
     change: Change = "none"
     num_objects: int = 10
@@ -101,10 +103,11 @@ class Train:
             from cluttergen_jax.cli.training_suite import run_suite
 
             return run_suite(self)
+        from cluttergen_jax.assets.pool import composed
         from cluttergen_jax.training.hosts import join
 
         join(self.coordinator, self.num_processes, self.process_id)
-        self.train()
+        dataclasses.replace(self, pool=composed(self.pool, self.exclude), exclude=()).train()
         return 0
 
     def train(self) -> None:
@@ -155,7 +158,9 @@ class Train:
     @property
     def folder(self) -> Path:
         """The run's."""
-        return Path(self.out or f"runs/{Path(self.pool).name}-{self.variant}-{self.seed}")
+        from cluttergen_jax.assets.pool import public_name
+
+        return Path(self.out or f"runs/{public_name(self.pool)}-{self.variant}-{self.seed}")
 
     def settings(self) -> Settings:
         """The preset with what the command line changes."""

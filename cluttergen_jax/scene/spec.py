@@ -58,7 +58,9 @@ def to_mjspec(scene: Scene, prefix: str = "", *, support: bool = True) -> mujoco
         body.pos, body.quat = pose[:3], pose[3:]
     for geom in spec.geoms:
         # The attached scene keeps its contact parameters even where the other model has defaults of its own.
-        geom.friction, geom.condim = scene.contact.friction, scene.contact.condim
+        if not geom.priority:
+            geom.friction = scene.contact.friction
+        geom.condim = scene.contact.condim
         geom.solref, geom.solimp = scene.contact.solref, scene.contact.solimp
     spec.add_key(name=KEYFRAME, qpos=scene.poses.ravel())
     spec.modelname = "cluttergen scene"
