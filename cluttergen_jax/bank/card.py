@@ -10,9 +10,9 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.bank.bank import Bank
 from cluttergen_jax.bank.disk import write_atomically
-from cluttergen_jax.bank.stats import BankStats, small_length, stats_of
+from cluttergen_jax.bank.stats import BankStats, stats_of
 from cluttergen_jax.bank.table import CERTIFICATE, COUNTED, SCHEMA
-from cluttergen_jax.types import Verdict
+from cluttergen_jax.types import Verdict, small_length
 
 CARD = "README.md"
 _MARK = "<!-- written by cluttergen; remove this line to keep your own changes -->"

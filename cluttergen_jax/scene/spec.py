@@ -62,6 +62,8 @@ def to_mjspec(scene: Scene, prefix: str = "", *, support: bool = True) -> mujoco
             geom.friction = scene.contact.friction
         geom.condim = scene.contact.condim
         geom.solref, geom.solimp = scene.contact.solref, scene.contact.solimp
+    for each in scene.cameras:
+        spec.worldbody.add_camera(name=each.name, pos=each.position, quat=each.quaternion, fovy=each.fovy)
     spec.add_key(name=KEYFRAME, qpos=scene.poses.ravel())
     spec.modelname = "cluttergen scene"
     if not prefix:

@@ -18,6 +18,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.scene.cameras import Camera
 from cluttergen_jax.world import unique_names
 
 _UNSEEN: dict[str, str] = {"contype": "0", "conaffinity": "0", "group": str(VISUAL_GROUP), "mass": "0"}
@@ -31,6 +32,7 @@ def scene_xml(
     contact: ContactConfig,
     assets_path: str = "../assets",
     names: Sequence[str] | None = None,
+    cameras: Sequence[Camera] = (),
 ) -> bytes:
     """MJCF text of a scene.
 
@@ -39,6 +41,7 @@ def scene_xml(
       poses: f32[N, 7], world, metres, wxyz.
       assets_path: the bank's `assets` folder, relative to where the text will be saved.
       names: of the bodies, unique; None makes them from the assets' names.
+      cameras: around the support.
     """
     root = ET.Element("mujoco", model="cluttergen scene")
     ET.SubElement(root, "compiler", angle="radian", meshdir=assets_path)
@@ -54,6 +57,9 @@ def scene_xml(
             stored.add(asset.name)
             _add_meshes(assets, asset)
         _add_body(world, name, asset, pose, contact)
+    for each in cameras:
+        pose = {"pos": _text(each.position), "quat": _text(each.quaternion)}
+        ET.SubElement(world, "camera", pose, name=each.name, fovy=_text([each.fovy]))
     keyframe = ET.SubElement(root, "keyframe")
     ET.SubElement(keyframe, "key", name="scene", qpos=_text(np.asarray(poses).ravel()))
     ET.indent(root)
