@@ -2,6 +2,8 @@
 
     sample = cluttergen_jax.make_sampler(pool="dining", num_objects=10)    # sample(key) -> SampledScene
     bank = cluttergen_jax.load_bank("out")                                 # bank.reset(key) -> StoredScene
+    env = cluttergen_jax.make_env(pool="dining", num_objects=5)            # a Brax environment, to train in
+    envs = cluttergen_jax.make_vector_env(64, pool="dining")               # a VectorEnv of Gymnasium
 
 `Rectangle` tells `make_sampler` of a region or a keep-out box; `make_region` and `KeepOut` are for those of
 `sample(key, region=..., keep_out=...)`, which may be traced. README.md, "The house",
@@ -21,7 +23,11 @@ if TYPE_CHECKING:
         StoredArrays,
         StoredScene,
         load_bank,
+        make_env,
+        make_gym_env,
         make_sampler,
+        make_sb3_env,
+        make_vector_env,
     )
 
 __all__ = [
@@ -33,8 +39,12 @@ __all__ = [
     "StoredArrays",
     "StoredScene",
     "load_bank",
+    "make_env",
+    "make_gym_env",
     "make_region",
     "make_sampler",
+    "make_sb3_env",
+    "make_vector_env",
 ]
 
 _ELSEWHERE = {"Rectangle": "assets.support", "KeepOut": "placement.region", "make_region": "placement.region"}

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.reach import check_keep_out
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.bank.start import read_start, start_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.methods import checkpoint_of, default_method, proposer_of, suited
-from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.problem import ProblemConfig, keep_out_of, make_problem
+from cluttergen_jax.problem import ProblemConfig
 from cluttergen_jax.sampler.arguments import check_names, check_rectangles, check_whole
 from cluttergen_jax.sampler.sampler import Sampler
+from cluttergen_jax.sampler.wiring import bind, usual_number
 from cluttergen_jax.sampling import BlockSampler
 
 MAX_RETRIES = 10_000
@@ -87,7 +85,7 @@ def make_sampler(
     ObservationConfig(num_scene_points=num_scene_points)
     pool, given = str(pool), None if checkpoint is None else str(checkpoint)
     if num_objects is None:
-        num_objects = min(len(objects) or len(find_pool(pool)), MAX_SLOTS)
+        num_objects = usual_number(pool, objects)
     method = method or default_method(pool, str(support), num_objects, given)
     policy = checkpoint_of(method, pool, given)
     placement = PlacementConfig(
@@ -103,14 +101,13 @@ def make_sampler(
         num_threads=num_threads,
         placement=suited(placement, policy),
     )
-    standing, poses = read_start(start)
-    problem = make_problem(config, standing)
-    check_keep_out(keep_out, problem.region)
+    bound = bind(config, keep_out, start)
+    rules = bound.problem.rules
     return Sampler(
-        problem=problem,
-        steps=BlockSampler(problem.rules, proposer_of(method, policy, problem.rules)),
-        keep_out=keep_out_of(keep_out),
-        start=start_of(problem.world, standing, poses),
+        problem=bound.problem,
+        steps=BlockSampler(rules, proposer_of(method, policy, rules)),
+        keep_out=bound.keep_out,
+        start=bound.start,
         max_retries=max_retries,
         num_scene_points=num_scene_points,
     )
