@@ -13,16 +13,17 @@ from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.placement.wrappers import ActionRange, FlatObservation
 from cluttergen_jax.problem import ProblemConfig
 from cluttergen_jax.sampler.arguments import check_names, check_rectangles, check_whole
 from cluttergen_jax.sampler.wiring import bind, usual_number
+from cluttergen_jax.sampler.wrappers import ActionRange, FlatObservation, OnSurface
 
 if TYPE_CHECKING:
     from cluttergen_jax.sampler.gymnasium_envs import GymnasiumEnv, GymnasiumVectorEnv
     from cluttergen_jax.sampler.sb3_env import SB3VecEnv
 
 OBSERVATIONS = ("flat", "dict")
+ACTIONS = ("pose", "surface")
 
 
 def make_env(
@@ -31,6 +32,7 @@ def make_env(
     num_objects: int | None = None,
     *,
     observation: str = "flat",
+    action: str = "pose",
     action_range: tuple[float, float] = (-1.0, 1.0),
     reward: str = "compressed",
     auto_reset: bool = True,
@@ -57,15 +59,18 @@ def make_env(
     its own reset repeats the first episode of each of its environments, and it wants keys of
     `jax.random.PRNGKey`.
 
-    Actions are f32[4], `action_range[0]` to `action_range[1]`, clipped: x, y and z of the object's centre in
-    a box over the queried region, and its turn (docs/contract.md, "Region and action").
+    Actions run from `action_range[0]` to `action_range[1]` and are clipped to them. They are f32[4]: x, y and
+    z of the object's centre in a box over the queried region, and its turn (docs/contract.md, "Region and
+    action").
 
     Args:
       pool, support, num_objects, objects, repeat, region, keep_out, start, containment, order, max_attempts,
         engine, num_threads: as in `make_sampler`.
-      observation: "flat" for one vector f32[D] (`placement.wrappers.FlatObservation` lists its parts), or
+      observation: "flat" for one vector f32[D] (`sampler.wrappers.FlatObservation` lists its parts), or
         "dict" for what `placement.observation.observe` describes.
-      action_range: of all four numbers.
+      action: "pose" for those four numbers, or "surface" for f32[3], x, y and turn: the height is that at
+        which the object stands on the support, which is much easier to learn but stacks nothing.
+      action_range: of all numbers; (0.0, 1.0) is the contract's own.
       reward: of an attempt: "compressed", 1 if the object stays there and less the more it moved; "paper" or
         "code", the published ones, which reach into hundreds and thousands (`placement.reward`).
       auto_reset: begin the next episode in the step that ends one; if not, whoever trains resets.
@@ -91,8 +96,8 @@ def make_env(
     )
     check_names(objects)
     check_rectangles(region, keep_out)
-    if observation not in OBSERVATIONS:
-        raise ConfigError(f"observation = {observation!r}", ", ".join(OBSERVATIONS), 'observation="flat"')
+    _check_choices(observation, action)
+    observed = ObservationConfig(num_scene_points=num_scene_points, num_cells=num_cells)
     placement = PlacementConfig(
         num_objects=usual_number(str(pool), objects) if num_objects is None else num_objects,
         max_attempts=max_attempts,
@@ -115,13 +120,15 @@ def make_env(
     bound = bind(config, keep_out, start)
     env: Env = PlacementEnv(
         bound.problem.rules,
-        ObservationConfig(num_scene_points=num_scene_points, num_cells=num_cells),
+        observed,
         auto_reset=auto_reset,
         start=bound.start,
         keep_out=bound.keep_out,
     )
     if observation == "flat":
         env = FlatObservation(env)
+    if action == "surface":
+        env = OnSurface(env, bound.problem.rules)
     return ActionRange(env, *action_range)
 
 
@@ -179,6 +186,12 @@ def make_sb3_env(num_envs: int = 64, **settings: Any) -> SB3VecEnv:
 
 
 MAX_ENVS = 65_536
+
+
+def _check_choices(observation: str, action: str) -> None:
+    for name, value, allowed in (("observation", observation, OBSERVATIONS), ("action", action, ACTIONS)):
+        if value not in allowed:
+            raise ConfigError(f"{name} = {value!r}", ", ".join(allowed), f"{name}={allowed[0]!r}")
 
 
 def _need_gymnasium(purpose: str) -> None:

@@ -18,7 +18,7 @@ from gymnasium.vector.utils import batch_space
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.scenes import Scenes
 from cluttergen_jax.placement.types import Episode
-from cluttergen_jax.placement.wrappers import ActionRange
+from cluttergen_jax.sampler.wrappers import ActionRange
 from cluttergen_jax.types import Array
 
 
@@ -98,7 +98,7 @@ class GymnasiumEnv(gymnasium.Env):
       scene: the latest finished scene, arrays of NumPy; None before there is one.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012  Gymnasium's own convention.
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  Gymnasium looks for it on the class.
 
     def __init__(self, env: ActionRange) -> None:
         self.observation_space, self.action_space = spaces_of(env)

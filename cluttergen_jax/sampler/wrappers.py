@@ -1,4 +1,4 @@
-"""What general trainers want of an environment: a vector to look at, and actions of a usual range."""
+"""What general trainers want of an environment: a vector to look at, and few numbers of a usual range."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from brax.envs.base import State, Wrapper
+from brax.envs.base import Env, State, Wrapper
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.search.search import CLEARANCE
 from cluttergen_jax.types import Array
 
 
@@ -72,6 +74,34 @@ class FlatObservation(Wrapper):
     def observation_size(self) -> int:
         """D."""
         return jax.eval_shape(self.reset, jax.random.key(0)).obs.shape[0]
+
+
+class OnSurface(Wrapper):
+    """An environment whose actions are three numbers in (0, 1): x, y and turn.
+
+    The height is left to geometry: the object is let go just above the support, as `random` and `clear` do.
+    Nothing can be put onto or into another object by intent.
+
+    Args:
+      env: whose actions have four numbers.
+      rules: those of `env`.
+    """
+
+    def __init__(self, env: Env, rules: Rules) -> None:
+        super().__init__(env)
+        self.rules = rules
+
+    def step(self, state: State, action: Array) -> State:
+        """One attempt with `action`, f32[3]."""
+        rules, episode = self.rules, state.pipeline_state.episode
+        height = rules.geometry.half_extents[rules.focus(episode), 2] + CLEARANCE
+        z = jnp.minimum(height / rules.height_range(episode), 1.0)
+        return self.env.step(state, jnp.stack([action[0], action[1], z, action[2]]))
+
+    @property
+    def action_size(self) -> int:
+        """x, y and turn."""
+        return 3
 
 
 class ActionRange(Wrapper):
