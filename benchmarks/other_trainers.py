@@ -1,8 +1,8 @@
 """Two trainers that are not ours, in the environments made for them: Brax's PPO and Stable-Baselines3's.
 
-    python -m benchmarks.other_trainers --attempts 20000 --write     # needs the extra sb3
+    python -m benchmarks.other_trainers --write     # needs the extra sb3
 
-Both are small networks with the trainers' usual numbers; nothing was tuned. Draws docs/images/other_trainers.png.
+Both are small networks, hardly tuned. Draws docs/images/other_trainers.png.
 """
 
 from __future__ import annotations
@@ -161,10 +161,10 @@ def section(found: dict[str, dict], chance: list[float]) -> str:
     success, placed, length = chance
     rows.append(("`random`, 256 scenes", "", f"{success:.2f}", f"{placed:.2f}", f"{placed / length:.2f}", ""))
     text = f"""
-        Five objects of dining ({", ".join(TASK["objects"])}) on its table, in random order: small networks that see
-        which object is next and where the others stand, one Gaussian over x, y, z and turn, one thread for the
-        simulation. Means of the latest {WINDOW} episodes at the first and the last point of the curves. `random` is
-        told the right height, which the trainers have to find out.
+        Five objects of dining ({", ".join(TASK["objects"])}) on its table, in random order: small networks
+        that see which object is next and where the others stand, one Gaussian over x, y, z and turn, one
+        thread for the simulation. Means of the latest {WINDOW} episodes at the first and the last point of
+        the curves. `random` is told the right height, which the trainers have to find out.
     """
     header = ("", "attempts", "scenes that stand", "objects placed", "placed an attempt", "seconds")
     picture = "![Curves](../docs/images/other_trainers.png)"

@@ -68,14 +68,14 @@ def space_of(observation: Any) -> spaces.Space:
         return spaces.Dict({name: space_of(part) for name, part in observation.items()})
     shape, dtype = observation.shape, np.dtype(observation.dtype)
     if np.issubdtype(dtype, np.bool_):
-        return spaces.MultiBinary(shape)
+        return spaces.Box(0, 1, shape, np.int8)
     if np.issubdtype(dtype, np.integer):
         return spaces.Box(0, np.iinfo(dtype).max, shape, dtype.type)
     return spaces.Box(-np.inf, np.inf, shape, np.float32)
 
 
 def to_numpy(tree: Any) -> Any:
-    """Arrays that may be written to, booleans as the 0 and 1 of `MultiBinary`."""
+    """Arrays that may be written to, booleans as 0 and 1."""
     return jax.tree.map(_writable, jax.device_get(tree))
 
 
