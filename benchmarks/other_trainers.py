@@ -45,7 +45,9 @@ def train_brax(num_attempts: int) -> list[list[float]]:
     env, rows = cg.make_env(**TASK, history_stride=0, num_cells=0, auto_reset=False), []
 
     def keep(attempts: int, figures: dict[str, float]) -> None:
-        rows.append([attempts, *(figures[f"episode/{name}"] for name in ("success", "num_placed", "length"))])
+        rows.append(
+            [attempts, *(float(figures[f"episode/{each}"]) for each in ("success", "num_placed", "length"))]
+        )
         print("brax", rows[-1], flush=True)
 
     small = functools.partial(
