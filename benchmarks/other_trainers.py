@@ -143,7 +143,7 @@ def draw(curves: dict[str, list[list[float]]], chance: list[float]) -> None:
     figure.savefig(PICTURE, dpi=130, metadata={"Software": None})
 
 
-def section(found: dict[str, dict], chance: list[float]) -> str:
+def section(found: dict[str, dict], chance: list[float], asked: int) -> str:
     """The section of benchmarks/README.md."""
     rows = []
     for name, each in found.items():
@@ -168,6 +168,8 @@ def section(found: dict[str, dict], chance: list[float]) -> str:
         thread for the simulation. Means of the latest {WINDOW} episodes at the first and the last point of
         the curves. `random` is told the right height, which the trainers have to find out.
     """
+    if any(each["rows"][-1][0] < asked for each in found.values()):
+        text += f" Stopped by hand before the {asked:,} attempts that were asked for."
     header = ("", "attempts", "scenes that stand", "objects placed", "placed an attempt", "seconds")
     picture = "![Curves](../docs/images/other_trainers.png)"
     return f"## Other trainers\n\n{prose(text)}\n\n{table(header, rows)}\n\n{picture}"
@@ -186,7 +188,7 @@ def main() -> None:
         chance = by_chance()
         draw({name: each["rows"] for name, each in found.items()}, chance)
         packages = ("mujoco", "jax", "brax", "gymnasium", "stable-baselines3", "torch")
-        report("other_trainers", section(found, chance), write=asked.write, packages=packages)
+        report("other_trainers", section(found, chance, asked.attempts), write=asked.write, packages=packages)
 
 
 if __name__ == "__main__":

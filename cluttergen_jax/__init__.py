@@ -23,12 +23,9 @@ if TYPE_CHECKING:
         StoredArrays,
         StoredScene,
         load_bank,
-        make_env,
-        make_gym_env,
         make_sampler,
-        make_sb3_env,
-        make_vector_env,
     )
+    from cluttergen_jax.sampler.environments import make_env, make_gym_env, make_sb3_env, make_vector_env
 
 __all__ = [
     "KeepOut",
@@ -47,7 +44,15 @@ __all__ = [
     "make_vector_env",
 ]
 
-_ELSEWHERE = {"Rectangle": "assets.support", "KeepOut": "placement.region", "make_region": "placement.region"}
+_ELSEWHERE = {
+    "Rectangle": "assets.support",
+    "KeepOut": "placement.region",
+    "make_region": "placement.region",
+    "make_env": "sampler.environments",
+    "make_gym_env": "sampler.environments",
+    "make_sb3_env": "sampler.environments",
+    "make_vector_env": "sampler.environments",
+}
 
 
 def __getattr__(name: str) -> Any:
