@@ -1,6 +1,6 @@
 """Scenes as JAX functions: sampled afresh (`make_sampler`), or drawn from a saved bank (`load_bank`).
 
-`sampler.environments` makes the environments in which scenes are placed an attempt at a time, for any trainer;
+`sampler.environments` makes environments in which scenes are placed an attempt at a time, for any trainer;
 it is imported by itself, as Brax takes a second to load.
 """
 
