@@ -4,10 +4,10 @@
     bank = cluttergen_jax.load_bank("out")                                 # bank.reset(key) -> StoredScene
     env = cluttergen_jax.make_env(pool="dining", num_objects=5)            # a Brax environment, to train in
     envs = cluttergen_jax.make_vector_env(64, pool="dining")               # a VectorEnv of Gymnasium
+    bank = cluttergen_jax.load_bank("owner/name")                          # pulled from a hub
 
 `Rectangle` tells `make_sampler` of a region or a keep-out box; `make_region` and `KeepOut` are for those of
-`sample(key, region=..., keep_out=...)`, which may be traced. README.md, "The house",
-says what the packages are.
+`sample(key, region=..., keep_out=...)`, which may be traced. CONTRIBUTING.md says what the packages are.
 """
 
 from importlib import import_module
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
+    from cluttergen_jax.bank.hub import pull_bank, push_bank
     from cluttergen_jax.placement.region import KeepOut, make_region
     from cluttergen_jax.sampler import (
         SampledScene,
@@ -42,6 +43,8 @@ __all__ = [
     "make_sampler",
     "make_sb3_env",
     "make_vector_env",
+    "pull_bank",
+    "push_bank",
 ]
 
 _ELSEWHERE = {
@@ -52,6 +55,8 @@ _ELSEWHERE = {
     "make_gym_env": "sampler.environments",
     "make_sb3_env": "sampler.environments",
     "make_vector_env": "sampler.environments",
+    "pull_bank": "bank.hub",
+    "push_bank": "bank.hub",
 }
 
 

@@ -223,6 +223,7 @@ def _asset(
             holds_ball=best.holds,
         ),
         flags=tuple(_faults(best, config)),
+        friction=shape.friction,
     )
     return replace(asset, resting=resting_poses(asset, config.seed))
 

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.bank.bank import Bank
 from cluttergen_jax.bank.disk import write_atomically
-from cluttergen_jax.bank.stats import BankStats, small_length, stats_of
+from cluttergen_jax.bank.stats import BankStats, stats_of
 from cluttergen_jax.bank.table import CERTIFICATE, COUNTED, SCHEMA
-from cluttergen_jax.types import Verdict
+from cluttergen_jax.types import Verdict, small_length
 
 CARD = "README.md"
 _MARK = "<!-- written by cluttergen; remove this line to keep your own changes -->"
@@ -86,6 +87,8 @@ def _head(licences: Sequence[str]) -> str:
     lines += [
         "tags: [robotics, simulation, mujoco, tabletop, scenes]",
         "pretty_name: cluttered tabletop scenes",
+        # What a table of scenes is made of; else the pictures would be taken for the data.
+        "configs: [{config_name: default, data_files: 'scenes-*.parquet'}]",
     ]
     return "\n".join([*lines, "---", _MARK])
 
@@ -122,7 +125,7 @@ def _files() -> str:
     lines = [
         "## Files",
         "",
-        "- `bank.json`: how the bank was made: every setting, versions, digests of the assets.",
+        "- `bank.json`: how the bank was made: every setting, versions, digests of the files.",
         "- `scenes-*.parquet`: 256 scenes each, a row per scene, failures included.",
         "- `assets/`: every object once (surface, convex collision parts, mass, inertia), and the support.",
         "- `scenes/`: if present, an MJCF file (and a picture) for each scene that stands; poses are in "
@@ -130,7 +133,7 @@ def _files() -> str:
         "",
         "```python",
         "import jax, cluttergen_jax as cg",
-        'bank = cg.load_bank("this folder")',
+        'bank = cg.load_bank("this folder")  # or "owner/name", where it is on a hub',
         "scene = jax.jit(bank.reset)(jax.random.key(0))  # a scene that stands, for an environment's reset",
         "```",
         "",
@@ -144,7 +147,7 @@ def _files() -> str:
 def _made(recipe: dict[str, Any]) -> str:
     placement = recipe.get("placement", {})
     rows = {
-        "pool": _named(recipe.get("pool")),
+        "pool": public_name(str(recipe.get("pool"))),
         "support": _named(recipe.get("support")),
         "objects per scene": placement.get("num_objects"),
         "attempts per object": placement.get("max_attempts"),

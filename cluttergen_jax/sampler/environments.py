@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from brax.envs.base import Env
 
+from cluttergen_jax.assets.pool import composed
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.placement.config import PlacementConfig
@@ -40,6 +41,7 @@ def make_env(
     history_stride: int = 12,
     num_scene_points: int = 0,
     objects: Sequence[str] = (),
+    exclude: Sequence[str] = (),
     repeat: bool = False,
     region: Rectangle | None = None,
     keep_out: Sequence[Rectangle] = (),
@@ -64,7 +66,7 @@ def make_env(
     action").
 
     Args:
-      pool, support, num_objects, objects, repeat, region, keep_out, start, containment, order, max_attempts,
+      pool, support, num_objects, objects, exclude, repeat, region, keep_out, start, containment, order, max_attempts,
         engine, num_threads: as in `make_sampler`.
       observation: "flat" for one vector f32[D] (`sampler.wrappers.FlatObservation` lists its parts), or
         "dict" for what `placement.observation.observe` describes.
@@ -97,9 +99,10 @@ def make_env(
     check_names(objects)
     check_rectangles(region, keep_out)
     _check_choices(observation, action)
+    name = composed(pool, exclude)
     observed = ObservationConfig(num_scene_points=num_scene_points, num_cells=num_cells)
     placement = PlacementConfig(
-        num_objects=usual_number(str(pool), objects) if num_objects is None else num_objects,
+        num_objects=usual_number(name, objects) if num_objects is None else num_objects,
         max_attempts=max_attempts,
         containment=containment,
         order=order,
@@ -107,7 +110,7 @@ def make_env(
         history_stride=history_stride,
     )
     config = ProblemConfig(
-        pool=str(pool),
+        pool=name,
         objects=tuple(objects),
         repeat=repeat,
         support=str(support),
