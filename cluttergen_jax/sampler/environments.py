@@ -66,8 +66,8 @@ def make_env(
     action").
 
     Args:
-      pool, support, num_objects, objects, exclude, repeat, region, keep_out, start, containment, order, max_attempts,
-        engine, num_threads: as in `make_sampler`.
+      pool, support, num_objects, objects, exclude, repeat, region, keep_out, start, containment, order,
+        max_attempts, engine, num_threads: as in `make_sampler`.
       observation: "flat" for one vector f32[D] (`sampler.wrappers.FlatObservation` lists its parts), or
         "dict" for what `placement.observation.observe` describes.
       action: "pose" for those four numbers, or "surface" for f32[3], x, y and turn: the height is that at
@@ -96,7 +96,8 @@ def make_env(
         max_attempts=max_attempts,
         num_threads=num_threads,
     )
-    check_names(objects)
+    check_names(objects, "objects")
+    check_names(exclude, "exclude")
     check_rectangles(region, keep_out)
     _check_choices(observation, action)
     name = composed(pool, exclude)
