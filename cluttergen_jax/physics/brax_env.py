@@ -7,6 +7,6 @@ it, and who asks for that is told what to install.
 from cluttergen_jax.physics.log import silent_import
 
 with silent_import():
-    from brax.envs.base import Env, State
+    from brax.envs.base import Env, State, Wrapper
 
-__all__ = ["Env", "State"]
+__all__ = ["Env", "State", "Wrapper"]

@@ -6,17 +6,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Never
 
-from cluttergen_jax.assets.pool import composed, find_pool
-from cluttergen_jax.assets.reach import check_keep_out
+from cluttergen_jax.assets.pool import composed
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.bank.start import read_start, start_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.methods import checkpoint_of, default_method, proposer_of, suited
-from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.problem import ProblemConfig, check_number, keep_out_of, make_problem
+from cluttergen_jax.problem import ProblemConfig
 from cluttergen_jax.sampler.arguments import check_known, check_names, check_rectangles, check_whole
 from cluttergen_jax.sampler.sampler import Sampler
+from cluttergen_jax.sampler.wiring import bind, number_of
 from cluttergen_jax.sampling import BlockSampler
 
 MAX_RETRIES = 10_000
@@ -92,10 +91,7 @@ def make_sampler(
         raise ConfigError(f"max_retries = {max_retries}", f"0 to {MAX_RETRIES}", "max_retries=5")
     ObservationConfig(num_scene_points=num_scene_points)
     pool, given = composed(pool, exclude), None if checkpoint is None else str(checkpoint)
-    available = len(objects) or len(find_pool(pool))
-    if num_objects is None:
-        num_objects = min(available, MAX_SLOTS)
-    check_number(num_objects, available, pool, repeat)
+    num_objects = number_of(num_objects, pool, objects, repeat)
     method = method or default_method(pool, str(support), num_objects, given)
     policy = checkpoint_of(method, pool, given)
     placement = PlacementConfig(
@@ -111,14 +107,13 @@ def make_sampler(
         num_threads=num_threads,
         placement=suited(placement, policy),
     )
-    standing, poses = read_start(start)
-    problem = make_problem(config, standing)
-    check_keep_out(keep_out, problem.region)
+    bound = bind(config, keep_out, start)
+    rules = bound.problem.rules
     return Sampler(
-        problem=problem,
-        steps=BlockSampler(problem.rules, proposer_of(method, policy, problem.rules)),
-        keep_out=keep_out_of(keep_out),
-        start=start_of(problem.world, standing, poses),
+        problem=bound.problem,
+        steps=BlockSampler(rules, proposer_of(method, policy, rules)),
+        keep_out=bound.keep_out,
+        start=bound.start,
         max_retries=max_retries,
         num_scene_points=num_scene_points,
     )
