@@ -14,7 +14,7 @@ import pytest
 from cluttergen_jax.assets.readers.mjcf_scene import read_mjcf_scene
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.cli.render import chosen_numbers, parse_size
+from cluttergen_jax.cli.rendering import chosen_numbers, parse_size
 from cluttergen_jax.cli.view import native_model
 from cluttergen_jax.errors import AssetError, BankError, ConfigError, MissingExtraError, PoolError
 from cluttergen_jax.sources import BankSource, LiveConfig, LiveSource, open_source
@@ -196,7 +196,7 @@ def test_missing_scene_and_format_are_explained(bank, capsys):
     assert main(["render", str(bank), "--scenes", "0-99", "--no-picture"]) == 2
     assert "96 of the 100 scenes asked for (4-99) are not in it, which holds 0-3" in capsys.readouterr().err
     assert main(["render", f"{bank}:0", "--replay", "--film", "avi"]) == 2
-    assert "gif, mp4" in capsys.readouterr().err
+    assert "('gif', 'mp4')" in capsys.readouterr().err
     assert main(["view", f"{bank}:77", "--port", "0", "--no-browser"]) == 2
     assert "no scene 77" in capsys.readouterr().err
 

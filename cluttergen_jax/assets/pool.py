@@ -21,7 +21,7 @@ from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
-from cluttergen_jax.errors import ClutterGenError, PoolError
+from cluttergen_jax.errors import ClutterGenError, PoolError, closest
 from cluttergen_jax.files import folder_whole, inside
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
@@ -80,7 +80,11 @@ class Pool:
         for asset in self.objects:
             if asset.name == name:
                 return asset
-        raise PoolError(f"no object {name!r} in pool {self.name!r}", ", ".join(self.names))
+        raise PoolError(
+            f"no object {name!r} in pool {self.name!r}",
+            ", ".join(self.names),
+            meant=closest(name, self.names),
+        )
 
 
 def write_pool(path: str | Path, pool: Pool, *, overwrite: bool = False) -> Path:
@@ -270,6 +274,7 @@ def _read(text: str) -> Pool:
         f"no pool is called {text!r}, and there is none at that path",
         f"{', '.join([*list_pools(), ALL])}; several joined by {_AND!r}",
         "cluttergen import SOURCE --pool NAME makes one",
+        closest(text, [*list_pools(), ALL]),
     )
 
 

@@ -10,10 +10,8 @@ from functools import cached_property
 import numpy as np
 from PIL import Image
 
+from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.errors import AssetError
-
-MAX_SIDE = 1024
-"""Pixels a side that an imported image has at most, unless asked."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,7 @@ class Texture:
     data: bytes
 
     @staticmethod
-    def of(image: Image.Image, max_side: int = MAX_SIDE) -> Texture:
+    def of(image: Image.Image, max_side: int = MAX_TEXTURE) -> Texture:
         """The image, shrunk until no side is longer than `max_side` pixels; transparency is dropped.
 
         Raises:

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import tyro
-from tqdm import tqdm
 
-from cluttergen_jax.bank import read_bank
-from cluttergen_jax.bank.reference import REFERENCES, parse_reference
-from cluttergen_jax.bank.scene import chosen_records, read_scenes
 from cluttergen_jax.cli.parse import parse_numbers
+from cluttergen_jax.config import ExportFormat
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.export import FORMATS, export_scenes
-from cluttergen_jax.scene import Scene
+from cluttergen_jax.progress import tracked
+
+if TYPE_CHECKING:
+    from cluttergen_jax.scene import Scene
 
 _MANY = 10
 
@@ -23,6 +22,8 @@ _MANY = 10
 @dataclass(frozen=True)
 class Export:
     """Write scenes of a bank as a self-contained folder for another program.
+
+    Example: `cluttergen export out --format urdf --scenes 0-9 --out elsewhere`
 
     Attributes:
       source: a bank; or one scene of it: BANK:INDEX, or its file BANK/scenes/000003.xml.
@@ -36,13 +37,18 @@ class Export:
 
     source: tyro.conf.Positional[str]
     out: str
-    format: str = "mjcf"
+    format: ExportFormat = "mjcf"
     scenes: str | None = None
     cameras: tuple[Literal["overhead", "front", "side", "wrist"], ...] = ()
     overwrite: bool = False
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        from cluttergen_jax.bank import read_bank
+        from cluttergen_jax.bank.reference import REFERENCES, parse_reference
+        from cluttergen_jax.bank.scene import chosen_records, read_scenes
+        from cluttergen_jax.export import FORMATS, export_scenes
+
         named = parse_reference(self.source)
         if named is None:
             raise BankError(f"{self.source} is no scene of a bank", REFERENCES)
@@ -63,4 +69,4 @@ class Export:
 def _shown(scenes: Iterable[Scene], total: int) -> Iterable[Scene]:
     if total <= _MANY:
         return scenes
-    return tqdm(scenes, total=total, unit="scene", desc="exporting", disable=None)
+    return tracked(scenes, "exporting", total, "scene")

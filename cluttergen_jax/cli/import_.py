@@ -7,20 +7,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from cluttergen_jax.assets.body import BodyConfig
-from cluttergen_jax.assets.decompose import DecompositionConfig
-from cluttergen_jax.assets.readers import ReadOptions
-from cluttergen_jax.assets.texture import MAX_SIDE
+from cluttergen_jax.assets.config import MAX_TEXTURE, DecompositionConfig
 from cluttergen_jax.cli.parse import refuse_given
-from cluttergen_jax.cli.pool_table import pool_table
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.importing.run import ImportConfig, ImportReport, import_sources
-from cluttergen_jax.importing.table import import_support
-from cluttergen_jax.importing.worker import ObjectConfig
+
+if TYPE_CHECKING:
+    from cluttergen_jax.assets.readers import ReadOptions
+    from cluttergen_jax.importing.run import ImportReport
 
 Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 _OF_OBJECTS = ("mass", "density", "friction", "settings", "add", "tier", "trials")
@@ -29,6 +26,8 @@ _OF_OBJECTS = ("mass", "density", "friction", "settings", "add", "tier", "trials
 @dataclass(frozen=True)
 class Import:
     """Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, MJCF, folders, or `ycb`.
+
+    Example: `cluttergen import my_meshes/ --pool mine --scale 0.001`
 
     Attributes:
       sources: files or folders; the word ycb stands for the 78 YCB objects (extra `ycb`).
@@ -64,7 +63,7 @@ class Import:
     front: Axis = "auto"
     density: float = 500.0
     mass: float | None = None
-    max_texture: int = MAX_SIDE
+    max_texture: int = MAX_TEXTURE
     decomposition: DecompositionConfig = field(default_factory=DecompositionConfig)
     trials: int = 256
     jobs: int = 0
@@ -78,6 +77,11 @@ class Import:
 
     def run(self) -> int:
         """Runs the command: 0, or 1 if an object could not be imported."""
+        from cluttergen_jax.assets.body import BodyConfig
+        from cluttergen_jax.assets.readers import ReadOptions
+        from cluttergen_jax.importing.run import ImportConfig, import_sources
+        from cluttergen_jax.importing.worker import ObjectConfig
+
         read = ReadOptions(
             scale=self.scale,
             up=self.up,
@@ -104,6 +108,8 @@ class Import:
         return report.status
 
     def _import_support(self, path: str, read: ReadOptions) -> int:
+        from cluttergen_jax.importing.table import import_support
+
         if self.sources or self.pool is not None:
             raise ConfigError("--support together with sources or --pool", "one of them", "two commands")
         folder, support = import_support(path, self.name, read, self.force)
@@ -117,6 +123,8 @@ class Import:
 
 def print_report(report: ImportReport) -> None:
     """What was made, which axes were taken for up, what was skipped, and what failed, and why."""
+    from cluttergen_jax.cli.pool_table import pool_table
+
     if report.objects:
         print(pool_table(report.objects))
         made = len(report.objects) - report.num_cached
@@ -136,7 +144,9 @@ def print_report(report: ImportReport) -> None:
     if report.failures:
         print(f"{len(report.failures)} failed:", file=sys.stderr)
         for failure in report.failures:
-            print(f"  {failure.name}: {failure.reason}", file=sys.stderr)
+            # A source that could not be found is named in its reason already.
+            is_named = failure.reason.startswith(failure.name)
+            print(f"  {failure.reason if is_named else f'{failure.name}: {failure.reason}'}", file=sys.stderr)
 
 
 def _grouped(rows: Sequence[tuple[str, ...]]) -> Iterator[tuple[tuple[str, ...], str]]:

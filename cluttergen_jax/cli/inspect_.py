@@ -7,13 +7,12 @@ from pathlib import Path
 
 import tyro
 
-from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.cli.pool_table import pool_table
-
 
 @dataclass(frozen=True)
 class Inspect:
     """Show what was measured about a pool's objects; draw each mesh beside its collision parts.
+
+    Example: `cluttergen inspect dining --out dining.png`
 
     Attributes:
       pool: a pool's name or folder, or several joined by +.
@@ -31,6 +30,9 @@ class Inspect:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        from cluttergen_jax.assets.pool import find_pool
+        from cluttergen_jax.cli.pool_table import pool_table
+
         pool = find_pool(self.pool, self.exclude)
         objects = tuple(pool[name] for name in self.objects) or pool.objects
         print(f"pool {pool.name}, licence: {pool.licence or 'not stated'}, content {pool.hash[:12]}")

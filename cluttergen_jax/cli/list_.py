@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cluttergen_jax.assets.pool import ALL, EMBEDDED, list_pools, read_pool
-from cluttergen_jax.assets.support_file import list_supports
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.policies import list_policies
 
 
 @dataclass(frozen=True)
 class List:
-    """List pools and their objects, supports and checkpoints."""
+    """List pools and their objects, supports and checkpoints.
+
+    Example: `cluttergen list`
+    """
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        from cluttergen_jax.assets.pool import ALL, EMBEDDED, list_pools, read_pool
+        from cluttergen_jax.assets.support_file import list_supports
+        from cluttergen_jax.policies.embedded import list_policies
+
         print("pools")
         for name, path in list_pools().items():
             try:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from cluttergen_jax.assets import pool as pools
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.pool import find_pool, list_pools, read_pool, remove_pool, user_pool_folder
 from cluttergen_jax.errors import ClutterGenError, ConfigError
+
+if TYPE_CHECKING:
+    from cluttergen_jax.assets import pool as pools
+    from cluttergen_jax.assets.object import ObjectAsset
 
 _HEADER = ("object", "size mm", "mass kg", "friction", "licence", "what people call it")
 
@@ -19,6 +20,8 @@ _HEADER = ("object", "size mm", "mass kg", "friction", "licence", "what people c
 @dataclass(frozen=True)
 class Pool:
     """List pools, show what one holds, or remove pools of your own: cluttergen pool show mine.
+
+    Example: `cluttergen pool show dining+study`
 
     Attributes:
       action: list, show or remove.
@@ -39,6 +42,8 @@ class Pool:
         if self.action == "list":
             _list()
         elif self.action == "show":
+            from cluttergen_jax.assets.pool import find_pool
+
             for name in self.names:
                 _show(find_pool(name))
         else:
@@ -47,6 +52,8 @@ class Pool:
 
 
 def _list() -> None:
+    from cluttergen_jax.assets.pool import EMBEDDED, list_pools, read_pool
+
     for name, folder in list_pools().items():
         try:
             pool = read_pool(folder)
@@ -54,7 +61,7 @@ def _list() -> None:
             print(f"{name:16} damaged: {error}")
             continue
         flagged = sum(bool(asset.flags) for asset in pool.objects)
-        place = "embedded" if name in pools.EMBEDDED else str(folder)
+        place = "embedded" if name in EMBEDDED else str(folder)
         print(f"{name:16} {len(pool):3} objects, {flagged} flagged, tier {pool.tier}, {place}")
         print(f"{'':16} licence: {pool.licence or 'not stated'}")
 
@@ -85,6 +92,8 @@ def _credits(objects: Sequence[ObjectAsset]) -> list[str]:
 
 
 def _remove(names: Sequence[str]) -> None:
+    from cluttergen_jax.assets.pool import remove_pool, user_pool_folder
+
     # All of them are looked up before the first is removed.
     folders = {name: user_pool_folder(name) for name in names}
     for name, folder in folders.items():

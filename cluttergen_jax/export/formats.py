@@ -10,7 +10,7 @@ from pathlib import Path
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.export.glb import glb_bytes
 from cluttergen_jax.export.maniskill import maniskill_json
 from cluttergen_jax.export.meshes import write_object_meshes, write_support_meshes
@@ -209,6 +209,6 @@ def find_format(name: str) -> Format:
       MissingExtraError: it needs a package that is not installed.
     """
     if name not in FORMATS:
-        raise ConfigError(f"format {name!r}", ", ".join(FORMATS), "--format mjcf")
+        raise ConfigError(f"format {name!r}", ", ".join(FORMATS), "--format mjcf", closest(name, FORMATS))
     FORMATS[name].require()
     return FORMATS[name]

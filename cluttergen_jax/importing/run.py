@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-
-from tqdm import tqdm
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import NAME_PATTERN, object_hash
@@ -20,6 +19,7 @@ from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.planning import YCB, Failure, Planned, plan_all
 from cluttergen_jax.importing.processes import run_all
 from cluttergen_jax.importing.worker import Job, ObjectConfig, run_job
+from cluttergen_jax.progress import Progress
 
 
 @dataclass(frozen=True)
@@ -140,12 +140,13 @@ def _make(jobs: Sequence[Job], config: ImportConfig) -> list[Failure]:
     """Runs the jobs; those that failed, in the order of the jobs."""
     reasons: dict[int, str] = {}
     num_processes = config.jobs or os.cpu_count() or 1
-    bar = tqdm(total=len(jobs), unit="object", disable=not config.progress or not jobs)
-    note: Callable[[str], None] = bar.set_postfix_str
-    with bar:
+    is_shown = config.progress and bool(jobs)
+    with Progress("importing", len(jobs), "object") if is_shown else nullcontext() as progress:
+        if progress is not None:
+            progress.say(f"importing {len(jobs)} objects, {min(num_processes, len(jobs))} at a time")
         for index, reason in run_all(run_job, jobs, num_processes):
-            bar.update()
-            note(jobs[index].source.name)
+            if progress is not None:
+                progress.update(note=jobs[index].source.name)
             if reason:
                 reasons[index] = reason
     return [Failure(jobs[index].source.name, reasons[index]) for index in sorted(reasons)]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import get_args
 
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.config import Containment, Order, Reward
+from cluttergen_jax.errors import ConfigError, closest
 
 MAX_SLOTS = 40
 MAX_ATTEMPTS = 10
-CONTAINMENTS = ("center", "footprint")
-ORDERS = ("random", "fixed")
-REWARDS = ("paper", "code", "compressed")
+CONTAINMENTS, ORDERS, REWARDS = get_args(Containment), get_args(Order), get_args(Reward)
 
 
 @dataclass(frozen=True)
@@ -53,4 +53,9 @@ class PlacementConfig:
             ("reward", self.reward, REWARDS),
         ):
             if value not in allowed:
-                raise ConfigError(f"{name} = {value!r}", ", ".join(allowed), f"{name}={allowed[0]!r}")
+                raise ConfigError(
+                    f"{name} = {value!r}",
+                    ", ".join(allowed),
+                    f"{name}={allowed[0]!r}",
+                    closest(value, allowed),
+                )

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Never
 
-from cluttergen_jax.assets.pool import composed, find_pool
-from cluttergen_jax.assets.reach import check_keep_out
+from cluttergen_jax.assets.pool import composed
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.bank.start import read_start, start_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.methods import checkpoint_of, default_method, proposer_of, suited
-from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.problem import ProblemConfig, keep_out_of, make_problem
-from cluttergen_jax.sampler.arguments import check_names, check_rectangles, check_whole
+from cluttergen_jax.problem import ProblemConfig
+from cluttergen_jax.sampler.arguments import check_known, check_names, check_rectangles, check_whole
 from cluttergen_jax.sampler.sampler import Sampler
+from cluttergen_jax.sampler.wiring import bind, number_of
 from cluttergen_jax.sampling import BlockSampler
 
 MAX_RETRIES = 10_000
@@ -41,6 +41,7 @@ def make_sampler(
     num_scene_points: int = 0,
     engine: str = "auto",
     num_threads: int = 0,
+    **unknown: Never,
 ) -> Sampler:
     """A function `sample(key) -> SampledScene` that may be compiled, mapped, scanned and sharded.
 
@@ -71,10 +72,11 @@ def make_sampler(
       num_threads: of the native engine; 0 takes every core.
 
     Raises:
-      ConfigError: a setting is out of range or contradicts another.
+      ConfigError: a setting is unknown, out of range, or contradicts another.
       PoolError: a pool, an object, a support or a checkpoint cannot be found or read.
       BankError: the scene to start from cannot be read, or does not stand.
     """
+    check_known(unknown, make_sampler)
     check_whole(
         num_objects=num_objects,
         max_retries=max_retries,
@@ -89,8 +91,7 @@ def make_sampler(
         raise ConfigError(f"max_retries = {max_retries}", f"0 to {MAX_RETRIES}", "max_retries=5")
     ObservationConfig(num_scene_points=num_scene_points)
     pool, given = composed(pool, exclude), None if checkpoint is None else str(checkpoint)
-    if num_objects is None:
-        num_objects = min(len(objects) or len(find_pool(pool)), MAX_SLOTS)
+    num_objects = number_of(num_objects, pool, objects, repeat)
     method = method or default_method(pool, str(support), num_objects, given)
     policy = checkpoint_of(method, pool, given)
     placement = PlacementConfig(
@@ -106,14 +107,13 @@ def make_sampler(
         num_threads=num_threads,
         placement=suited(placement, policy),
     )
-    standing, poses = read_start(start)
-    problem = make_problem(config, standing)
-    check_keep_out(keep_out, problem.region)
+    bound = bind(config, keep_out, start)
+    rules = bound.problem.rules
     return Sampler(
-        problem=problem,
-        steps=BlockSampler(problem.rules, proposer_of(method, policy, problem.rules)),
-        keep_out=keep_out_of(keep_out),
-        start=start_of(problem.world, standing, poses),
+        problem=bound.problem,
+        steps=BlockSampler(rules, proposer_of(method, policy, rules)),
+        keep_out=bound.keep_out,
+        start=bound.start,
         max_retries=max_retries,
         num_scene_points=num_scene_points,
     )

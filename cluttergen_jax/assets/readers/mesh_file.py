@@ -8,13 +8,14 @@ from typing import NamedTuple
 import numpy as np
 import trimesh
 
+from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers.companions import Companions
 from cluttergen_jax.assets.readers.materials import Dresser, gltf_notes
 from cluttergen_jax.assets.readers.sizes import check_sizes
 from cluttergen_jax.assets.readers.text import opened
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.texture import MAX_SIDE, Texture
+from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
 
 
@@ -30,7 +31,7 @@ class MeshFile(NamedTuple):
     notes: tuple[str, ...]
 
 
-def read_mesh_file(path: Path, max_side: int = MAX_SIDE, image: Texture | None = None) -> MeshFile:
+def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None) -> MeshFile:
     """The file's surfaces in its own unit and frame, each with one colour or with its image.
 
     Every geometry of a scene graph is placed where its nodes put it. The colour is the material's, or the

@@ -8,18 +8,19 @@ import mujoco
 import numpy as np
 from PIL import Image
 
+from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers import primitives
 from cluttergen_jax.assets.readers.convex import MAX_PARTS
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.texture import MAX_SIDE, Texture
+from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
 
 _GEOM = mujoco.mjtGeom
 
 
 def read_mjcf(
-    path: Path, body: str = "", max_side: int = MAX_SIDE
+    path: Path, body: str = "", max_side: int = MAX_TEXTURE
 ) -> tuple[list[Piece], tuple[Mesh, ...] | None, float]:
     """One body with all that hangs on it, at the model's reference configuration.
 
@@ -93,7 +94,7 @@ def is_solid(model: mujoco.MjModel, geom: int) -> bool:
     return model.geom_type[geom] not in (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_HFIELD, _GEOM.mjGEOM_SDF)
 
 
-def geom_piece(model: mujoco.MjModel, data: mujoco.MjData, geom: int, max_side: int = MAX_SIDE) -> Piece:
+def geom_piece(model: mujoco.MjModel, data: mujoco.MjData, geom: int, max_side: int = MAX_TEXTURE) -> Piece:
     """The geom's surface in the world frame, with its colour, and its image if it is a mesh with one.
 
     Images that MuJoCo lays around a shape by itself (cube maps, no texture coordinates) are left out.

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 
+from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.readers.axes import check_axes
 from cluttergen_jax.assets.shape import Provenance
-from cluttergen_jax.assets.texture import MAX_SIDE
 from cluttergen_jax.config import check_positive
 
 # File and folder names that say nothing about the object.
@@ -46,7 +46,7 @@ class ReadOptions:
     friction: float | None = None
     licence: str = ""
     attribution: str = ""
-    max_texture: int = MAX_SIDE
+    max_texture: int = MAX_TEXTURE
 
     def __post_init__(self) -> None:
         check_positive(self, "scale", "density", "max_texture")

@@ -12,20 +12,21 @@ import numpy as np
 import trimesh
 from PIL import Image
 
+from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers import primitives
 from cluttergen_jax.assets.readers.convex import convex_parts
 from cluttergen_jax.assets.readers.materials import GREY
 from cluttergen_jax.assets.readers.mesh_file import read_mesh_file
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.texture import MAX_SIDE, Texture
+from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
 
 Element = ElementTree.Element
 
 
 def read_urdf(
-    path: Path, max_side: int = MAX_SIDE
+    path: Path, max_side: int = MAX_TEXTURE
 ) -> tuple[list[Piece], tuple[Mesh, ...] | None, tuple[str, ...]]:
     """The model as one rigid thing: its pieces, its collision meshes if all are convex parts, and notes.
 
