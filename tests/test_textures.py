@@ -15,7 +15,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
 from cluttergen_jax.assets.pieces import drawn
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.readers import ReadOptions, Source, find_sources, read_source
+from cluttergen_jax.assets.readers import ReadOptions, Source, find_sources, read_source, survey
 from cluttergen_jax.assets.scene_cloud import cloud_colours
 from cluttergen_jax.assets.shape import Piece, Shape
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
@@ -318,3 +318,14 @@ def test_ycb_downloads_bear_its_terms(place, kind, tmp_path):
         assert shape.name == place.split("/")[0]
         assert shape.provenance.source == f"YCB Object and Model Set ({kind})"
         assert "ICAR 2015" in shape.provenance.attribution
+
+
+def test_of_several_scans_of_a_ycb_object_the_best_is_taken(tmp_path):
+    for scan in ("google_512k", "google_16k", "poisson", "tsdf"):
+        textured.write_obj(tmp_path / "006_mustard_bottle" / scan, "textured", "texture_map.png")
+    textured.write_obj(tmp_path / "poisson", "poisson")
+    found = survey(tmp_path)
+    assert [source.name for source in found.sources] == ["006_mustard_bottle", "poisson"]
+    assert found.sources[0].path.parent.name == "google_16k"
+    assert found.sources[0].label == "mustard bottle"
+    assert sorted(each.name.split("/")[2] for each in found.skipped) == ["google_512k", "poisson", "tsdf"]

@@ -15,7 +15,7 @@ from cluttergen_jax.assets.readers.mjcf import read_mjcf
 from cluttergen_jax.assets.readers.source import ReadOptions, Source
 from cluttergen_jax.assets.readers.tree import find_sources
 from cluttergen_jax.assets.readers.urdf import read_urdf
-from cluttergen_jax.assets.readers.ycb import ycb_provenance
+from cluttergen_jax.assets.readers.ycb_scans import ycb_provenance
 from cluttergen_jax.assets.shape import Provenance, Shape
 
 
