@@ -146,6 +146,13 @@ def _moved_in_glb(folder):
     return path, "KHR_texture_transform"
 
 
+def _with_relief(folder):
+    path = textured.write_obj(folder)
+    with (folder / "slab.mtl").open("a") as file:
+        file.write("map_Bump relief.png\n")
+    return path, "map_bump"
+
+
 def _missing_in_urdf(folder):
     path = textured.write_urdf(folder, with_own_material=False)
     (folder / "slab.png").unlink()
@@ -161,6 +168,7 @@ def _missing_in_urdf(folder):
         _cut_image,
         _broken_in_glb,
         _moved_in_glb,
+        _with_relief,
         _missing_in_urdf,
     ],
 )
@@ -168,7 +176,7 @@ def test_an_image_that_is_lost_is_said(harm, tmp_path):
     path, said = harm(tmp_path / "in")
     (shape,) = read_source(path)
     assert any(said in note for note in shape.notes), shape.notes
-    assert (shape.pieces[0].texture is None) == (harm is not _moved_in_glb)
+    assert (shape.pieces[0].texture is None) == (harm not in (_moved_in_glb, _with_relief))
 
 
 def test_vertex_colours_become_one_and_that_is_said(tmp_path):

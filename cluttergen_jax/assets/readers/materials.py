@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -19,6 +20,8 @@ from cluttergen_jax.errors import AssetError
 Rgba = tuple[float, float, float, float]
 GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
 _OPAQUE = 250
+_PBR_MAPS = ("normalTexture", "metallicRoughnessTexture", "occlusionTexture", "emissiveTexture")
+_MTL_MAP = re.compile(r"map_(?!k[ad]$).+|bump|norm|disp|decal|refl")
 _MANY = 0.02
 """Spread of vertex colours, of 1, above which one colour for all is a loss."""
 
@@ -44,6 +47,8 @@ class Dresser:
         """The mesh with what a trimesh visual lays on it."""
         uv = _uv(visual, len(mesh.vertices))
         image = _image_of(visual)
+        if others := _other_maps(getattr(visual, "material", None)):
+            self._note(f"of its materials the base colour alone is kept, not {', '.join(others)}")
         texture, rgba = self._image, (1.0, 1.0, 1.0, 1.0)
         if image is not None:
             texture, rgba = self._texture(image, visual.material), self._factor(visual.material)
@@ -122,6 +127,12 @@ def _image_of(visual: Any) -> Image.Image | None:
     material = visual.material
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     return image if image is not None and image.format is not None else None
+
+
+def _other_maps(material: Any) -> list[str]:
+    """What a material lays on a surface beside its colour: relief, gloss, light, holes."""
+    named = [name for name in _PBR_MAPS if getattr(material, name, None) is not None]
+    return named + sorted(key for key in getattr(material, "kwargs", {}) if _MTL_MAP.fullmatch(key))
 
 
 def _spread(visual: Any) -> float:
