@@ -164,7 +164,7 @@ def test_mjcf_geoms_are_convex_parts(tmp_path):
     assert len(shape.pieces) == 1
     assert shape.pieces[0].rgba == (0.0, 1.0, 0.0, 1.0)
     assert len(shape.parts) == 2
-    assert shape.mass == pytest.approx(0.4)
+    assert shape.stated.body.mass == pytest.approx(0.4)
     path.write_text(MJCF.format(more='<body><geom type="capsule" size=".01 .02"/></body>'))
     names = [shape.name for shape in read_source(path)]
     assert names == ["cup", "things-1"]

@@ -18,6 +18,7 @@ from cluttergen_jax.assets.pieces import drawn
 from cluttergen_jax.assets.rest import resting_poses, settled_turn, tilt_of
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.solid import Solid, solid_of
+from cluttergen_jax.assets.stated_mass import believed
 from cluttergen_jax.errors import AssetError, ConfigError
 
 MAX_DEVIATION = 0.05
@@ -99,6 +100,9 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
     config = config or BodyConfig()
     solid = solid_of([piece.mesh for piece in shape.pieces])
     mass = mass_properties(solid.mesh, shape.density, shape.mass)
+    if shape.mass is None and shape.stated is not None:
+        mass, refusal = believed(shape.stated, solid.mesh, mass, shape.density)
+        shape = replace(shape, notes=(*shape.notes, *([refusal] if refusal else ())))
     best: _Candidate | None = None
     for raw in _proposals(shape, solid, config):
         candidate = _candidate(raw, shape, solid, mass, config)
@@ -223,6 +227,7 @@ def _asset(
             holds_ball=best.holds,
         ),
         flags=tuple(_faults(best, config)),
+        notes=shape.notes,
     )
     return replace(asset, resting=resting_poses(asset, config.seed))
 

@@ -66,6 +66,7 @@ class ObjectAsset:
       tier: "standard" or "light".
       quality: what was measured.
       flags: why a user should think twice, in words; empty for a sound body.
+      notes: what was decided on the user's behalf, in words: no fault, but worth knowing.
     """
 
     name: str
@@ -81,6 +82,7 @@ class ObjectAsset:
     tier: str = "standard"
     quality: Quality = field(default_factory=Quality)
     flags: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def half_extents(self) -> np.ndarray:

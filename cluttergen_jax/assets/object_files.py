@@ -106,7 +106,7 @@ def _rounded(values: np.ndarray, digits: int) -> Any:
 
 
 def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
-    return {
+    record = {
         "format": FORMAT,
         "name": asset.name,
         "label": asset.label,
@@ -122,6 +122,8 @@ def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
         "flags": list(asset.flags),
         "files": digests,
     }
+    # Left out where there are none, so that objects written before keep their digests.
+    return record | ({"notes": list(asset.notes)} if asset.notes else {})
 
 
 def _asset(record: dict[str, Any], blobs: dict[str, bytes]) -> ObjectAsset:
@@ -150,6 +152,7 @@ def _asset(record: dict[str, Any], blobs: dict[str, bytes]) -> ObjectAsset:
         tier=record["tier"],
         quality=Quality(**record["quality"]),
         flags=tuple(record["flags"]),
+        notes=tuple(record.get("notes", ())),
     )
 
 

@@ -1,0 +1,34 @@
+"""What a URDF or MJCF file says of an object: more than its surfaces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.stated_mass import StatedMass
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A model of several links or bodies as one rigid thing, all its joints frozen.
+
+    Attributes:
+      pieces: the surfaces that are shown.
+      parts: convex collision parts, or None if the file has none that can be used.
+      stated: mass and inertia, or None if the file has none.
+      notes: what was decided about the model, in words.
+    """
+
+    pieces: list[Piece]
+    parts: tuple[Mesh, ...] | None
+    stated: StatedMass | None
+    notes: tuple[str, ...] = ()
+
+
+def frozen(name: str, kind: str, value: float, is_turn: bool) -> str:
+    """The note on a movable joint; `value` in radians or metres."""
+    place = f"{np.degrees(value):.3g} degrees" if is_turn else f"{value:.3g} m"
+    return f"its joint {name!r} ({kind}) is frozen at {place}"
