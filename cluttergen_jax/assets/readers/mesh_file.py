@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.readers.damage import check_whole, unreadable
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.errors import AssetError
 
@@ -28,10 +29,11 @@ def read_mesh_file(path: Path) -> tuple[list[Piece], str]:
     """
     if not path.is_file():
         raise AssetError(f"mesh file {path} is missing", hint="restoring the file or its name")
+    check_whole(path)
     try:
         scene = trimesh.load_scene(str(path), process=False)
     except Exception as error:  # trimesh's loaders raise whatever their parsers do.
-        raise AssetError(f"{path} cannot be read as a mesh: {type(error).__name__}: {error}") from error
+        raise unreadable(path, error) from error
     is_linear = path.suffix.lower() in (".glb", ".gltf")
     pieces = []
     for node in sorted(scene.graph.nodes_geometry):

@@ -30,5 +30,5 @@ class Model:
 
 def frozen(name: str, kind: str, value: float, is_turn: bool) -> str:
     """The note on a movable joint; `value` in radians or metres."""
-    place = f"{np.degrees(value):.3g} degrees" if is_turn else f"{value:.3g} m"
+    place = f"{np.degrees(value) + 0.0:.3g} degrees" if is_turn else f"{value + 0.0:.3g} m"
     return f"its joint {name!r} ({kind}) is frozen at {place}"
