@@ -10,6 +10,7 @@ import numpy as np
 from cluttergen_jax.assets.cloud import surface_cloud
 from cluttergen_jax.assets.decompose import DecompositionConfig, decompose
 from cluttergen_jax.assets.deviation import deviation
+from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.hollow import MAX_FILL, Hollow, find_hollow, holds_ball, known_hollow
 from cluttergen_jax.assets.inertia import MassProperties, mass_properties
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
@@ -211,7 +212,7 @@ def _asset(
     shift = -(vertices.min(0) + vertices.max(0)) / 2
     rotation = best.rotation
     moved = mass.moved(rotation, shift)
-    pieces = (Piece(p.mesh.transformed(rotation, shift), p.rgba) for p in drawn(shape.pieces))
+    pieces = (Piece(p.mesh.transformed(rotation, shift), p.rgba) for p in faced(drawn(shape.pieces), solid))
     cloud = surface_cloud(solid, config.seed) @ rotation.T + shift
     asset = replace(
         _draft([points + shift for points in best.parts], moved),
