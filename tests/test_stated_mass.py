@@ -52,7 +52,7 @@ def test_a_urdf_weighs_what_its_links_weigh_and_its_frozen_joint_is_named(tmp_pa
     (shape,) = read_source(tmp_path / "chest.urdf")
     asset = make_object(shape)
     assert asset.mass == pytest.approx(0.5)
-    assert asset.notes == ("its joint 'hinge' (revolute) is frozen at 60 degrees",)
+    assert asset.notes == ("frozen joints: 'hinge' (revolute) at 60 degrees",)
     # By hand: the lid's centre is 3 cm from the hinge, at 60 degrees.
     lid = np.array([0.0, -0.03 + 0.03 * 0.5, 0.022 + 0.03 * np.sqrt(3) / 2])
     center = (0.4 * np.array([0.0, 0.0, -0.005]) + 0.1 * lid) / 0.5
@@ -64,7 +64,7 @@ def test_a_urdf_weighs_what_its_links_weigh_and_its_frozen_joint_is_named(tmp_pa
     # Through a pool's files and into the table that import and inspect print.
     write_object(tmp_path / "chest", asset)
     assert read_object(tmp_path / "chest").notes == asset.notes
-    assert "  - chest: its joint 'hinge' (revolute) is frozen" in pool_table([asset])
+    assert "  - chest: frozen joints: 'hinge' (revolute) at" in pool_table([asset])
     (given,) = read_source(tmp_path / "chest.urdf", ReadOptions(mass=2.0))
     assert make_object(given).mass == 2.0
 
@@ -151,7 +151,7 @@ def test_mjcf_inertia_is_that_of_the_compiled_bodies(tmp_path):
         </body></worldbody></mujoco>"""
     )
     (shape,) = read_source(path)
-    assert shape.notes == ("its joint 'pull' (slide) is frozen at 0.02 m",)
+    assert shape.notes == ("frozen joints: 'pull' (slide) at 0.02 m",)
     body = shape.stated.body
     assert body.mass == pytest.approx(0.5)
     np.testing.assert_allclose(body.center, [1, 2.002, 2.996], atol=1e-9)

@@ -25,6 +25,8 @@ from cluttergen_jax.errors import AssetError, ConfigError
 MAX_DEVIATION = 0.05
 MAX_TILT = np.radians(15)
 _FLAT = np.radians(0.5)
+# Scans are drawn with fewer triangles than they have; below this share it is said.
+_MUCH_FEWER = 0.5
 _FEWER_CORNERS = (8, 6, 5, 4)
 _NOWHERE = Provenance("draft", "none")
 
@@ -212,7 +214,12 @@ def _asset(
     shift = -(vertices.min(0) + vertices.max(0)) / 2
     rotation = best.rotation
     moved = mass.moved(rotation, shift)
-    pieces = (Piece(p.mesh.transformed(rotation, shift), p.rgba) for p in faced(drawn(shape.pieces), solid))
+    surfaces = drawn(shape.pieces)
+    num_drawn = sum(len(piece.mesh.faces) for piece in surfaces)
+    notes = shape.notes
+    if num_drawn < _MUCH_FEWER * len(solid.surface.faces):
+        notes = (*notes, f"drawn with {num_drawn:,} of its {len(solid.surface.faces):,} triangles")
+    pieces = (Piece(p.mesh.transformed(rotation, shift), p.rgba) for p in faced(surfaces, solid))
     cloud = surface_cloud(solid, config.seed) @ rotation.T + shift
     asset = replace(
         _draft([points + shift for points in best.parts], moved),
@@ -228,7 +235,7 @@ def _asset(
             holds_ball=best.holds,
         ),
         flags=tuple(_faults(best, config)),
-        notes=shape.notes,
+        notes=notes,
     )
     return replace(asset, resting=resting_poses(asset, config.seed))
 

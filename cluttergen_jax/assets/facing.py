@@ -25,6 +25,7 @@ _NEAR = 0.02
 _CLEAR = 0.35
 # A patch with holes of less than this share of its area counts as closed.
 _MAX_HOLES = 0.01
+_GAPING = 0.1
 # What is seen of less than this share of a patch is too little to tell.
 _MIN_SEEN = 0.05
 _THICKNESS = 0.0002
@@ -33,17 +34,24 @@ _SPOTS = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3],
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """Points of a solid's surface, f64[N, 3] in a tree, and the directions in which it faces, f64[N, 3]."""
+    """Points of a solid's surface, f64[N, 3] in a tree, and the directions in which it faces, f64[N, 3].
+
+    Attributes:
+      reach: metres within which a surface is taken for a part of the skin.
+      is_exact: see `Solid`.
+    """
 
     tree: cKDTree
     normals: np.ndarray
     reach: float
+    is_exact: bool
 
     @staticmethod
     def of(solid: Solid) -> Skin:
         """The skin of a solid, to 1 mm or so on an object of 30 cm."""
         points, faces = sample_faces(solid.mesh, _NUM_SAMPLES, 0)
-        return Skin(cKDTree(points), _directions(solid.mesh)[0][faces], _NEAR * solid.diagonal)
+        normals = _directions(solid.mesh)[0][faces]
+        return Skin(cKDTree(points), normals, _NEAR * solid.diagonal, solid.is_exact)
 
     def agreement(self, mesh: Mesh) -> np.ndarray:
         """f64[F]: for each triangle, 1 if it faces as the solid does, -1 if it faces inwards, 0 if hidden."""
@@ -60,8 +68,8 @@ def faced(pieces: Sequence[Piece], solid: Solid | None) -> tuple[Piece, ...]:
 
     A patch is what hangs together by edges of two triangles each. In each all triangles are turned alike;
     then a closed patch is turned by the sign of its volume, an open one as most of it faces on the solid.
-    An open patch with air on both sides, such as a bowl made of one sheet, is drawn twice: the second side
-    lies 0.2 mm within, so that programs which draw both sides of a triangle see the nearer one.
+    An open patch with air on both sides, such as a bowl made of one sheet, gets a second side, 0.2 mm
+    within, so that programs which draw both sides of a triangle see the nearer one.
 
     Args:
       solid: what the surfaces enclose, in their frame; None draws both sides of whatever is open.
@@ -84,8 +92,11 @@ def _faced(piece: Piece, patches: _Patches, skin: Skin | None) -> Piece:
         seen = _sums(patches, area * np.abs(agreement))
         vote = _sums(patches, area * agreement) / np.maximum(seen, 1e-30)
         is_seen = seen > _MIN_SEEN * np.maximum(_sums(patches, area), area.mean())
-    is_sheet = ~closed & is_seen & (np.abs(vote) < _CLEAR)
-    faces_in = np.where(closed | is_sheet, volume, vote) < 0
+    is_told = ~closed & (np.abs(vote) >= _CLEAR)
+    faces_in = np.where(is_told, vote, volume) < 0
+    # What is open in a solid that had to be rebuilt may have a back that nothing covers.
+    may_gape = skin is not None and not skin.is_exact and patches.holes > _GAPING
+    is_sheet = ~closed & is_seen & (~is_told | may_gape)
     # What nobody sees stays as it is, and so does what has only one side.
     is_kept = (~closed & ~is_seen) | patches.is_one_sided
     flips = np.where(is_kept[patches.label], False, patches.is_turned ^ faces_in[patches.label])

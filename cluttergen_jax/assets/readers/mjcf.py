@@ -12,7 +12,7 @@ from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers import primitives
 from cluttergen_jax.assets.readers.convex import MAX_PARTS
-from cluttergen_jax.assets.readers.model import Model, frozen
+from cluttergen_jax.assets.readers.model import Model, frozen, frozen_note
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.stated_mass import combined
 from cluttergen_jax.errors import AssetError
@@ -54,7 +54,7 @@ def read_mjcf(path: Path, body: str = "") -> Model:
         pieces=pieces,
         parts=parts if 0 < len(parts) <= MAX_PARTS else None,
         stated=combined([_body_mass(model, data, i) for i in bodies]),
-        notes=tuple(_frozen_joints(model, bodies)),
+        notes=frozen_note(_frozen_joints(model, bodies)),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +29,13 @@ class Model:
     notes: tuple[str, ...] = ()
 
 
+def frozen_note(joints: Iterable[str]) -> tuple[str, ...]:
+    """One note on all movable joints, each told by `frozen`; none where there is none."""
+    told = ", ".join(joints)
+    return (f"frozen joints: {told}",) if told else ()
+
+
 def frozen(name: str, kind: str, value: float, is_turn: bool) -> str:
-    """The note on a movable joint; `value` in radians or metres."""
+    """A movable joint in words; `value` in radians or metres."""
     place = f"{np.degrees(value) + 0.0:.3g} degrees" if is_turn else f"{value + 0.0:.3g} m"
-    return f"its joint {name!r} ({kind}) is frozen at {place}"
+    return f"{name!r} ({kind}) at {place}"

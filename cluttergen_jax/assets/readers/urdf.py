@@ -17,7 +17,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers import primitives
 from cluttergen_jax.assets.readers.convex import convex_parts
 from cluttergen_jax.assets.readers.mesh_file import GREY, read_mesh_file
-from cluttergen_jax.assets.readers.model import Model, frozen
+from cluttergen_jax.assets.readers.model import Model, frozen, frozen_note
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.stated_mass import combined
 from cluttergen_jax.errors import AssetError
@@ -70,10 +70,12 @@ def read_urdf(path: Path) -> Model:
 
 
 def _notes(robot: Element, masses: dict[str, MassProperties]) -> Iterator[str]:
-    for joint in robot.findall("joint"):
-        kind = joint.get("type", "")
-        if kind in _MOVABLE:
-            yield frozen(joint.get("name", ""), kind, _joint_value(joint), is_turn=kind != "prismatic")
+    movable = [joint for joint in robot.findall("joint") if joint.get("type") in _MOVABLE]
+    yield from frozen_note(
+        frozen(joint.get("name", ""), kind, _joint_value(joint), is_turn=kind != "prismatic")
+        for joint in movable
+        if (kind := joint.get("type", ""))
+    )
     solid = [link.get("name", "") for link in robot.findall("link") if link.find("visual") is not None]
     without = [name for name in solid if name not in masses]
     if masses and without:
