@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cluttergen_jax.agent.checkpoint import read_record
+from cluttergen_jax.assets.pool import without_exclusions
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.baselines import Clear, make_proposer
 from cluttergen_jax.errors import ConfigError, PoolError
@@ -36,7 +37,7 @@ def default_method(pool: str, support: str, num_objects: int, checkpoint: str | 
     """
     if checkpoint is not None:
         return str(read_record(Path(checkpoint)).get("variant", DEFAULT_METHOD))
-    embedded = list_policies().get(f"{pool}-{DEFAULT_METHOD}")
+    embedded = list_policies().get(f"{without_exclusions(pool)}-{DEFAULT_METHOD}")
     record = {} if embedded is None else read_record(embedded)
     is_trained = record.get("support") == support and num_objects <= record["placement"]["num_objects"]
     is_good = record.get("evaluation", {}).get("success", 0.0) >= GOOD_SUCCESS
@@ -57,7 +58,7 @@ def checkpoint_of(method: str, pool: str, checkpoint: str | None = None) -> Path
             raise ConfigError(f"--checkpoint with method {method!r}, which has none", ", ".join(VARIANTS))
         return None
     if checkpoint is None:
-        return find_policy(DEFAULT_METHOD if method == SCREENED else method, pool)
+        return find_policy(DEFAULT_METHOD if method == SCREENED else method, without_exclusions(pool))
     _check_variant(method, Path(checkpoint))
     return Path(checkpoint)
 

@@ -236,6 +236,7 @@ def _asset(
         ),
         flags=tuple(_faults(best, config)),
         notes=notes,
+        friction=shape.friction,
     )
     return replace(asset, resting=resting_poses(asset, config.seed))
 

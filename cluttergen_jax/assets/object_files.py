@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -113,24 +114,29 @@ def _rounded(values: np.ndarray, digits: int) -> Any:
 
 
 def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
-    record = {
-        "format": FORMAT,
-        "name": asset.name,
-        "label": asset.label,
-        "tier": asset.tier,
-        "mass": float(asset.mass),
-        "center_of_mass": _rounded(asset.center_of_mass, 7),
-        "inertia": [[float(f"{value:.6e}") for value in row] for row in np.asarray(asset.inertia)],
-        "parts": [_rounded(part.vertices, 7) for part in asset.parts],
-        "rgba": [list(map(float, piece.rgba)) for piece in asset.pieces],
-        "resting": [asdict(pose) for pose in asset.resting],
-        "provenance": asdict(asset.provenance),
-        "quality": asdict(asset.quality),
-        "flags": list(asset.flags),
-        "files": digests,
-    }
-    # Left out where there are none, so that objects written before keep their digests.
-    return record | ({"notes": list(asset.notes)} if asset.notes else {})
+    # Absent where an object has none, so that objects keep the digest that they had before there was any.
+    friction = {} if asset.friction is None else {"friction": float(asset.friction)}
+    notes = {"notes": list(asset.notes)} if asset.notes else {}
+    return (
+        friction
+        | notes
+        | {
+            "format": FORMAT,
+            "name": asset.name,
+            "label": asset.label,
+            "tier": asset.tier,
+            "mass": float(asset.mass),
+            "center_of_mass": _rounded(asset.center_of_mass, 7),
+            "inertia": [[float(f"{value:.6e}") for value in row] for row in np.asarray(asset.inertia)],
+            "parts": [_rounded(part.vertices, 7) for part in asset.parts],
+            "rgba": [list(map(float, piece.rgba)) for piece in asset.pieces],
+            "resting": [asdict(pose) for pose in asset.resting],
+            "provenance": asdict(asset.provenance),
+            "quality": asdict(asset.quality),
+            "flags": list(asset.flags),
+            "files": digests,
+        }
+    )
 
 
 def _asset(record: dict[str, Any], blobs: dict[str, bytes]) -> ObjectAsset:
@@ -160,7 +166,17 @@ def _asset(record: dict[str, Any], blobs: dict[str, bytes]) -> ObjectAsset:
         quality=Quality(**record["quality"]),
         flags=tuple(record["flags"]),
         notes=tuple(record.get("notes", ())),
+        friction=_friction(record.get("friction")),
     )
+
+
+def _friction(value: Any) -> float | None:
+    """ValueError for what is no coefficient."""
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+        raise ValueError(f"friction {value!r}")
+    return float(value)
 
 
 def _read_bytes(path: Path) -> bytes:

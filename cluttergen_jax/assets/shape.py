@@ -60,6 +60,7 @@ class Shape:
       mass: kilograms, or None to take it from `stated` or `density`.
       density: kg/m^3 of the solid material, used if the mass is not known otherwise.
       stated: mass and inertia as the object's own file has them, not yet believed.
+      friction: sliding coefficient wherever the object touches something; None for the contact's.
       notes: what its reader decided on the user's behalf, in words.
     """
 
@@ -72,4 +73,5 @@ class Shape:
     mass: float | None = None
     density: float = 500.0
     stated: StatedMass | None = None
+    friction: float | None = None
     notes: tuple[str, ...] = ()

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.assets.pool import find_pool, list_pools
+from cluttergen_jax.assets.pool import composed, find_pool, list_pools
 from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.cli.parse import refuse_given
@@ -31,7 +31,7 @@ from cluttergen_jax.evaluation.trial import Trial
 
 _DEFAULT_TRIALS = 1000
 _OF_SUITES = ("only", "quick", "seeds")
-_OF_COMPARISONS = ("supports", "num_objects", "attempts", "repeat", "change")
+_OF_COMPARISONS = ("exclude", "supports", "num_objects", "attempts", "repeat", "change")
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,9 @@ class Evaluate:
         ranked, beta, normal, open_loop, short_memory. Of a suite, the rows that are made; all if not given.
       checkpoint: the policy's folder, for learned methods; else the embedded ones are taken.
       checkpoints: a folder of training runs, POOL-VARIANT[-attemptsA][-SEED], instead of the embedded ones.
-      pools: names or folders; dining if not given, and what each study asks for in a suite.
+      pools: names or folders, or several joined by +; dining if not given, and what each study asks for in a
+        suite.
+      exclude: names of objects to leave out of each pool; --exclude mug is the same as --pools dining~mug.
       supports: names or folders; table-0.40x0.50 is a cuboid of that size, all of it the queried region.
       num_objects: objects per scene.
       trials: scenes per row; 1000 if not given, and what each study asks for in a suite.
@@ -72,6 +74,7 @@ class Evaluate:
     checkpoint: str | None = None
     checkpoints: str | None = None
     pools: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
     supports: tuple[str, ...] = ("table",)
     num_objects: int = 10
     trials: int | None = None
@@ -125,7 +128,7 @@ def _compare(args: Evaluate) -> int:
     out = Path(args.out or "out/evaluation")
     trials = tuple(
         Trial(
-            pool=pool,
+            pool=composed(pool, args.exclude),
             support=support,
             method=method,
             num_objects=args.num_objects,

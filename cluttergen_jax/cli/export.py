@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Literal
 
 import tyro
 from tqdm import tqdm
@@ -29,6 +30,7 @@ class Export:
       format: mjcf (MuJoCo), urdf (PyBullet), sdf (Drake, Gazebo), usd (Isaac, Omniverse), glb (any viewer),
         maniskill, robosuite or libero.
       scenes: numbers such as 0,3,7 or 0-9; all successful ones if not given.
+      cameras: cameras around the support, to be added to every scene: overhead, front, side, wrist.
       overwrite: replace an earlier export.
     """
 
@@ -36,6 +38,7 @@ class Export:
     out: str
     format: str = "mjcf"
     scenes: str | None = None
+    cameras: tuple[Literal["overhead", "front", "side", "wrist"], ...] = ()
     overwrite: bool = False
 
     def run(self) -> int:
@@ -52,7 +55,7 @@ class Export:
         bank = read_bank(path)
         total = len(chosen_records(bank, indices))
         scenes = _shown(read_scenes(bank, indices), total)
-        folder = export_scenes(scenes, self.out, self.format, overwrite=self.overwrite)
+        folder = export_scenes(scenes, self.out, self.format, overwrite=self.overwrite, cameras=self.cameras)
         print(f"{total} scenes in {folder}: open with {FORMATS[self.format].opens_in}")
         return 0
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.pool import composed, find_pool
 from cluttergen_jax.assets.reach import check_keep_out
 from cluttergen_jax.assets.rectangle_text import parse_keep_out, parse_region
 from cluttergen_jax.assets.support import Rectangle
@@ -56,7 +56,7 @@ class Generate:
 
     Attributes:
       out: the bank's folder; the same command continues an interrupted one.
-      pool: a pool's name or folder (`cluttergen list`).
+      pool: a pool's name or folder (`cluttergen list`), or several joined by +: dining+mine.
       num_scenes: scenes to make, failures counted.
       method: how poses are proposed: random, clear, drop, or a trained policy: policy, policy-clear, ranked,
         beta, normal, open_loop or short_memory. If not given: the checkpoint's own; else policy where one
@@ -64,6 +64,7 @@ class Generate:
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       num_objects: objects per scene; all of the pool's (40 at most) if not given.
       objects: names of the pool's objects to use.
+      exclude: names of the pool's objects to leave out; --exclude mug is the same as --pool dining~mug.
       support: a support's name or folder; table-0.40x0.50 is a cuboid of that size.
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
       containment: what must lie in the region: the bounding box's center, or its whole footprint.
@@ -87,6 +88,7 @@ class Generate:
     checkpoint: str | None = None
     num_objects: int | None = None
     objects: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
     support: str = "table"
     region: str | None = None
     containment: str = "center"
@@ -114,6 +116,7 @@ def _generate(args: Generate) -> int:
         raise ConfigError(f"--seed {args.seed}", "0 to 4294967295")
     if args.max_files < 0:
         raise ConfigError(f"--max-files {args.max_files}", "0 or more", "--max-files 0 for none")
+    args = dataclasses.replace(args, pool=composed(args.pool, args.exclude), exclude=())
     config = problem_config(args)
     num_objects = config.placement.num_objects
     method = args.method or default_method(args.pool, args.support, num_objects, args.checkpoint)

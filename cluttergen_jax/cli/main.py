@@ -33,6 +33,7 @@ def commands() -> Any:
     from cluttergen_jax.cli.import_ import Import
     from cluttergen_jax.cli.inspect_ import Inspect
     from cluttergen_jax.cli.list_ import List
+    from cluttergen_jax.cli.pool import Pool
     from cluttergen_jax.cli.pretrain import Pretrain
     from cluttergen_jax.cli.pull import Pull
     from cluttergen_jax.cli.push import Push
@@ -57,6 +58,7 @@ def commands() -> Any:
         | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
         | Annotated[Import, tyro.conf.subcommand("import")]
         | Annotated[Inspect, tyro.conf.subcommand("inspect")]
+        | Annotated[Pool, tyro.conf.subcommand("pool")]
         | Annotated[List, tyro.conf.subcommand("list")]
         | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,8 +14,9 @@ from tqdm import tqdm
 
 from cluttergen_jax.assets.scene_cloud import ply_of, scene_points
 from cluttergen_jax.bank.disk import write_atomically
+from cluttergen_jax.bank.reference import missing_text
 from cluttergen_jax.cli.parse import parse_numbers
-from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.placement.recording import Recording
 from cluttergen_jax.render.assets import render_scene
 from cluttergen_jax.render.camera import View
@@ -31,6 +33,8 @@ from cluttergen_jax.viewer.source import Source
 _SHEET = 12
 _FINE, _QUICK = 32, 10
 _LARGE, _SMALL, _CELL = (1280, 960), (640, 480), (480, 360)
+_Make = Callable[[Path], Iterable[Path]]
+_Failure = tuple[str, ClutterGenError]
 
 
 @dataclass(frozen=True)
@@ -89,14 +93,14 @@ class Render:
         numbers = chosen_numbers(source, own, self.scenes, _SHEET if self.sheet else 1)
         if self.picture or self.sheet or self.turntable or self.replay or self.figure or self._is_sensed:
             find_backend()
+        failures: list[_Failure] = []
         for number in numbers:
-            recording = source.recorded(number) if self.replay or self.figure else source.still(number)
-            stem = self.out / (f"{number:06d}" if isinstance(source, BankSource) else _stem(source, number))
-            for path in self._make(recording, stem, sizes[_SMALL]):
-                print(path)
+            failures += self._make(source, number, sizes[_SMALL])
         if self.sheet:
             print(save_png(self._sheet(source, numbers), self.out / "sheet.png"))
-        return 0
+        if failures:
+            print(failures_text(failures), file=sys.stderr)
+        return 1 if failures else 0
 
     @property
     def _is_sensed(self) -> bool:
@@ -107,38 +111,63 @@ class Render:
         samples = samples if self.samples is None else self.samples
         return Shooting(width, height, samples, self.view, self.whole, self.hulls)
 
-    def _make(self, recording: Recording, stem: Path, small: Shooting) -> Iterator[Path]:
-        """Everything that is asked for of one scene."""
+    def _make(self, source: Source, number: int, small: Shooting) -> Iterator[_Failure]:
+        """Makes everything that is asked for of one scene; what cannot be made costs nothing else."""
+        stem = self.out / (f"{number:06d}" if isinstance(source, BankSource) else _stem(source, number))
+        attempted = None
+        if self.replay or self.figure:
+            try:
+                attempted = source.recorded(number)
+            except ClutterGenError as error:
+                yield f"{stem.name}, its attempts", error
+        try:
+            recording = attempted or source.still(number)
+        except ClutterGenError as error:
+            yield stem.name, error
+            return
+        for ending, make in self._products(recording, attempted is not None, small):
+            try:
+                for path in make(_named(stem, ending)):
+                    print(path)
+            except ClutterGenError as error:
+                yield stem.name + ending, error
+
+    def _products(
+        self, recording: Recording, has_attempts: bool, small: Shooting
+    ) -> Iterator[tuple[str, _Make]]:
+        """The endings of the files that are asked for, and how each is made."""
         large = self._shooting(_LARGE, _FINE)
         if self.picture and not (self.sheet and not self.scenes):
-            yield save_png(drawn(recording, large), _named(stem, ".png"))
-        if self.figure:
-            yield save_png(closed_loop_figure(recording, shooting=large), _named(stem, "-figure.png"))
+            yield ".png", lambda path: [save_png(drawn(recording, large), path)]
+        if self.figure and has_attempts:
+            yield "-figure.png", lambda path: [save_png(closed_loop_figure(recording, shooting=large), path)]
         if self._is_sensed:
-            yield from self._sensed(recording, stem, large)
+            yield "-sensors.npz", lambda path: self._sensed(recording, path, large)
         if self.points:
-            cloud = scene_points(_placed(recording), recording.poses[recording.placed], recording.support)
-            yield _written(_named(stem, "-points.ply"), ply_of(cloud))
+            yield "-points.ply", lambda path: [_written(path, _cloud(recording))]
         if self.turntable:
             count = max(2, round(self.pace.fps * self.pace.seconds))
-            yield self._filmed(turntable(recording, self.pace, small), count, _named(stem, "-turntable"))
-        if self.replay:
-            count = len(replay_frames(recording, self.pace))
-            yield self._filmed(replay(recording, self.pace, small), count, _named(stem, "-replay"))
+            turns = turntable(recording, self.pace, small)
+            yield f"-turntable.{self.film}", lambda path: [self._filmed(turns, count, path)]
+        if self.replay and has_attempts:
+            steps = replay(recording, self.pace, small)
+            length = len(replay_frames(recording, self.pace))
+            yield f"-replay.{self.film}", lambda path: [self._filmed(steps, length, path)]
 
-    def _sensed(self, recording: Recording, stem: Path, shooting: Shooting) -> Iterator[Path]:
+    def _sensed(self, recording: Recording, path: Path, shooting: Shooting) -> Iterator[Path]:
         placed = recording.placed
         names = [recording.names[index] for index in placed]
         sensed = sense(_placed(recording), names, recording.poses[placed], recording.support, shooting)
+        stem = path.with_name(path.name.removesuffix("-sensors.npz"))
         if self.depth:
             yield _written(_named(stem, "-depth.png"), depth_png(sensed.depth))
         if self.segmentation:
             yield _written(_named(stem, "-segmentation.png"), segmentation_png(sensed.segmentation))
-        yield _written(_named(stem, "-sensors.npz"), npz_of(sensed))
+        yield _written(path, npz_of(sensed))
 
     def _filmed(self, frames: Iterable[np.ndarray], count: int, path: Path) -> Path:
         shown = tqdm(frames, total=count, unit="frame", desc=path.name, disable=None, leave=False)
-        return save_film(shown, path.with_name(f"{path.name}.{self.film}"), self.pace.fps)
+        return save_film(shown, path, self.pace.fps)
 
     def _sheet(self, source: Source, numbers: list[int]) -> np.ndarray:
         shooting = self._shooting(_CELL, _QUICK if len(numbers) > _SHEET else _FINE)
@@ -169,14 +198,14 @@ def chosen_numbers(source: Source, own: int | None, text: str | None, count: int
 
     Raises:
       ConfigError: two answers to one question.
-      BankError: no scene of the bank stands, and none was asked for.
+      BankError: scenes were asked for that are not there; or no scene of the bank stands.
     """
-    if own is not None:
-        if text is not None:
-            raise ConfigError(f"--scenes {text} beside a single scene", "one of the two")
-        return [own]
-    asked = parse_numbers(text)
+    if own is not None and text is not None:
+        raise ConfigError(f"--scenes {text} beside a single scene", "one of the two")
+    asked = parse_numbers(text) if own is None else [own]
     if asked is not None:
+        if said := missing_text(asked, source.numbers):
+            raise BankError(f"{source.name}: {said}", "scenes that are there", "leaving the others out")
         return asked
     if not isinstance(source, BankSource):
         return list(source.numbers[:count])
@@ -187,6 +216,14 @@ def chosen_numbers(source: Source, own: int | None, text: str | None, count: int
             "--scenes NUMBER of a failed one",
         )
     return list(good if text is not None else good[:count])
+
+
+def failures_text(failures: Sequence[_Failure]) -> str:
+    """What could not be made and why, a line each; what to try, once."""
+    lines = [f"error: {len(failures)} could not be made, the rest was:"]
+    lines += [f"  {name}: {error.given}" for name, error in failures]
+    hints = dict.fromkeys(error.hint for _, error in failures if error.hint)
+    return "\n".join([*lines, *(f"Try: {hint}." for hint in hints)])
 
 
 def drawn(recording: Recording, shooting: Shooting) -> np.ndarray:
@@ -206,6 +243,11 @@ def drawn(recording: Recording, shooting: Shooting) -> np.ndarray:
 
 def _placed(recording: Recording) -> list:
     return [recording.objects[index] for index in recording.placed]
+
+
+def _cloud(recording: Recording) -> bytes:
+    poses = recording.poses[recording.placed]
+    return ply_of(scene_points(_placed(recording), poses, recording.support))
 
 
 def _named(stem: Path, ending: str) -> Path:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.agent.checkpoint import has_state, read_record
-from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.pool import composed, find_pool, public_name
 from cluttergen_jax.cli.parse import refuse_given
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.networks.config import NetworkConfig
@@ -22,7 +22,7 @@ from cluttergen_jax.training.suite import POOLS, SEEDS
 
 ACTIONS = ("sampled", "mean")
 _OF_SUITES = ("suite_list", "suite_only", "pools", "seeds")
-_OF_RUNS = ("pool", "support", "change", "num_objects", "variant", "attempts", "seed")
+_OF_RUNS = ("pool", "exclude", "support", "change", "num_objects", "variant", "attempts", "seed")
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,8 @@ class Train:
     """Train a placement policy with PPO. The same command takes an interrupted run up again.
 
     Attributes:
-      pool: a pool's name or folder.
+      pool: a pool's name or folder, or several joined by +: dining+mine.
+      exclude: names of the pool's objects to leave out; --exclude mug is the same as --pool dining~mug.
       support: a support's name or folder; table-0.40x0.50 is a cuboid of that size.
       change: how the queried region is changed at random in every episode: none, translation, rotation,
         shrinkage, expansion or all.
@@ -64,6 +65,7 @@ class Train:
     """
 
     pool: str = "dining"
+    exclude: tuple[str, ...] = ()
     support: str = "table"
     change: str = "none"
     num_objects: int = 10
@@ -102,7 +104,7 @@ class Train:
 
             return run_suite(self)
         join(self.coordinator, self.num_processes, self.process_id)
-        self.train()
+        dataclasses.replace(self, pool=composed(self.pool, self.exclude), exclude=()).train()
         return 0
 
     def train(self) -> None:
@@ -151,7 +153,7 @@ class Train:
     @property
     def folder(self) -> Path:
         """The run's."""
-        return Path(self.out or f"runs/{Path(self.pool).name}-{self.variant}-{self.seed}")
+        return Path(self.out or f"runs/{public_name(self.pool)}-{self.variant}-{self.seed}")
 
     def settings(self) -> Settings:
         """The preset with what the command line changes."""

@@ -21,6 +21,7 @@ from cluttergen_jax.bank.digests import Change, changes_of, touched
 from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.bank.verify import Verification, VerifyConfig, scene_files, verify_scene
 from cluttergen_jax.config import check_workers
+from cluttergen_jax.types import small_length
 
 _SHOWN = 20
 
@@ -99,18 +100,18 @@ def _record(result: Verification, changed: list[str]) -> dict:
 def report_of(results: list[Verification], config: VerifyConfig, is_changed: Sequence[bool]) -> str:
     """Which scenes stand, and how far objects moved; those of changed files do not count."""
     stands = np.array([each.stands for each in results]) & ~np.array(is_changed)
-    shift = np.concatenate([each.shift for each in results]) * 1000
+    shift = np.concatenate([each.shift for each in results])
     turn = np.degrees(np.concatenate([each.turn for each in results]))
     lines = [
         f"{stands.sum()} of {len(stands)} scenes stand for {config.seconds:g} s "
         f"(no object moved more than {config.max_shift * 1000:g} mm or {config.max_turn_deg:g} deg)",
-        f"movement of {len(shift)} objects: median {np.median(shift):.3f} mm, "
-        f"99th percentile {np.percentile(shift, 99):.3f} mm, "
-        f"most {shift.max():.3f} mm and {turn.max():.2f} deg",
+        f"movement of {len(shift)} objects: median {small_length(np.median(shift))}, "
+        f"99th percentile {small_length(np.percentile(shift, 99))}, "
+        f"most {small_length(shift.max())} and {turn.max():.2f} deg",
     ]
     if any(is_changed):
         lines.append(f"  {sum(is_changed)} scenes do not count: files that they are made of were changed")
     for each in results:
         if not each.stands:
-            lines.append(f"  {each.path.name}: {each.worst} moved {each.shift.max() * 1000:.1f} mm")
+            lines.append(f"  {each.path.name}: {each.worst} moved {small_length(each.shift.max())}")
     return "\n".join(lines)

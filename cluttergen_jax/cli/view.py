@@ -55,6 +55,7 @@ def _serve(args: View) -> int:
 
     # What cannot work is said before anything is compiled.
     free_port(args.host, args.port)
+    print(f"opening    {args.source or 'scenes made on the spot'}", flush=True)
     source, own = open_source(args.source, args.live)
     first = _first(own, source.numbers)
     if first not in source.numbers:
@@ -63,6 +64,8 @@ def _serve(args: View) -> int:
     viewer = Viewer(source, server, first, args.screenshots)
     url = f"http://{'localhost' if args.host == '0.0.0.0' else args.host}:{server.get_port()}"
     print(f"viewer     {url} (Ctrl-C ends it)", flush=True)
+    if notice := source.notice():
+        print(f"first      {notice}", flush=True)
     if args.browser:
         webbrowser.open(url)
     try:

@@ -41,6 +41,7 @@ class Format:
       write_object, write_support: write what all scenes share into a folder; None where a scene holds all.
       write_scene: writes a scene's file.
       script: a stand-alone loader that travels along, in `export/scripts`; "" for none.
+      notes: more for the README: the settings that the program needs, and what it takes from the files.
       require: raises MissingExtraError if a package that the format needs is not installed.
     """
 
@@ -51,6 +52,7 @@ class Format:
     write_support: WriteSupport | None
     write_scene: WriteScene
     script: str = ""
+    notes: str = ""
     require: Callable[[], None] = _nothing
 
 
@@ -114,6 +116,11 @@ def _require_usd() -> None:
     require_usd()
 
 
+_DRAKE_NOTES = (
+    "For Drake (1.40 or newer) parts and boxes are compliant hydroelastic bodies of 1e9 Pa with the friction "
+    "of the scene (drake:proximity_properties); other readers skip this. The plant needs the time step named "
+    "above, and all else as Drake has it: contact hydroelastic_with_fallback, approximation lagged."
+)
 _ALL = (
     Format(
         "mjcf",
@@ -135,11 +142,13 @@ _ALL = (
     ),
     Format(
         "sdf",
-        "Drake: Parser(plant).AddModels('scenes/NUMBER.sdf'); Gazebo: gz sim scenes/NUMBER.sdf.",
+        "Drake: Parser(plant).AddModels('scenes/NUMBER.sdf'), the plant made by "
+        "AddMultibodyPlantSceneGraph(builder, time_step=1/240); Gazebo: gz sim scenes/NUMBER.sdf.",
         "sdf",
         _meshes_only,
         _surfaces_only,
         _written(sdf_text),
+        notes=_DRAKE_NOTES,
     ),
     Format(
         "usd",

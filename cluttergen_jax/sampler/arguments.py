@@ -28,10 +28,10 @@ def check_whole(**numbers: Any) -> None:
             raise ConfigError(f"{name} = {value!r}", "a whole number")
 
 
-def check_names(objects: Sequence[str]) -> None:
+def check_names(names: Sequence[str], argument: str) -> None:
     """Refuses a single name, whose letters would be taken for names."""
-    if isinstance(objects, str):
-        raise ConfigError(f"objects = {objects!r}", "a sequence of names", f"objects=({objects!r},)")
+    if isinstance(names, str):
+        raise ConfigError(f"{argument} = {names!r}", "a sequence of names", f"{argument}=({names!r},)")
 
 
 def check_rectangles(region: Rectangle | None, keep_out: Sequence[Rectangle]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.pool import composed, find_pool
 from cluttergen_jax.assets.reach import check_keep_out
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.bank.start import read_start, start_of
@@ -30,6 +30,7 @@ def make_sampler(
     checkpoint: str | Path | None = None,
     max_retries: int = 0,
     objects: Sequence[str] = (),
+    exclude: Sequence[str] = (),
     repeat: bool = False,
     region: Rectangle | None = None,
     keep_out: Sequence[Rectangle] = (),
@@ -47,7 +48,7 @@ def make_sampler(
     names.
 
     Args:
-      pool: a pool's name or folder.
+      pool: a pool's name or folder, or several joined by "+".
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
       num_objects: objects per scene, 1 to 40; all of the pool's (40 at most) if not given.
       method: "random", "clear", "drop", or a trained policy. If not given: the checkpoint's own; else
@@ -56,6 +57,7 @@ def make_sampler(
       max_retries: a scene that fails is drawn again up to so often, inside the compiled code, until one
         passes; 0 to 10,000.
       objects: names of the pool's objects to use; all of them if empty.
+      exclude: names of the pool's objects to leave out; exclude=("mug",) is the same as pool="dining~mug".
       repeat: let objects stand there more than once.
       region: the queried region on the support's top: a `Rectangle` with its centre (world x, y) and half
         extents in metres, its yaw in radians; the support's own if not given.
@@ -80,12 +82,13 @@ def make_sampler(
         num_scene_points=num_scene_points,
         num_threads=num_threads,
     )
-    check_names(objects)
+    check_names(objects, "objects")
+    check_names(exclude, "exclude")
     check_rectangles(region, keep_out)
     if not 0 <= max_retries <= MAX_RETRIES:
         raise ConfigError(f"max_retries = {max_retries}", f"0 to {MAX_RETRIES}", "max_retries=5")
     ObservationConfig(num_scene_points=num_scene_points)
-    pool, given = str(pool), None if checkpoint is None else str(checkpoint)
+    pool, given = composed(pool, exclude), None if checkpoint is None else str(checkpoint)
     if num_objects is None:
         num_objects = min(len(objects) or len(find_pool(pool)), MAX_SLOTS)
     method = method or default_method(pool, str(support), num_objects, given)
