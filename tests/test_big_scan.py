@@ -47,4 +47,4 @@ def test_a_million_triangles_take_less_than_four_gigabytes(tmp_path, monkeypatch
     assert stone.quality.deviation < 0.05
     num_faces = sum(len(piece.mesh.faces) for piece in stone.pieces)
     assert num_faces <= MAX_TRIANGLES
-    assert any(f"of {len(mesh.faces):,} triangles" in note for note in stone.notes)
+    assert any(f"of its {len(mesh.faces):,} triangles" in note for note in stone.notes)
