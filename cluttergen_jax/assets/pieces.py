@@ -24,7 +24,8 @@ def drawn(
 ) -> tuple[Piece, ...]:
     """Pieces of like colour and image joined, welded and simplified.
 
-    To about `max_triangles` in all without an image, and `max_textured` in all with one.
+    To about `max_triangles` in all without an image, and `max_textured` in all with one. Sheets are given
+    their second side later, which can double their number.
     """
     groups: dict[tuple[object, ...], list[Piece]] = {}
     for piece in pieces:

@@ -47,7 +47,7 @@ def run_job(job: Job) -> str:
         with silent_log():
             shape = read_shape(job.source, job.config.read)
             asset = measured_object(shape, job.config.body, job.config.trials)
-            cache.store(job.key, replace(asset, flags=(*job.source.notes, *shape.notes, *asset.flags)))
+            cache.store(job.key, replace(asset, flags=(*job.source.notes, *asset.flags)))
     except ClutterGenError as error:
         return str(error)
     except Exception as error:  # One object that nobody foresaw must not end a run of hundreds.

@@ -11,6 +11,7 @@ import trimesh
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers.companions import Companions
+from cluttergen_jax.assets.readers.damage import check_whole, unreadable
 from cluttergen_jax.assets.readers.materials import Dresser, gltf_notes
 from cluttergen_jax.assets.readers.sizes import check_sizes
 from cluttergen_jax.assets.readers.text import opened
@@ -47,11 +48,12 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
     if not path.is_file():
         raise AssetError(f"mesh file {path} is missing", hint="restoring the file or its name")
     check_sizes(path)
+    check_whole(path)
     beside = Companions(path)
     try:
         scene = trimesh.load_scene(**opened(path), resolver=beside, process=False)
     except Exception as error:  # trimesh's loaders raise whatever their parsers do.
-        raise AssetError(f"{path} cannot be read as a mesh: {type(error).__name__}: {error}") from error
+        raise unreadable(path, error) from error
     is_gltf = path.suffix.lower() in (".glb", ".gltf")
     dresser = Dresser(is_gltf, max_side, image)
     pieces, materials = [], []
