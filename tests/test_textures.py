@@ -11,6 +11,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
 from cluttergen_jax.assets.pieces import drawn
@@ -281,6 +282,18 @@ def test_welding_keeps_seams_and_simplifying_keeps_the_image():
     # All around, the two sides of the seam included, but for the poles, where a place has every colour.
     is_away = np.linalg.norm(middle[:, :2], axis=1) > 0.02
     assert np.quantile(np.minimum(off, 1 - off)[is_away], 0.99) < 0.02
+
+
+def test_the_second_side_of_a_sheet_has_the_image_too():
+    whole = textured.piece()
+    corners = whole.mesh.vertices[whole.mesh.faces]
+    is_top = (corners[..., 2] > textured.SIZE[2] / 2 - 1e-6).all(1)
+    sheet = dataclasses.replace(whole, mesh=Mesh(whole.mesh.vertices, whole.mesh.faces[is_top]))
+    (both,) = faced([sheet], None)
+    assert len(both.mesh.faces) == 2 * is_top.sum()
+    assert_upright(both)
+    back = dataclasses.replace(both, mesh=Mesh(both.mesh.vertices, both.mesh.faces[is_top.sum() :]))
+    assert_upright(back)
 
 
 def test_clouds_have_the_colours_of_the_image():

@@ -149,7 +149,9 @@ def write_urdf(folder, with_own_material=True):
         material = '<material name="m"><texture filename="slab.png"/></material>'
     path = folder / "slab.urdf"
     path.write_text(
-        '<robot name="slab"><link name="slab"><visual><geometry><mesh filename="slab.obj"/></geometry>'
+        '<robot name="slab"><link name="slab"><inertial><mass value="0.2"/><inertia ixx="2e-4" iyy="2e-4" '
+        'izz="2e-4" ixy="0" ixz="0" iyz="0"/></inertial>'
+        '<visual><geometry><mesh filename="slab.obj"/></geometry>'
         f"{material}</visual></link></robot>"
     )
     return path
