@@ -19,6 +19,7 @@ from cluttergen_jax.assets.part_files import hull_of
 from cluttergen_jax.assets.shading import box_mesh, linear, shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.export.friction import friction_of
 from cluttergen_jax.export.meshes import drawn_pieces
 from cluttergen_jax.scene import Camera, Scene
 
@@ -71,7 +72,7 @@ class _Builder:
                 "mesh": meshes[asset.name],
                 "translation": pose[:3].tolist(),
                 "rotation": [x, y, z, w],
-                "extras": _body(asset) | friction,
+                "extras": _body(asset) | {"friction": friction_of(asset, scene.contact)[0]},
             }
             children.append(self._add("nodes", node))
         children += [self._camera(each) for each in scene.cameras if not suffix]

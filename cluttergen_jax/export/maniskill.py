@@ -8,7 +8,9 @@ from typing import Any
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.export.frames import principal_of, yaw_quaternion
+from cluttergen_jax.export.friction import friction_of, mean_of
 from cluttergen_jax.export.meshes import drawn_pieces, object_image, support_image, visual_name
 from cluttergen_jax.export.placement import placement_json
 from cluttergen_jax.scene import Scene
@@ -20,7 +22,7 @@ def maniskill_json(scene: Scene) -> bytes:
     `env_state` is ManiSkill's state dictionary without the robot: each actor's position, quaternion wxyz,
     linear and angular velocity.
     """
-    bodies = {name: _body(asset) for name, asset in scene.assets.items()}
+    bodies = {name: _body(asset) | _friction(asset, scene.contact) for name, asset in scene.assets.items()}
     record = json.loads(placement_json(scene, more=bodies, support=_support(scene.support)))
     rest = [0.0] * 6
     actors = {name: [*pose, *rest] for name, pose in zip(scene.names, scene.poses.tolist(), strict=True)}
@@ -41,6 +43,12 @@ def _body(asset: ObjectAsset) -> dict[str, Any]:
             for index, piece in enumerate(drawn_pieces(asset))
         ],
     }
+
+
+def _friction(asset: ObjectAsset, contact: ContactConfig) -> dict[str, float]:
+    """What the object's own sliding coefficient has to be in PhysX, if it has one."""
+    default = contact.friction[0]
+    return {} if asset.friction is None else {"friction": mean_of(friction_of(asset, contact)[0], default)}
 
 
 def _support(support: SupportAsset) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from cluttergen_jax.assets.mjcf import own_contact
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.support import SupportAsset
@@ -28,12 +29,16 @@ def object_xml(asset: ObjectAsset, contact: ContactConfig) -> bytes:
         mass=text([asset.mass]),
         fullinertia=text(moments),
     )
+    own = {}
+    if asset.friction is not None:
+        friction, priority = own_contact(asset.friction, contact.friction)
+        own = {"friction": text(friction), "priority": str(priority)}
     for index in range(len(asset.parts)):
         ET.SubElement(assets, "mesh", name=f"part-{index}", file=part_name(index), inertia="convex")
         ET.SubElement(
             body,
             "geom",
-            _contact(contact),
+            _contact(contact) | own,
             type="mesh",
             mesh=f"part-{index}",
             group=_COLLIDES,

@@ -19,6 +19,7 @@ from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.export.frames import text, yaw_quaternion
+from cluttergen_jax.export.friction import friction_of, harmonic_of
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, drawn_pieces, object_folder, visual_name
 from cluttergen_jax.scene import Camera, Scene
 
@@ -82,7 +83,7 @@ def _add_support(world: ET.Element, support: SupportAsset, contact: ContactConfi
             if kind == "visual":
                 _add_colour(element, box.rgba)
             else:
-                _add_contact(element, contact)
+                _add_contact(element, contact, contact.friction[0])
 
 
 def _add_object(
@@ -104,7 +105,7 @@ def _add_object(
         collision = ET.SubElement(link, "collision", name=f"part-{index}")
         mesh = _add_mesh(collision, f"{folder}/{part_name(index)}")
         ET.SubElement(mesh, "drake:declare_convex")
-        _add_contact(collision, contact)
+        _add_contact(collision, contact, friction_of(asset, contact)[0])
 
 
 def _add_camera(world: ET.Element, camera: Camera) -> None:
@@ -152,9 +153,9 @@ def _add_colour(visual: ET.Element, rgba: tuple[float, ...]) -> None:
         _leaf(visual, "transparency", text([1 - rgba[3]]))
 
 
-def _add_contact(collision: ET.Element, contact: ContactConfig) -> None:
+def _add_contact(collision: ET.Element, contact: ContactConfig, sliding: float) -> None:
+    # Gazebo takes the smaller of two coefficients, Drake their harmonic mean.
     # Torsional friction is left out: SDFormat's depends on a patch radius that nobody has measured here.
-    sliding = contact.friction[0]
     friction = ET.SubElement(ET.SubElement(collision, "surface"), "friction")
     ode = ET.SubElement(friction, "ode")
     _leaf(ode, "mu", text([sliding]))
@@ -163,5 +164,5 @@ def _add_contact(collision: ET.Element, contact: ContactConfig) -> None:
     ET.SubElement(proximity, "drake:compliant_hydroelastic")
     _leaf(proximity, "drake:hydroelastic_modulus", text([HYDROELASTIC_MODULUS]))
     _leaf(proximity, "drake:hunt_crossley_dissipation", text([DISSIPATION]))
-    _leaf(proximity, "drake:mu_dynamic", text([sliding]))
-    _leaf(proximity, "drake:mu_static", text([sliding]))
+    for name in ("drake:mu_dynamic", "drake:mu_static"):
+        _leaf(proximity, name, text([harmonic_of(sliding, contact.friction[0])]))

@@ -17,12 +17,13 @@ from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.export.frames import euler_of, principal_of, text
+from cluttergen_jax.export.friction import factor_of, friction_of
 from cluttergen_jax.export.meshes import drawn_pieces, object_image, support_image, visual_name
 
 
 def object_urdf(asset: ObjectAsset, contact: ContactConfig) -> bytes:
     """A free body of one link, whose frame is the object frame."""
-    root, link = _robot(asset.name, contact)
+    root, link = _robot(asset.name, contact, friction_of(asset, contact))
     principal = principal_of(asset)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=text(principal.center), rpy=text(euler_of(principal.turn)))
@@ -39,7 +40,7 @@ def object_urdf(asset: ObjectAsset, contact: ContactConfig) -> bytes:
 
 def support_urdf(support: SupportAsset, contact: ContactConfig) -> bytes:
     """The fixed support in the world frame: boxes, and surfaces where it has them. Its mass is zero."""
-    root, link = _robot(support.name, contact)
+    root, link = _robot(support.name, contact, contact.friction)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "mass", value="0")
     ET.SubElement(inertial, "inertia", ixx="0", iyy="0", izz="0", ixy="0", ixz="0", iyz="0")
@@ -57,15 +58,16 @@ def support_urdf(support: SupportAsset, contact: ContactConfig) -> bytes:
     return _bytes(root)
 
 
-def _robot(name: str, contact: ContactConfig) -> tuple[ET.Element, ET.Element]:
+def _robot(
+    name: str, contact: ContactConfig, friction: tuple[float, float, float]
+) -> tuple[ET.Element, ET.Element]:
     root = ET.Element("robot", name=name)
     link = ET.SubElement(root, "link", name=name)
-    sliding, torsional, _ = contact.friction
     own = ET.SubElement(link, "contact")
-    share = math.sqrt(sliding)
+    share = factor_of(friction[0], contact.friction[0])
     ET.SubElement(own, "lateral_friction", value=text([share]))
     # Bullet's pair value is friction A times spinning friction B, and the other way round, added up.
-    ET.SubElement(own, "spinning_friction", value=text([torsional / (2 * share)]))
+    ET.SubElement(own, "spinning_friction", value=text([friction[1] / (2 * math.sqrt(contact.friction[0]))]))
     return root, link
 
 

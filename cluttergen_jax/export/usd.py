@@ -21,6 +21,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.export.frames import principal_of, yaw_quaternion
+from cluttergen_jax.export.friction import friction_of
 from cluttergen_jax.export.meshes import (
     SUPPORT_FOLDER,
     drawn_pieces,
@@ -63,7 +64,7 @@ def write_object_usd(folder: Path, asset: ObjectAsset, contact: ContactConfig) -
     pieces = drawn_pieces(asset)
     _add_visuals(stage, pieces, [object_image(piece) for piece in pieces])
     write_object_images(folder, asset)
-    material = _add_contact(stage, contact)
+    material = _add_contact(stage, friction_of(asset, contact)[0], contact)
     for index, part in enumerate(asset.parts):
         mesh = _add_mesh(stage, f"{_collisions(stage)}/part_{index:02d}", hull_of(part))
         UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr("convexHull")
@@ -77,7 +78,7 @@ def write_support_usd(folder: Path, support: SupportAsset, contact: ContactConfi
     _note(root.GetPrim(), support.label, support.provenance)
     _add_visuals(stage, support.pieces, [support_image(piece) for piece in support.pieces])
     write_support_images(folder, support)
-    material = _add_contact(stage, contact)
+    material = _add_contact(stage, contact.friction[0], contact)
     parent = _collisions(stage) if support.pieces else f"{_root(stage)}/boxes"
     for index, box in enumerate(support.boxes):
         cube = UsdGeom.Cube.Define(stage, f"{parent}/box_{index:02d}")
@@ -251,13 +252,20 @@ def _bind(prim: Any, material: Any) -> None:
     UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
 
 
-def _add_contact(stage: Any, contact: ContactConfig) -> Any:
+def _add_contact(stage: Any, sliding: float, contact: ContactConfig) -> Any:
     UsdGeom.Scope.Define(stage, f"{_root(stage)}/materials")
     material = UsdShade.Material.Define(stage, f"{_root(stage)}/materials/contact")
     physics = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
-    physics.CreateStaticFrictionAttr(contact.friction[0])
-    physics.CreateDynamicFrictionAttr(contact.friction[0])
+    physics.CreateStaticFrictionAttr(sliding)
+    physics.CreateDynamicFrictionAttr(sliding)
     physics.CreateRestitutionAttr(0.0)
+    if sliding != contact.friction[0]:
+        # PhysX takes the mean of two coefficients unless one asks for more. Its schema is not part of USD.
+        material.GetPrim().AddAppliedSchema("PhysxMaterialAPI")
+        mode = material.GetPrim().CreateAttribute(
+            "physxMaterial:frictionCombineMode", Sdf.ValueTypeNames.Token, custom=False
+        )
+        mode.Set("min" if sliding < contact.friction[0] else "max")
     return material
 
 

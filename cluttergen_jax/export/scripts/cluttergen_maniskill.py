@@ -100,9 +100,11 @@ class ClutterGenSceneEnv(BaseEnv):
     def _build_object(self, entry):
         asset = self.record["assets"][entry["asset"]]
         builder = self.scene.create_actor_builder()
+        friction = asset.get("friction", self.record["friction"]["sliding"])
+        contact = sapien.physx.PhysxMaterial(friction, friction, 0.0)
         for part in asset["parts"]:
             path = str(ROOT / asset["folder"] / part)
-            builder.add_convex_collision_from_file(path, material=self._contact)
+            builder.add_convex_collision_from_file(path, material=contact)
         self._add_visuals(builder, asset)
         inertial = _pose(asset["center_of_mass"], asset["principal_quaternion_wxyz"])
         builder.set_mass_and_inertia(asset["mass"], inertial, asset["principal_moments"])
