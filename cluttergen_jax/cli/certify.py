@@ -13,7 +13,7 @@ from cluttergen_jax.bank.bank import block_numbers, read_block
 from cluttergen_jax.bank.card import write_card
 from cluttergen_jax.bank.disk import writing
 from cluttergen_jax.bank.lock import BankLock
-from cluttergen_jax.bank.table import is_certified
+from cluttergen_jax.bank.table import is_fully_certified
 from cluttergen_jax.bank.writer import write_rows
 from cluttergen_jax.certification import certified, models_of
 from cluttergen_jax.config import check_workers
@@ -25,8 +25,8 @@ from cluttergen_jax.measures.simulate import horizons_of
 class Certify:
     """Add a stability certificate to each scene of a bank that stands, a column for each measure.
 
-    Residual speed, drift, overlap, contacts, shake score, who rests on whom. The same command goes on where
-    it was interrupted.
+    Residual speed, drift, overlap, contacts, shake score, who rests on whom, support margins, and what a tilted
+    gravity topples. The same command goes on where it was interrupted.
 
     Attributes:
       path: a bank.
@@ -62,7 +62,7 @@ def _certify(args: Certify, bank: Bank) -> str:
     with tqdm(total=bank.num_scenes, unit="scene", disable=None) as bar:
         for number in block_numbers(bank.path):
             rows = read_block(bank.path, number)
-            if args.force or not is_certified(rows):
+            if args.force or not is_fully_certified(rows):
                 rows = certified(rows, models, args.seconds, args.jobs)
                 write_rows(bank.path, number, rows, record)
                 num_new += rows.num_rows

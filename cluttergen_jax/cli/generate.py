@@ -35,7 +35,7 @@ from cluttergen_jax.methods import (
     proposer_of,
     suited,
 )
-from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.config import MAX_SLOTS, MIN_MARGIN, PlacementConfig, placement_record
 from cluttergen_jax.problem import Problem, ProblemConfig, keep_out_of, make_problem
 from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
 
@@ -69,6 +69,8 @@ class Generate:
       containment: what must lie in the region: the bounding box's center, or its whole footprint.
       order: random, or fixed to the pool's order.
       attempts: attempts per object.
+      min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0 asks
+        for nothing, as the paper does.
       repeat: let objects stand there more than once.
       start: a scene to start from, BANK:INDEX; its objects stay and count as neighbours.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each.
@@ -92,6 +94,7 @@ class Generate:
     containment: str = "center"
     order: str = "random"
     attempts: int = 5
+    min_margin: float = MIN_MARGIN
     repeat: bool = False
     start: str | None = None
     keep_out: tuple[str, ...] = ()
@@ -173,6 +176,7 @@ def problem_config(args: Generate) -> ProblemConfig:
             max_attempts=args.attempts,
             containment=args.containment,
             order=args.order,
+            min_margin=args.min_margin,
         ),
     )
 
@@ -185,6 +189,7 @@ def recipe_of(args: Generate, problem: Problem, checkpoint: Path | None) -> dict
         config.pop(name)
     return {
         **config,
+        "placement": placement_record(problem.config.placement),
         "region": dataclasses.asdict(problem.region),
         "start": args.start,
         "keep_out": args.keep_out,

@@ -14,6 +14,7 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.cli.parse import refuse_given
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.networks.config import NetworkConfig
+from cluttergen_jax.placement.config import placement_record
 from cluttergen_jax.problem import ProblemConfig, make_problem
 from cluttergen_jax.training.encoder_weights import choose_encoder
 from cluttergen_jax.training.hosts import join
@@ -206,6 +207,7 @@ def recipe_of(args: Train, settings: Settings) -> dict[str, Any]:
         "preset": args.preset,
         "seed": args.seed,
         **dataclasses.asdict(settings),
+        "placement": placement_record(settings.placement),
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")},
     }
 
