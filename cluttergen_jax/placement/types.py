@@ -26,6 +26,7 @@ class Geometry(struct.PyTreeNode):
 
     half_extents: Array
     center_of_mass: Array
+    own_margin: Array
     cloud: Array
     column_xy: Array
     column_bottom: Array
