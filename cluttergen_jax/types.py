@@ -69,8 +69,8 @@ class Settling(struct.PyTreeNode):
       penetration: f32, the deepest overlap at the end of an attempt that came to rest, metres; else zero.
       is_quiet: bool, the focus object came to rest in time: all that the paper's looser count asks.
       margin: f32[K], metres, after an attempt that came to rest: the support margin (`physics.margin`) of the
-        focus object, and of each neighbour that it moved by 0.01 mm or more; infinite for all others. -inf for
-        what nothing carries. Zero after other attempts.
+        focus object, and of each neighbour that it moved by 0.01 mm or more; infinite for all others, -inf
+        for what nothing carries. Zero after other attempts.
     """
 
     verdict: Array

@@ -48,8 +48,8 @@ _COLUMNS = {
     "object's centre of mass to the edge of the polygon of the contacts that carry it; negative outside it",
     "margins": "after `certify`: slot by slot, each object's; null for what no contact carries from below",
     **{
-        f"tilt_{angle}": f"after `certify`: of eight directions, the share in which gravity tilted by {angle} "
-        "degrees moves nothing by 5 mm or 5 degrees within 2 s"
+        f"tilt_{angle}": f"after `certify`: of eight directions, the share in which gravity tilted by "
+        f"{angle} degrees moves nothing by 5 mm or 5 degrees within 2 s"
         for angle in (1, 2, 5)
     },
 } | {f"num_{v.label.replace('-', '_')}": f"attempts that ended {v.label}: {v.sentence}" for v in COUNTED}

@@ -25,7 +25,7 @@ from cluttergen_jax.measures.simulate import horizons_of
 class Certify:
     """Add a stability certificate to each scene of a bank that stands, a column for each measure.
 
-    Residual speed, drift, overlap, contacts, shake score, who rests on whom, support margins, and what a tilted
+    Residual speed, drift, overlap, contacts, shake score, who rests on whom, support margins, and what tilted
     gravity topples. The same command goes on where it was interrupted.
 
     Attributes:

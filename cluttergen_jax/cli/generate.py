@@ -69,8 +69,8 @@ class Generate:
       containment: what must lie in the region: the bounding box's center, or its whole footprint.
       order: random, or fixed to the pool's order.
       attempts: attempts per object.
-      min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0 asks
-        for nothing, as the paper does.
+      min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
+        asks for nothing, as the paper does.
       repeat: let objects stand there more than once.
       start: a scene to start from, BANK:INDEX; its objects stay and count as neighbours.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each.

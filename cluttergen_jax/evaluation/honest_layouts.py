@@ -157,7 +157,8 @@ def survival(result: Result) -> list[Table]:
 
 def margin(result: Result) -> list[Table]:
     """Support margins, and tilted gravity."""
-    angles = next((row["tilt"] for row in result["measure"]["rows"] if "tilt" in row), [])
+    made = [row for row in result["measure"]["rows"] if "tilt" in row]
+    angles = made[0]["tilt"] if made else []
     columns = (
         *_HEAD,
         "margin asked for, mm",

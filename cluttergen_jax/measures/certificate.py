@@ -9,9 +9,9 @@ import numpy as np
 
 from cluttergen_jax.measures.contacts import contacts_of
 from cluttergen_jax.measures.robustness import ShakeConfig, shake
-from cluttergen_jax.measures.tilt import TiltConfig, tilt
 from cluttergen_jax.measures.scene_models import SceneModels
 from cluttergen_jax.measures.simulate import each_scene, movement
+from cluttergen_jax.measures.tilt import TiltConfig, tilt
 
 SUPPORT = -1
 
@@ -43,7 +43,8 @@ def certificates(
         rests_on: list of (i, j): object i rests on object j; indices of the world's objects, -1 the support.
         margin: metres, the least support margin; None if nothing is carried from below.
         margins: metres, each of the world's K objects'; None where not placed or not carried from below.
-        tilt_1, tilt_2, tilt_5: share of directions in which gravity tilted by so many degrees topples nothing.
+        tilt_1, tilt_2, tilt_5: share of directions in which gravity, tilted by so many degrees, topples
+          nothing.
     """
     models.check(poses, is_placed)
     is_placed, tilt_config = np.asarray(is_placed, bool), TiltConfig()
@@ -68,7 +69,9 @@ def certificates(
             "rests_on": support_edges(rests_on[n]),
             "margin": min((each for each in margins[n] if each is not None), default=None),
             "margins": margins[n],
-            **{f"tilt_{by:g}": float(share) for by, share in zip(tilt_config.degrees, stands[n], strict=True)},
+            **{
+                f"tilt_{by:g}": float(share) for by, share in zip(tilt_config.degrees, stands[n], strict=True)
+            },
         }
         for n in range(len(is_placed))
     ]

@@ -25,8 +25,8 @@ class Contacts:
       weight: f64[N, K], newtons; zero where not placed.
       count: i32[N], contact points.
       penetration: f64[N], metres, the deepest overlap of any two bodies as the scene was given.
-      margin: f64[N, K], metres, each object's support margin (`physics.margin`); NaN where not placed or where
-        nothing carries it.
+      margin: f64[N, K], metres, each object's support margin (`physics.margin`); NaN where not placed and
+        where nothing carries it.
     """
 
     force: np.ndarray
@@ -61,8 +61,8 @@ def contacts_of(
 ) -> Contacts:
     """Forces between the bodies of finished scenes.
 
-    Contacts and overlap are those of the poses as given; forces and margins are read after 0.1 s of simulation,
-    everything awake, when those of rounding the poses have died away.
+    Contacts and overlap are those of the poses as given; forces and margins are read after 0.1 s of
+    simulation, everything awake, when those of rounding the poses have died away.
 
     Args:
       poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].

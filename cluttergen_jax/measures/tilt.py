@@ -46,8 +46,8 @@ def tilt(
 ) -> np.ndarray:
     """The share of directions in which a scene stands though gravity is tilted.
 
-    It stands if nothing moves over 5 mm or turns over 5 degrees. What stands at one angle is taken to stand at
-    every smaller one in the same direction.
+    It stands if nothing moves over 5 mm or turns over 5 degrees. What stands at one angle is taken to
+    stand at every smaller one in the same direction.
 
     Args:
       poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].

@@ -1,4 +1,4 @@
-"""Support margins of a batch of bodies in JAX: what `margin.support_margin` finds, from one list of contacts."""
+"""Support margins of a batch of bodies in JAX: what `margin.support_margin` finds, from a list of contacts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FIRST, _SECOND = np.triu_indices(MAX_POINTS, 1)
 
 
 def support_margins(position: Array, body: Array, center: Array) -> Array:
-    """The signed distance of each body's centre of mass to the edge of its own contacts' convex hull, in plan.
+    """The signed distance of each body's centre of mass to the edge of its contacts' convex hull, in plan.
 
     Args:
       position: f32[C, 2], metres, contacts of all bodies in any order.
@@ -43,9 +43,9 @@ def support_margins(position: Array, body: Array, center: Array) -> Array:
 def support_margin(points: Array, is_there: Array) -> Array:
     """`margin.support_margin` of the points f32[64, 2] that are there, bool[64].
 
-    The distance is the least value, over all unit directions d, of the largest d.p. It is taken at a normal of
-    one of the hull's sides or, where the origin is outside, towards it from a corner: those of all pairs of
-    points and of all points are tried.
+    The distance is the least value, over all unit directions d, of the largest d.p. It is taken at a normal
+    of one of the hull's sides or, where the origin is outside, towards it from a corner: those of all pairs
+    of points and of all points are tried.
     """
     side = points[_SECOND] - points[_FIRST]
     length = norm(jnp, side)

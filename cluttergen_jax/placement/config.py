@@ -57,7 +57,9 @@ class PlacementConfig:
             raise ConfigError(f"history_stride = {self.history_stride}", "0 to 240", "1, or 12 on a CPU")
         if not (isinstance(self.min_margin, Real) and 0 <= self.min_margin <= MAX_MARGIN):
             raise ConfigError(
-                f"min_margin = {self.min_margin!r}", f"0 to {MAX_MARGIN} m", f"{MIN_MARGIN}, or 0 to ask for nothing"
+                f"min_margin = {self.min_margin!r}",
+                f"0 to {MAX_MARGIN} m",
+                f"{MIN_MARGIN}, or 0 to ask for nothing",
             )
         for name, value, allowed in (
             ("containment", self.containment, CONTAINMENTS),

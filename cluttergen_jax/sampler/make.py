@@ -65,8 +65,8 @@ def make_sampler(
       containment: what must lie in the region: the bounding box's "center" or the whole "footprint".
       order: "random", or "fixed" to the pool's order.
       max_attempts: per object, 1 to 10; a policy of poses allows as many as it was trained with at most.
-      min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0 asks
-        for nothing, as the paper does.
+      min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
+        asks for nothing, as the paper does.
       num_scene_points: points of each scene's cloud, up to 200,000; 0 for none.
       engine: "auto", "native", "warp" or "jax".
       num_threads: of the native engine; 0 takes every core.
