@@ -30,6 +30,7 @@ SCENES = {
     "toppling": ({BOX: (0, 0, TOP + 0.058)}, {BOX: tilted((0, 1, 0), 40)}, BOX),
     "overlapping": ({BOX: (0, 0, TOP + 0.05), PRISM: (0.03, 0.01, TOP + 0.03)}, {}, BOX),
     "pushed": ({BOX: (0, 0, TOP + 0.05), PRISM: (0.064, 0, TOP + 0.03)}, {}, BOX),
+    "near the edge": ({BOX: (0.298, 0, TOP + 0.051)}, {}, BOX),
     "over the edge": ({BOX: (0.32, 0, TOP + 0.051)}, {}, BOX),
     "not a number": ({BOX: (0, np.nan, TOP + 0.051)}, {}, BOX),
     "inactive": ({BOX: (0, 0, TOP + 0.051)}, {}, BOX),
@@ -97,6 +98,19 @@ def test_what_is_dropped_a_little_comes_to_rest_on_the_table(name, case, height)
     assert verdict == Verdict.STABLE
     assert abs(report.poses[SCENES[case][2], 2] - (TOP + height)) < 1e-4
     assert report.shift.max() < 1e-4  # the neighbour
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_the_margin_is_the_way_to_the_edge_of_what_carries_the_object(name):
+    # The table's edge is at 0.3 m; half of the box hangs over it.
+    verdict, report, _ = outcome(name, "near the edge")
+    assert verdict == Verdict.STABLE
+    assert report.margin[BOX] == pytest.approx(0.002, abs=1e-4)
+    _, report, _ = outcome(name, "dropped 1 mm")
+    assert report.margin[BOX] == pytest.approx(0.03, abs=1e-4)
+    # A neighbour that nobody touched has kept what it had.
+    assert report.margin[PRISM] == np.inf
+    assert (outcome(name, "toppling")[1].margin == 0).all()
 
 
 @pytest.mark.parametrize("name", ALL)

@@ -1,8 +1,8 @@
 """How far inside its support a body's centre of mass lies, in plan.
 
-The support of a body is the convex polygon of the points at which something below presses it upwards. As long
-as the centre of mass lies over it, gravity tips nothing; the nearer it is to an edge, the smaller is the push,
-the tilt or another simulator's error that does.
+The support of a body is the convex polygon of the points at which something below presses it upwards. While
+the centre of mass lies over it, gravity tips nothing; the nearer it is to an edge, the smaller a push, a tilt
+or another simulator's error has to be to do so.
 
 `support_margin` takes one set of points in a few microseconds; `mjx_margin.support_margins` is its like for a
 batch in JAX.

@@ -1,4 +1,4 @@
-"""Support margins of a batch of bodies in JAX: what `margin.support_margin` finds, from a list of contacts."""
+"""Support margins of a batch of bodies in JAX: `margin.support_margin`, from a list of contacts."""
 
 from __future__ import annotations
 
