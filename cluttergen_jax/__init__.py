@@ -2,10 +2,10 @@
 
     sample = cluttergen_jax.make_sampler(pool="dining", num_objects=10)    # sample(key) -> SampledScene
     bank = cluttergen_jax.load_bank("out")                                 # bank.reset(key) -> StoredScene
+    bank = cluttergen_jax.load_bank("owner/name")                          # pulled from a hub
 
 `Rectangle` tells `make_sampler` of a region or a keep-out box; `make_region` and `KeepOut` are for those of
-`sample(key, region=..., keep_out=...)`, which may be traced. README.md, "The house",
-says what the packages are.
+`sample(key, region=..., keep_out=...)`, which may be traced. CONTRIBUTING.md says what the packages are.
 """
 
 from importlib import import_module
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
+    from cluttergen_jax.bank.hub import pull_bank, push_bank
     from cluttergen_jax.placement.region import KeepOut, make_region
     from cluttergen_jax.sampler import (
         SampledScene,
@@ -35,9 +36,17 @@ __all__ = [
     "load_bank",
     "make_region",
     "make_sampler",
+    "pull_bank",
+    "push_bank",
 ]
 
-_ELSEWHERE = {"Rectangle": "assets.support", "KeepOut": "placement.region", "make_region": "placement.region"}
+_ELSEWHERE = {
+    "Rectangle": "assets.support",
+    "KeepOut": "placement.region",
+    "make_region": "placement.region",
+    "pull_bank": "bank.hub",
+    "push_bank": "bank.hub",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -30,6 +30,10 @@ class BankError(ClutterGenError):
     """A bank of scenes cannot be read, written or continued."""
 
 
+class UnsafePathError(ClutterGenError):
+    """A name that a file gave leads out of the folder that it belongs to."""
+
+
 class MissingExtraError(ClutterGenError, ImportError):
     """An optional dependency is not installed."""
 

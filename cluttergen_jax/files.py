@@ -1,16 +1,50 @@
-"""Files and folders that appear whole or not at all: what was there before stays until then."""
+"""Files and folders that appear whole or not at all, and names from files that stay in their folder.
+
+What was there before stays until what takes its place is whole.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from cluttergen_jax.errors import UnsafePathError
+
 PARTIAL = ".partial"
 """Ending of what is being written, in names that begin with a dot."""
+_STRANGE = re.compile(r"[\\:\x00-\x1f\x7f]")
+
+
+def inside(folder: str | os.PathLike[str], name: object) -> Path:
+    """`folder / name`, where the name comes from a file, an archive or a server: somebody else's word.
+
+    Args:
+      folder: known to be meant.
+      name: relative to it, parts divided by "/".
+
+    Raises:
+      UnsafePathError: the name is no plain one (absolute, `..`, a drive, not a text at all), or a link on the
+        way leads out of the folder.
+    """
+    parts = name.split("/") if isinstance(name, str) else [""]
+    if any(part in ("", ".", "..") or _STRANGE.search(part) for part in parts):
+        raise UnsafePathError(
+            f"{folder}: a file in it names the path {name!r}", "plain names, within that folder", _STRANGER
+        )
+    path = Path(folder).joinpath(*parts)
+    if not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
+        raise UnsafePathError(
+            f"{path} is a link that leads out of {folder}", "files and folders of its own", _STRANGER
+        )
+    return path
+
+
+_STRANGER = "not using it if you do not know where it is from; a copy without links (cp -rL) if you do"
 
 
 @contextmanager
@@ -41,6 +75,8 @@ def write_atomically(path: Path, data: bytes, is_durable: bool = False) -> None:
 def _replacing(path: Path, fresh: Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
+        # Whatever lies there would be written through if it were a link.
+        fresh.unlink(missing_ok=True)
         with _naming(path):
             yield fresh
         os.replace(fresh, path)
@@ -69,7 +105,7 @@ def folder_whole(folder: Path, is_only_writer: bool = False) -> Iterator[Path]:
     try:
         with _naming(folder):
             yield scratch / folder.name
-        _swap_in(scratch / folder.name, folder)
+        swap_in(scratch / folder.name, folder)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
 
@@ -85,7 +121,7 @@ def _naming(path: Path) -> Iterator[None]:
         raise
 
 
-def _swap_in(fresh: Path, folder: Path) -> None:
+def swap_in(fresh: Path, folder: Path) -> None:
     """Puts `fresh` where `folder` is; the old one is put back if that fails, and removed if not."""
     aside = _aside(folder)
     if folder.exists():

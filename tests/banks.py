@@ -8,8 +8,11 @@ import numpy as np
 import pyarrow as pa
 
 from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.bank import read_bank
 from cluttergen_jax.bank.table import COUNTED, SCHEMA
 from cluttergen_jax.bank.writer import BankWriter
+from cluttergen_jax.cli.files import write_files
+from cluttergen_jax.problem import ProblemConfig
 from cluttergen_jax.sampling import BLOCK_SIZE
 from tests.worlds import trio
 
@@ -79,6 +82,14 @@ def two_scenes(path) -> None:
         scene |= {"is_placed": [True, True], "attempts": [1, 1], "steps": [30, 30], "rest_steps": [30, 30]}
     with writer(path, 3) as bank:
         bank.write_block(0, pa.Table.from_pylist(scenes, schema=SCHEMA))
+
+
+def with_files(path) -> None:
+    """The same bank with the files of its scenes; given again, it mends what was changed."""
+    if not path.exists():
+        two_scenes(path)
+    with writer(path, 3) as bank:
+        write_files(read_bank(path), 3, ProblemConfig(), False, bank.keep_digests)
 
 
 if __name__ == "__main__":

@@ -122,14 +122,15 @@ def test_damaged_files_of_scenes_are_mended(pool, tmp_path):
     words = ["generate", "--pool", pool, "--out", str(path), "-n", "3", "--method", "clear"]
     pictures = renderer_status()[0]
     assert main(words) == 0
-    files = [path / "scenes" / "000000.xml", *([path / "scenes" / "000001.png"] if pictures else [])]
+    files = [path / "scenes" / "000000.xml", path / "assets" / "objects" / "box" / "part-00.obj"]
+    files += [path / "scenes" / "000001.png"] if pictures else []
     whole = [file.read_bytes() for file in files]
     for file, data in zip(files, whole, strict=True):
         file.write_bytes(data[: len(data) // 2])
     assert main(["verify", str(path)]) == 2
     assert main(words) == 0
-    assert files[0].read_bytes() == whole[0]
-    for picture in files[1:]:
+    assert [file.read_bytes() for file in files[:2]] == whole[:2]
+    for picture in files[2:]:
         Image.open(picture).load()
     assert main(["verify", str(path), "--seconds", "0.1"]) == 0
 

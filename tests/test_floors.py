@@ -1,4 +1,4 @@
-"""The house's floors: a module imports only from floors below it, or from its own package."""
+"""The package layout: a module imports only from floors below it, or from its own package."""
 
 import ast
 import re
@@ -78,10 +78,10 @@ def test_every_module_has_a_floor():
     assert {_module(path) for path in _files()} == set(FLOORS)
 
 
-def test_the_readme_puts_every_package_on_its_floor():
-    house = (ROOT.parent / "README.md").read_text().split("## The house")[1].split("\n\n")[1]
+def test_the_layout_page_puts_every_package_on_its_floor():
+    layout = (ROOT.parent / "CONTRIBUTING.md").read_text().split("## Package layout")[1].split("\n\n")[1]
     listed, floor = {}, 0.0
-    for line in house.splitlines():
+    for line in layout.splitlines():
         if number := re.match(r" +([\d.]+) ", line):
             floor = float(number[1])
         # What stands in brackets explains.

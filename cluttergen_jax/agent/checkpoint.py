@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,10 @@ from cluttergen_jax.files import folder_whole, put_back, write_atomically
 FORMAT = 1
 _CRITIC = ("params/critic/", "params/value/")
 """What acting does not need; an attention layer has a `value` too, which it does."""
+_MOST_BYTES, _HEADER = 8, 4096
+"""Of a number, and of what stands before the numbers in a file of NumPy's."""
+_SHOWN = 3
+_FRESH = "a fresh copy of that folder, or training again"
 
 
 def _checkpointer() -> ocp.StandardCheckpointer:
@@ -109,19 +114,56 @@ def read_policy(path: Path, like: Any) -> Any:
     """Parameters of the form of `like`, the actor's from a stored policy, the critic's left as they are.
 
     Raises:
-      PoolError: the file is missing or damaged, or its weights are of other shapes.
+      PoolError: the file is missing or damaged, or its arrays are not those of the network: one is missing
+        or unknown, or of another shape or type, or holds a number that is not finite.
     """
-    try:
-        with np.load(path / "weights.npz", allow_pickle=False) as stored:
-            weights = {name: stored[name] for name in stored.files}
-    except Exception as error:  # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
-        raise PoolError(
-            f"{path / 'weights.npz'} cannot be read ({type(error).__name__}: {error})",
-            hint="a fresh copy of that folder, or training again",
-        ) from error
     flat = flax.traverse_util.flatten_dict(like, sep="/")
-    wrong = [name for name, value in weights.items() if name not in flat or flat[name].shape != value.shape]
-    if wrong:
-        raise PoolError(f"{path}: weights of another network ({', '.join(wrong[:3])})")
+    weights = _stored_weights(path / "weights.npz", flat)
     merged = {name: jnp.asarray(weights.get(name, value), jnp.float32) for name, value in flat.items()}
     return flax.traverse_util.unflatten_dict(merged, sep="/")
+
+
+def _stored_weights(file: Path, flat: dict[str, Any]) -> dict[str, np.ndarray]:
+    """The arrays of a file of weights, f32, after a look at each; `flat` has the network's, by name."""
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            faults = _wrong_names(set(stored.files), flat)
+            # The sizes are looked at before anything is unpacked: a small file may hold terabytes of zeros.
+            with zipfile.ZipFile(file) as archive:
+                sizes = {each.filename.removesuffix(".npy"): each.file_size for each in archive.infolist()}
+            known = [name for name in stored.files if name in flat]
+            large = [name for name in known if sizes[name] > _MOST_BYTES * flat[name].size + _HEADER]
+            weights = {name: stored[name] for name in known if name not in large}
+    except Exception as error:  # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
+        raise PoolError(f"{file} cannot be read ({type(error).__name__}: {error})", hint=_FRESH) from error
+    faults += [
+        f"array {name!r} has {sizes[name]} bytes, and the network's is of shape {flat[name].shape}"
+        for name in large
+    ]
+    faults += [fault for name, value in weights.items() if (fault := _wrong_array(name, value, flat[name]))]
+    if faults:
+        more = f"; and {len(faults) - _SHOWN} more" if len(faults) > _SHOWN else ""
+        raise PoolError(
+            f"{file}: weights of another network, or damaged: {'; '.join(faults[:_SHOWN])}{more}",
+            "every array of the actor, finite, of its shape",
+            _FRESH,
+        )
+    return {name: value.astype(np.float32) for name, value in weights.items()}
+
+
+def _wrong_names(names: set[str], flat: dict[str, Any]) -> list[str]:
+    required = {name for name in flat if not name.startswith(_CRITIC)}
+    return [f"array {name!r} is missing" for name in sorted(required - names)] + [
+        f"array {name!r} is none of the network's" for name in sorted(names - set(flat))
+    ]
+
+
+def _wrong_array(name: str, value: np.ndarray, like: Any) -> str:
+    """What is wrong with one array, in words; empty if it is sound."""
+    if value.shape != like.shape:
+        return f"array {name!r} is of shape {value.shape}, and the network's of {like.shape}"
+    if value.dtype not in (np.float16, np.float32):
+        return f"array {name!r} is of type {value.dtype}, not float16 or float32"
+    if not np.isfinite(value).all():
+        return f"array {name!r} holds numbers that are not finite"
+    return ""

@@ -27,6 +27,7 @@ from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, Resti
 from cluttergen_jax.assets.object_xml import object_xml
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.errors import AssetError, PoolError
+from cluttergen_jax.files import inside
 
 FORMAT = 1
 NAME_PATTERN = re.compile(r"[a-z0-9_-]+")
@@ -72,15 +73,21 @@ def read_object(folder: Path) -> ObjectAsset:
     """Reads what `write_object` wrote.
 
     Raises:
-      PoolError: a file is missing, damaged or of another format; the message names it.
+      PoolError: a file is missing, damaged or of another format, or the object's name is none; the message
+        names it.
+      UnsafePathError: a file is a link that leads out of the folder.
     """
     record = _read_record(folder / _RECORD)
+    if not (isinstance(record.get("name"), str) and NAME_PATTERN.fullmatch(record["name"])):
+        raise PoolError(
+            f"{folder / _RECORD}: an object called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'"
+        )
     blobs: dict[str, bytes] = {}
     digests = record.get("files")
     if not isinstance(digests, dict) or not all(_FILE.fullmatch(name) for name in digests):
         raise PoolError(f"{folder / _RECORD} is damaged: its list of files is none", hint=_REWRITE)
     for name, digest in digests.items():
-        blobs[name] = _read_bytes(folder / name)
+        blobs[name] = _read_bytes(inside(folder, name))
         if _digest(blobs[name]) != digest:
             raise PoolError(f"{folder / name} does not match its digest in {_RECORD}", hint=_REWRITE)
     try:

@@ -19,7 +19,7 @@ from typing import Any
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.files import folder_whole
+from cluttergen_jax.files import folder_whole, inside
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
 ALL = "all"
@@ -112,6 +112,7 @@ def read_pool(path: str | Path) -> Pool:
 
     Raises:
       PoolError: there is no pool, or one of its files is missing or damaged; the message names the file.
+      UnsafePathError: one of its files is a link that leads out of its folder.
     """
     index_path = Path(path) / _INDEX
     try:
@@ -132,7 +133,11 @@ def read_pool(path: str | Path) -> Pool:
     )
     if not (is_text and is_named):
         raise PoolError(f"{index_path} is damaged: a name, tier, licence or list of objects is none")
-    return Pool(name, tuple(read_object(Path(path) / each) for each in names), tier, licence)
+    objects = tuple(read_object(inside(path, each)) for each in names)
+    for each, asset in zip(names, objects, strict=True):
+        if asset.name != each:
+            raise PoolError(f"{Path(path) / each} holds an object called {asset.name!r}", "one of that name")
+    return Pool(name, objects, tier, licence)
 
 
 def embedded_root() -> Path:

@@ -20,7 +20,7 @@ from cluttergen_jax.assets.pool import embedded_root, user_root
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.files import folder_whole
+from cluttergen_jax.files import folder_whole, inside
 
 FORMAT = 1
 _RECORD = "support.json"
@@ -52,12 +52,16 @@ def read_support(folder: str | Path) -> SupportAsset:
     """Reads what `write_support` wrote.
 
     Raises:
-      PoolError: a file is missing, damaged or of another format; the message names it.
+      PoolError: a file is missing, damaged or of another format, or the support's name is none; the message
+        names it.
+      UnsafePathError: it names a file outside of its folder.
     """
     path = Path(folder) / _RECORD
     record = _read_json(path)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PoolError(f"{path} is not a support of format {FORMAT}", hint=_REWRITE)
+    if not (isinstance(record.get("name"), str) and _NAME.fullmatch(record["name"])):
+        raise PoolError(f"{path}: a support called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'")
     try:
         return _support(record, Path(folder))
     except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -182,7 +186,7 @@ def _support(record: dict[str, Any], folder: Path) -> SupportAsset:
         raise ValueError("a support without boxes")
     pieces = tuple(
         Piece(
-            _parse_obj((folder / Path(piece["file"]).name).read_text(encoding="ascii")),
+            _parse_obj(inside(folder, piece["file"]).read_text(encoding="ascii")),
             _floats(piece["rgba"], 4),
         )
         for piece in record["pieces"]

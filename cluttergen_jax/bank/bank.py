@@ -1,6 +1,6 @@
 """A bank on disk: `bank.json`, `scenes-*.parquet`, `assets/`, and a file per scene if wanted.
 
-    bank.json               how it was made; what makes another run the same bank
+    bank.json               how it was made; what makes another run the same bank; digests of its files
     scenes-000000.parquet   block 0: scenes 0 to 255, a row each, failures included; and bank.json once more
     assets/objects/NAME/    each object once; assets/support/ the table
     scenes/000000.xml .png  successful scenes as MJCF, meshes by relative path, and their pictures
@@ -27,18 +27,22 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.object_files import object_hash, read_object
+from cluttergen_jax.assets.object_files import NAME_PATTERN, object_hash, read_object
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash
 from cluttergen_jax.bank.table import CERTIFICATE, SCHEMA, is_certified, with_added
 from cluttergen_jax.errors import BankError, PoolError
+from cluttergen_jax.files import inside
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 
 FORMAT = 1
 INDEX = "bank.json"
 _BLOCK = re.compile(r"scenes-(\d{6,9})\.parquet")
+_SLOT = re.compile(rf"{NAME_PATTERN.pattern}(#\d+)?")
 _AGAIN = "the same `cluttergen generate` again, which mends what is damaged and makes what is missing"
 _METADATA = b"cluttergen"
+_OF_THE_INDEX = ("num_scenes", "files")
+"""What `bank.json` alone holds: it changes while blocks stay as they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +90,11 @@ class Bank:
         names = [*SCHEMA.names, *(CERTIFICATE.names if all(map(is_certified, rows)) else [])]
         return pa.concat_tables([each.select(names).replace_schema_metadata(None) for each in rows])
 
+    @property
+    def files(self) -> dict[str, str] | None:
+        """Digests of assets and scene files by path within the bank (`bank.digests`); None in older banks."""
+        return self.record.get("files")
+
     def scenes(self) -> Iterator[SceneRecord]:
         """Every scene, failures included."""
         for row in self.table.to_pylist():
@@ -103,9 +112,12 @@ class Bank:
 
         Raises:
           BankError: its files are missing or damaged, or it is not the one that the scenes were made with.
+          UnsafePathError: the name is none, or a file is a link that leads out of the bank.
         """
         with _mended_by_generate():
-            asset = read_object(self.path / "assets" / "objects" / name)
+            asset = read_object(inside(self.path, f"assets/objects/{name}"))
+        if asset.name != name:
+            raise BankError(f"{self.path}: asset {name!r} calls itself {asset.name!r}", hint=_AGAIN)
         self._check_asset(name, object_hash(asset), self._hashes["objects"].get(name))
         return asset
 
@@ -113,7 +125,7 @@ class Bank:
     def support(self) -> SupportAsset:
         """The table, from the bank's own copy; raises as `object` does."""
         with _mended_by_generate():
-            support = read_support(self.path / "assets" / "support")
+            support = read_support(inside(self.path, "assets/support"))
         self._check_asset("support", support_hash(support), self._hashes["support"])
         return support
 
@@ -178,6 +190,9 @@ def _check_rows(table: pa.Table, block: int) -> None:
     lengths = [pc.list_value_length(each).to_pylist() for each in lists]
     if any(each != lengths[0] for each in lengths) or any(pc.list_flatten(each).null_count for each in lists):
         raise ValueError("its lists of objects are of different lengths, or have gaps")
+    names = pc.unique(pc.list_flatten(table["objects"])).to_pylist()
+    if strange := [name for name in names if not _SLOT.fullmatch(name)]:
+        raise ValueError(f"it names an object {strange[0]!r}")
     # Poses are lists in lists: slots, and seven numbers each.
     poses = np.array(pc.list_flatten(pc.list_flatten(table["poses"]))).reshape(-1, 7)
     if not np.isfinite(poses[np.array(pc.list_flatten(table["is_placed"]))]).all():
@@ -219,7 +234,8 @@ def _digest(record: dict[str, Any]) -> str:
 
 def with_record(table: pa.Table, record: dict[str, Any]) -> pa.Table:
     """The rows of a block with the bank's record in them, so that any block can stand in for `bank.json`."""
-    return table.replace_schema_metadata({_METADATA: json.dumps(record).encode()})
+    kept = {name: value for name, value in record.items() if name not in _OF_THE_INDEX}
+    return table.replace_schema_metadata({_METADATA: json.dumps(kept).encode()})
 
 
 def recovered_record(path: Path) -> dict[str, Any] | None:
@@ -244,4 +260,9 @@ def _wrong_part(record: dict[str, Any]) -> str | None:
     assets = record.get("assets", {"objects": {}, "support": None})
     if not isinstance(assets, dict) or not isinstance(assets.get("objects"), dict) or "support" not in assets:
         return "its digests of assets are not understood"
+    if strange := [name for name in assets["objects"] if not NAME_PATTERN.fullmatch(name)]:
+        return f"it names an object {strange[0]!r}"
+    files = record.get("files", {})
+    if not isinstance(files, dict) or not all(isinstance(digest, str) for digest in files.values()):
+        return "its digests of files are not understood"
     return None

@@ -94,6 +94,8 @@ def _head(licences: Sequence[str]) -> str:
     lines += [
         "tags: [robotics, simulation, mujoco, tabletop, scenes]",
         "pretty_name: cluttered tabletop scenes",
+        # What a table of scenes is made of; else the pictures would be taken for the data.
+        "configs: [{config_name: default, data_files: 'scenes-*.parquet'}]",
     ]
     return "\n".join([*lines, "---", _MARK])
 
@@ -130,7 +132,7 @@ def _files() -> str:
     lines = [
         "## Files",
         "",
-        "- `bank.json`: how the bank was made: every setting, versions, digests of the assets.",
+        "- `bank.json`: how the bank was made: every setting, versions, digests of the files.",
         "- `scenes-*.parquet`: 256 scenes each, a row per scene, failures included.",
         "- `assets/`: every object once (surface, convex collision parts, mass, inertia), and the support.",
         "- `scenes/`: if present, an MJCF file (and a picture) for each scene that stands; poses are in "
@@ -138,7 +140,7 @@ def _files() -> str:
         "",
         "```python",
         "import jax, cluttergen_jax as cg",
-        'bank = cg.load_bank("this folder")',
+        'bank = cg.load_bank("this folder")  # or "owner/name", where it is on a hub',
         "scene = jax.jit(bank.reset)(jax.random.key(0))  # a scene that stands, for an environment's reset",
         "```",
         "",

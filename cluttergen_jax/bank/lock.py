@@ -62,7 +62,8 @@ class BankLock:
 def _locked(path: Path) -> int:
     """The descriptor of the locked file, made if need be."""
     while True:
-        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        # A link that somebody put there is not followed: what it leads to would be emptied.
+        file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         try:
             if fcntl is not None:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

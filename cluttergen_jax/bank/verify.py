@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import mujoco
 import numpy as np
 
+from cluttergen_jax.bank.bank import INDEX
 from cluttergen_jax.config import check_positive
-from cluttergen_jax.errors import BankError
+from cluttergen_jax.errors import BankError, UnsafePathError
+from cluttergen_jax.files import inside
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.rotation import turn_between
 
 _STRIDE = 12
 _SHORTEST_STEP, _LONGEST_STEP = 1e-4, 0.05
+_FOLDERS = ("meshdir", "texturedir", "assetdir")
 _OURS = "files written by `cluttergen generate`"
 
 
@@ -65,14 +70,36 @@ def verify_scene(path: str | Path, config: VerifyConfig | None = None) -> Verifi
 
     Raises:
       BankError: the file cannot be loaded, has no such keyframe, or its bodies and keyframe disagree.
+      UnsafePathError: the file is one of a bank, and names files outside of that bank.
     """
     config = config or VerifyConfig()
     path = Path(path)
+    if (path.parent.parent / INDEX).is_file():
+        _check_links(path, path.parent.parent)
     try:
         with silent_log():
             return _simulated(path, *_loaded(path), config)
     except mujoco.FatalError as error:
         raise BankError(f"{path} cannot be simulated: {error}", _OURS) from error
+
+
+def _check_links(path: Path, bank: Path) -> None:
+    """Refuses a bank's scene file that makes MuJoCo read what is not the bank's."""
+    try:
+        elements = list(ET.parse(path).iter())
+    except (OSError, ET.ParseError):
+        # What cannot be parsed is for MuJoCo to explain.
+        return
+    if any(element.tag == "include" for element in elements):
+        raise UnsafePathError(f"{path} includes another file", _OURS)
+    folders = {element.get(name, ".") for element in elements for name in _FOLDERS}
+    for folder in (path.parent / each for each in folders):
+        if not Path(os.path.realpath(folder)).is_relative_to(os.path.realpath(bank)):
+            raise UnsafePathError(f"{path} names the folder {folder}", f"folders of {bank}")
+        for element in elements:
+            for attribute in element.attrib:
+                if attribute.startswith("file"):
+                    inside(folder, element.get(attribute))
 
 
 def _loaded(path: Path) -> tuple[mujoco.MjModel, int]:

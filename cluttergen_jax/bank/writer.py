@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash, read_object, write_object
-from cluttergen_jax.assets.part_files import part_name, write_parts
+from cluttergen_jax.assets.part_files import write_parts
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.bank.bank import (
@@ -29,10 +29,11 @@ from cluttergen_jax.bank.bank import (
     recovered_record,
     with_record,
 )
+from cluttergen_jax.bank.digests import digests_in
 from cluttergen_jax.bank.disk import remove_partial, writing
 from cluttergen_jax.bank.lock import LOCK, BankLock
 from cluttergen_jax.errors import BankError, ClutterGenError
-from cluttergen_jax.files import PARTIAL, folder_whole, write_atomically
+from cluttergen_jax.files import PARTIAL, folder_whole, inside, write_atomically
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 
 
@@ -76,6 +77,7 @@ class BankWriter:
             with writing(self.path):
                 self._begin(num_scenes, overwrite)
                 self._store_assets(objects, support)
+                self._write_index()
         except BaseException:
             self.close()
             raise
@@ -110,6 +112,21 @@ class BankWriter:
         """
         write_rows(self.path, block, table, self._record)
 
+    def keep_digests(self, files: dict[str, str]) -> None:
+        """Enters the digests of scene files, by path within the bank, into `bank.json`.
+
+        Raises:
+          BankError: it cannot be written.
+        """
+        self._files |= files
+        with writing(self.path):
+            self._write_index()
+
+    def _write_index(self) -> None:
+        files = dict(sorted(self._files.items()))
+        record = {"num_scenes": self._num_scenes, **self._record, "files": files}
+        write_atomically(self.path / INDEX, index_bytes(record), is_durable=True)
+
     def _check_place(self) -> None:
         """Refuses a place that holds something which is not a bank."""
         if not self.path.exists() or (self.path / INDEX).exists() or block_numbers(self.path):
@@ -127,8 +144,9 @@ class BankWriter:
         if theirs is not None:
             _check_same(self.path, self._record, theirs)
             num_scenes = max(num_scenes, theirs["num_scenes"])
-        record = {"num_scenes": num_scenes, **self._record}
-        write_atomically(self.path / INDEX, index_bytes(record), is_durable=True)
+        self._num_scenes = num_scenes
+        self._files: dict[str, str] = (theirs or {}).get("files", {})
+        self._write_index()
 
     def _stored_record(self) -> dict[str, Any] | None:
         """What the folder says it holds: `bank.json`, or a block in its stead if that is damaged or lost."""
@@ -147,15 +165,26 @@ class BankWriter:
             return None
 
     def _store_assets(self, objects: dict[str, ObjectAsset], support: SupportAsset) -> None:
-        root, hashes = self.path / "assets", self._record["assets"]
+        """Writes what is missing, damaged, or of no known digest; `self._files` then tells what is there."""
+        hashes = self._record["assets"]
         for name, asset in objects.items():
-            folder = root / "objects" / name
-            if not _is_sound(folder, asset, hashes["objects"][name]):
-                with folder_whole(folder, is_only_writer=True) as fresh:
+            folder = f"assets/objects/{name}"
+            if not (
+                self._is_as_written(folder) and _hash_of_object(self.path / folder) == hashes["objects"][name]
+            ):
+                with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
                     _write_object(asset, fresh)
-        if _stored_support(root / "support") != hashes["support"]:
-            with folder_whole(root / "support", is_only_writer=True) as fresh:
+        folder = "assets/support"
+        if not (self._is_as_written(folder) and _hash_of_support(self.path / folder) == hashes["support"]):
+            with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
                 write_support(fresh, support)
+        scenes = {name: digest for name, digest in self._files.items() if _is_scene(self.path, name)}
+        self._files = scenes | digests_in(self.path, "assets")
+
+    def _is_as_written(self, folder: str) -> bool:
+        """Whether the bank's copy of an asset is what its digests say; where there are none, it is not."""
+        known = {name: digest for name, digest in self._files.items() if name.startswith(f"{folder}/")}
+        return bool(known) and digests_in(self.path, folder) == known
 
 
 def write_rows(path: Path, block: int, table: pa.Table, record: dict[str, Any]) -> None:
@@ -207,17 +236,21 @@ def _write_object(asset: ObjectAsset, folder: Path) -> None:
     write_object(folder, asset)
 
 
-def _is_sound(folder: Path, asset: ObjectAsset, digest: str) -> bool:
-    """Whether the bank has this very object, with all of its files."""
-    names = [*(part_name(index) for index in range(len(asset.parts))), "object.json", "object.xml"]
+def _is_scene(path: Path, name: str) -> bool:
+    """Whether a file of a scene is there that an earlier run wrote."""
+    return name.startswith("scenes/") and inside(path, name).is_file()
+
+
+def _hash_of_object(folder: Path) -> str:
+    """The digest of the bank's own object; empty if there is none or it is damaged."""
     try:
-        return all((folder / name).is_file() for name in names) and object_hash(read_object(folder)) == digest
+        return object_hash(read_object(folder))
     except ClutterGenError:
-        return False
+        return ""
 
 
-def _stored_support(folder: Path) -> str:
-    """The digest of the bank's own table; empty if there is none or it is damaged."""
+def _hash_of_support(folder: Path) -> str:
+    """The digest of the bank's own table, likewise."""
     try:
         return support_hash(read_support(folder))
     except ClutterGenError:

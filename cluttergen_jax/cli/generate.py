@@ -152,7 +152,7 @@ def _generate(args: Generate) -> int:
         with writing(bank.path):
             write_card(bank)
             if (num_files := min(args.num_scenes, args.max_files)) > 0:
-                write_files(bank, num_files, problem.config, args.render)
+                write_files(bank, num_files, problem.config, args.render, writer.keep_digests)
     return 0
 
 

@@ -34,6 +34,8 @@ def commands() -> Any:
     from cluttergen_jax.cli.inspect_ import Inspect
     from cluttergen_jax.cli.list_ import List
     from cluttergen_jax.cli.pretrain import Pretrain
+    from cluttergen_jax.cli.pull import Pull
+    from cluttergen_jax.cli.push import Push
     from cluttergen_jax.cli.render import Render
     from cluttergen_jax.cli.stats import Stats
     from cluttergen_jax.cli.train import Train
@@ -46,6 +48,8 @@ def commands() -> Any:
         | Annotated[Export, tyro.conf.subcommand("export")]
         | Annotated[Certify, tyro.conf.subcommand("certify")]
         | Annotated[Stats, tyro.conf.subcommand("stats")]
+        | Annotated[Push, tyro.conf.subcommand("push")]
+        | Annotated[Pull, tyro.conf.subcommand("pull")]
         | Annotated[View, tyro.conf.subcommand("view")]
         | Annotated[Render, tyro.conf.subcommand("render")]
         | Annotated[Train, tyro.conf.subcommand("train")]

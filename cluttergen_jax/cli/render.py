@@ -213,7 +213,7 @@ def _named(stem: Path, ending: str) -> Path:
 
 
 def _stem(source: Source, number: int) -> str:
-    name = source.name.replace(" ", "-")
+    name = re.sub(r"[^\w.+-]+", "-", source.name)
     return name if len(source.numbers) == 1 else f"{name}-{number:06d}"
 
 

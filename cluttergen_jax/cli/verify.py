@@ -5,22 +5,32 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import tyro
 from tqdm import tqdm
 
+from cluttergen_jax.bank import read_bank
+from cluttergen_jax.bank.bank import INDEX
+from cluttergen_jax.bank.digests import Change, changes_of, touched
 from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.bank.verify import Verification, VerifyConfig, scene_files, verify_scene
 from cluttergen_jax.config import check_workers
+
+_SHOWN = 20
 
 
 @dataclass(frozen=True)
 class Verify:
     """Check that saved scenes stand: plain MuJoCo, everything awake. Exit status 1 if one does not.
+
+    Of a bank, its files are compared with the digests in bank.json as well: a scene of which a file was
+    changed does not count.
 
     Attributes:
       path: a bank, or one MJCF file with a keyframe called scene.
@@ -36,15 +46,33 @@ class Verify:
         """Runs the command; the exit status."""
         check_workers("--jobs", self.jobs)
         files = scene_files(self.path)
+        changes = _changes(Path(self.path))
+        # MuJoCo keeps meshes that it has read, and takes a file of the same second for the one that it knows.
+        mujoco.mj_clearCache(mujoco.mj_getCache())
         jobs = self.jobs or os.cpu_count() or 1
         with ThreadPoolExecutor(jobs) as pool:
             checks = pool.map(lambda file: verify_scene(file, self.check), files)
             results = list(tqdm(checks, total=len(files), unit="scene", desc="verifying", disable=None))
-        print(report_of(results, self.check))
+        records = [_record(each, touched(changes, each.path.name, each.objects)) for each in results]
+        print(report_of(results, self.check, [bool(each["changed_files"]) for each in records]))
         if Path(self.path).is_dir():
-            record = json.dumps([_record(each) for each in results], indent=1) + "\n"
-            _keep(Path(self.path) / "verification.json", record.encode())
-        return 0 if all(each.stands for each in results) else 1
+            _keep(Path(self.path) / "verification.json", (json.dumps(records, indent=1) + "\n").encode())
+        return 0 if all(each["stands"] for each in records) and not changes else 1
+
+
+def _changes(path: Path) -> list[Change]:
+    """The changed files of a bank, and says them; none for a single file."""
+    if not (path / INDEX).is_file():
+        return []
+    changes = changes_of(read_bank(path))
+    if changes is None:
+        print(f"note: {path} has no digests of its files (made before they were kept)")
+    elif changes:
+        shown = "".join(f"\n  {change.name}: {change.what}" for change in changes[:_SHOWN])
+        more = f"\n  and {len(changes) - _SHOWN} more" if len(changes) > _SHOWN else ""
+        print(f"files of {path} that are not what `cluttergen generate` wrote ({len(changes)}):{shown}{more}")
+        print("  the same `cluttergen generate` again mends them; what is not in bank.json, remove")
+    return changes or []
 
 
 def _keep(path: Path, record: bytes) -> None:
@@ -55,17 +83,22 @@ def _keep(path: Path, record: bytes) -> None:
         print(f"note: {path} was not written ({error.strerror})", file=sys.stderr)
 
 
-def _record(result: Verification) -> dict:
+def _record(result: Verification, changed: list[str]) -> dict:
     moved = {
         name: [float(shift), float(turn)]
         for name, shift, turn in zip(result.objects, result.shift, result.turn, strict=True)
     }
-    return {"file": result.path.name, "stands": result.stands, "shift_m_and_turn_rad": moved}
+    return {
+        "file": result.path.name,
+        "stands": result.stands and not changed,
+        "changed_files": changed,
+        "shift_m_and_turn_rad": moved,
+    }
 
 
-def report_of(results: list[Verification], config: VerifyConfig) -> str:
-    """Which scenes stand, and how far objects moved."""
-    stands = np.array([each.stands for each in results])
+def report_of(results: list[Verification], config: VerifyConfig, is_changed: Sequence[bool]) -> str:
+    """Which scenes stand, and how far objects moved; those of changed files do not count."""
+    stands = np.array([each.stands for each in results]) & ~np.array(is_changed)
     shift = np.concatenate([each.shift for each in results]) * 1000
     turn = np.degrees(np.concatenate([each.turn for each in results]))
     lines = [
@@ -75,6 +108,8 @@ def report_of(results: list[Verification], config: VerifyConfig) -> str:
         f"99th percentile {np.percentile(shift, 99):.3f} mm, "
         f"most {shift.max():.3f} mm and {turn.max():.2f} deg",
     ]
+    if any(is_changed):
+        lines.append(f"  {sum(is_changed)} scenes do not count: files that they are made of were changed")
     for each in results:
         if not each.stands:
             lines.append(f"  {each.path.name}: {each.worst} moved {each.shift.max() * 1000:.1f} mm")

@@ -17,6 +17,7 @@ from cluttergen_jax.evaluation.plots import PLOTS
 from cluttergen_jax.evaluation.store import FORMAT
 from cluttergen_jax.evaluation.suites import Study
 from cluttergen_jax.evaluation.trial import key_of
+from cluttergen_jax.files import inside
 
 Result = dict[str, Any]
 _SHOWN = ("trial", "policy", "figures", "missing", "hint")
@@ -63,7 +64,7 @@ def _measured(lab: Lab, study: Study, folder: Path) -> dict[str, Any]:
         return MEASURES[study.measure](lab, study, folder)
     key, title = _measure_key(lab, study), f"measure {study.name}"
     stored = None if lab.is_fresh else lab.store.read(title, key)
-    if stored and all((folder / name).is_file() for name in stored["figures"]["pictures"]):
+    if stored and all(inside(folder, name).is_file() for name in stored["figures"]["pictures"]):
         return stored["figures"]
     lab.progress.begin(f"measuring {study.name}")
     return lab.store.keep(title, key, MEASURES[study.measure](lab, study, folder))

@@ -28,7 +28,7 @@ from cluttergen_jax.export.manifest import (
     scene_record,
 )
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, object_folder
-from cluttergen_jax.files import folder_whole
+from cluttergen_jax.files import folder_whole, inside
 from cluttergen_jax.scene import Scene
 
 
@@ -49,6 +49,7 @@ def export_scenes(
     Raises:
       ConfigError: no such format, no scenes, scenes that do not go together, or `out` exists.
       MissingExtraError: the format needs a package that is not installed.
+      UnsafePathError: an object's name is a path that leads out of the folder.
     """
     kind, out = find_format(format), Path(out)
     _check_place(out, overwrite)
@@ -112,13 +113,14 @@ class _Folder:
         known = self._assets.setdefault(asset.name, asset)
         if known is not asset and object_hash(known) != object_hash(asset):
             raise ConfigError(f"two different objects called {asset.name!r}", "scenes of one bank")
-        folder = self._path / object_folder(asset.name)
+        folder = inside(self._path, object_folder(asset.name))
         if self._kind.write_object and not folder.exists():
             self._kind.write_object(self._made(object_folder(asset.name)), asset, scene.contact)
 
     def _made(self, folder: str) -> Path:
-        (self._path / folder).mkdir(parents=True)
-        return self._path / folder
+        path = inside(self._path, folder)
+        path.mkdir(parents=True)
+        return path
 
     def _add_papers(self, first: Scene) -> None:
         assets = list(self._assets.values())

@@ -17,7 +17,7 @@ import cluttergen_jax
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.assets.readers import Source
-from cluttergen_jax.errors import PoolError
+from cluttergen_jax.errors import ClutterGenError
 
 # Code that decides what a body is; a change in any of it makes every cached body stale.
 _CODE = ("assets", "importing", "physics", "config.py", "types.py")
@@ -90,7 +90,7 @@ def load(key: str, name: str) -> ObjectAsset | None:
         return None
     try:
         return replace(read_object(folder), name=name)
-    except PoolError:
+    except ClutterGenError:
         shutil.rmtree(folder, ignore_errors=True)
         return None
 

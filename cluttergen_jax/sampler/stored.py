@@ -13,6 +13,7 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.bank import Bank, read_bank
+from cluttergen_jax.bank.hub import find_bank
 from cluttergen_jax.bank.scene import read_scenes
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.region import from_pose
@@ -124,13 +125,19 @@ class SceneBank:
         )
 
 
-def load_bank(path: str | Path) -> SceneBank:
+def load_bank(path: str | Path, *, hub: str | None = None, revision: str | None = None) -> SceneBank:
     """Reads a bank for use as the reset of an environment; scenes that failed are left out.
+
+    Args:
+      path: a bank's folder, or OWNER/NAME on a hub: pulled when it is first asked for, and kept
+        (`bank.hub.pull_bank`, extra `hub`).
+      hub, revision: of such a name; see `bank.hub.push_bank`. A revision is pulled each time.
 
     Raises:
       BankError: there is no bank, it or one of its assets is damaged, or no scene in it stands.
+      UnsafePathError: it names paths outside of its folder.
     """
-    bank = read_bank(path)
+    bank = read_bank(find_bank(path, hub=hub, revision=revision))
     scenes = list(read_scenes(bank))
     collection = collect(scenes)
     object_index = collection.object_index

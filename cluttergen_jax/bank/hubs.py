@@ -1,0 +1,203 @@
+"""Where banks are shared: the Hugging Face Hub, or a folder that many can read."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from fnmatch import fnmatchcase
+from pathlib import Path
+from types import ModuleType
+from typing import Protocol
+
+from cluttergen_jax.errors import BankError, MissingExtraError
+from cluttergen_jax.files import folder_whole, inside
+
+PATTERNS = (
+    "README.md",
+    "bank.json",
+    "scenes-*.parquet",
+    "assets/*",
+    "scenes/*.xml",
+    "scenes/*.png",
+    "overview.png",
+    "verification.json",
+)
+"""What a bank consists of; nothing else is pushed or pulled. A star stands for slashes, too."""
+_KIND = "dataset"
+_LONGEST = 300
+
+
+def is_of_a_bank(name: str) -> bool:
+    """Whether a file of this path belongs to a bank."""
+    return any(fnmatchcase(name, pattern) for pattern in PATTERNS)
+
+
+class Hub(Protocol):
+    """Keeps data sets called OWNER/NAME."""
+
+    def listing(self, dataset: str, revision: str | None) -> tuple[str | None, list[str]]:
+        """What `fetch` takes for just this state of a data set, and the paths of its files.
+
+        Raises:
+          BankError: there is none, or it cannot be reached.
+        """
+
+    def fetch(self, dataset: str, revision: str | None, folder: Path) -> None:
+        """Copies the files that belong to a bank into `folder`; those that are there already may stay.
+
+        Raises:
+          BankError: there is no such data set, or it cannot be reached.
+        """
+
+    def store(self, dataset: str, folder: Path, is_private: bool) -> str:
+        """Puts a bank's files in the place of the data set's own, at once; returns where they are.
+
+        Raises:
+          BankError: that is not allowed, or the hub cannot be reached.
+        """
+
+
+class FolderHub:
+    """A folder with a folder for each owner: on a shared disk, or in a test.
+
+    Args:
+      root: exists.
+    """
+
+    def __init__(self, root: Path) -> None:
+        if not root.is_dir():
+            raise BankError(f"no hub in {root}", "a folder that exists, or https://...", f"mkdir {root}")
+        self._root = root
+
+    def listing(self, dataset: str, revision: str | None) -> tuple[str | None, list[str]]:
+        """See `Hub`; a folder has no revisions."""
+        folder = inside(self._root, dataset)
+        if revision is not None:
+            raise BankError(f"revision {revision!r} of {dataset} in a folder", "no revision")
+        if not folder.is_dir():
+            raise BankError(
+                f"no data set {dataset} in {self._root}", ", ".join(self._datasets()) or "none yet"
+            )
+        return None, _names_in(folder)
+
+    def fetch(self, dataset: str, revision: str | None, folder: Path) -> None:
+        """See `Hub`."""
+        source = inside(self._root, dataset)
+        for name in filter(is_of_a_bank, _names_in(source)):
+            _copy(inside(source, name), inside(folder, name))
+
+    def store(self, dataset: str, folder: Path, is_private: bool) -> str:
+        """See `Hub`; who may read a folder is for its file system to say."""
+        place = inside(self._root, dataset)
+        if is_private:
+            raise BankError(f"a private data set in {self._root}", "a folder's own permissions")
+        with folder_whole(place) as fresh:
+            for name in filter(is_of_a_bank, _names_in(folder)):
+                _copy(inside(folder, name), fresh / name)
+        return str(place)
+
+    def _datasets(self) -> list[str]:
+        return sorted(
+            each.parent.relative_to(self._root).as_posix() for each in self._root.glob("*/*/bank.json")
+        )
+
+
+def _names_in(folder: Path) -> list[str]:
+    return sorted(each.relative_to(folder).as_posix() for each in folder.rglob("*") if each.is_file())
+
+
+def _copy(source: Path, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source, target)
+
+
+class HuggingFaceHub:
+    """The Hugging Face Hub, or another server that speaks as it does.
+
+    Args:
+      endpoint: its address; None for `HF_ENDPOINT`, else huggingface.co.
+
+    Raises:
+      MissingExtraError: the extra `hub` is not installed.
+    """
+
+    def __init__(self, endpoint: str | None = None) -> None:
+        self._hub = _library()
+        self._api = self._hub.HfApi(endpoint=endpoint, library_name="cluttergen_jax")
+
+    def listing(self, dataset: str, revision: str | None) -> tuple[str | None, list[str]]:
+        """See `Hub`: a commit, which stays what it is even if somebody pushes meanwhile."""
+        with self._explained(dataset):
+            info = self._api.dataset_info(dataset, revision=revision)
+            return info.sha, [each.rfilename for each in info.siblings or []]
+
+    def fetch(self, dataset: str, revision: str | None, folder: Path) -> None:
+        """See `Hub`. What an interrupted call has fetched is not fetched again."""
+        with self._explained(dataset):
+            self._api.snapshot_download(
+                dataset, repo_type=_KIND, revision=revision, local_dir=folder, allow_patterns=list(PATTERNS)
+            )
+
+    def store(self, dataset: str, folder: Path, is_private: bool) -> str:
+        """See `Hub`: one commit. Large files that an interrupted call has sent are not sent again."""
+        if self._hub.get_token() is None:
+            raise BankError(
+                f"pushing to {self._api.endpoint} without a token", hint="hf auth login, or HF_TOKEN=..."
+            )
+        with self._explained(dataset):
+            # None leaves a data set that is there as it is, and a new one as its owner's default says.
+            url = self._api.create_repo(dataset, repo_type=_KIND, private=is_private or None, exist_ok=True)
+            self._api.upload_folder(
+                repo_id=dataset,
+                repo_type=_KIND,
+                folder_path=folder,
+                allow_patterns=list(PATTERNS),
+                delete_patterns=list(PATTERNS),
+                commit_message="A bank of scenes, by cluttergen",
+            )
+        return str(url)
+
+    @contextmanager
+    def _explained(self, dataset: str) -> Iterator[None]:
+        """What the library raises becomes a BankError that says what to do."""
+        errors, where = self._hub.errors, f"{dataset} on {self._api.endpoint}"
+        try:
+            yield
+        except errors.GatedRepoError as error:
+            hint = "asking for access on its page, then hf auth login"
+            raise BankError(f"{where} is open only to those whom its owner admits", hint=hint) from error
+        except errors.RepositoryNotFoundError as error:
+            hint = "another OWNER/NAME; for a private one hf auth login, or HF_TOKEN=..."
+            raise BankError(f"there is no data set {where}, or you may not see it", hint=hint) from error
+        except errors.RevisionNotFoundError as error:
+            raise BankError(f"{where} has no such revision", hint="no --revision for the latest") from error
+        except errors.HfHubHTTPError as error:
+            status = getattr(error.response, "status_code", None)
+            hint = "a token that may do that: hf auth login" if status in (401, 403) else "again later"
+            raise BankError(f"{where}: {_told(error)}", hint=hint) from error
+        except errors.HFValidationError as error:
+            raise BankError(f"{dataset}: {_told(error)}", "OWNER/NAME") from error
+        except Exception as error:
+            if isinstance(error, OSError) and error.filename:
+                # The disk's trouble, not the hub's.
+                raise
+            # The library has changed its HTTP client twice, and what that raises without a network with it.
+            told = f"{type(error).__name__}: {_told(error)}"
+            hint = "the same command when the network is back: it goes on where it stopped"
+            raise BankError(f"{where} does not answer as it should ({told})", hint=hint) from error
+
+
+def _library() -> ModuleType:
+    try:
+        import huggingface_hub
+        import huggingface_hub.errors
+    except ImportError as error:
+        raise MissingExtraError("hub", "a bank on the Hugging Face Hub") from error
+    return huggingface_hub
+
+
+def _told(error: Exception) -> str:
+    """What an error says, on one line."""
+    words = " ".join(str(error).split()) or "no reason given"
+    return words if len(words) <= _LONGEST else f"{words[:_LONGEST]}..."
