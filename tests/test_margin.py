@@ -11,7 +11,7 @@ from shapely.geometry import MultiPoint, Point
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.measures.certificate import certificates
 from cluttergen_jax.measures.scene_models import SceneModels
@@ -23,6 +23,7 @@ from cluttergen_jax.placement.scenes import scenes_of
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.types import Verdict
 from cluttergen_jax.world import make_world
+from tests import banks
 from tests.problems import HalfTable, made_up_rules, trio_problem
 from tests.worlds import TOP, box
 
@@ -127,6 +128,16 @@ def test_without_a_margin_nothing_is_unsupported_and_states_are_as_they_were():
     # A result that an earlier version kept is found again.
     assert key_of(Trial(method="drop"), {"pool": "p"}) == "38c4d1a8ceb82b164ff9"
     assert key_of(Trial(method="drop", min_margin=0.003), {"pool": "p"}) != "38c4d1a8ceb82b164ff9"
+
+
+def test_a_bank_from_before_margins_is_continued_without_one(tmp_path):
+    older = banks.RECIPE | {"placement": placement_record(PlacementConfig())}
+    with banks.writer(tmp_path / "bank", 3, older):
+        pass
+    asked = banks.RECIPE | {"placement": placement_record(PlacementConfig(min_margin=0.003))}
+    with pytest.raises(BankError, match=r"another placement\.min_margin"):
+        banks.writer(tmp_path / "bank", 3, asked)
+    banks.writer(tmp_path / "bank", 3, older).close()
 
 
 @pytest.mark.parametrize("wrong", [-0.001, 0.2, math.nan, "3 mm"])
