@@ -210,22 +210,28 @@ def margin(lab: Lab, study: Study, folder: Path) -> Found:
     for trial, scenes in each_standing(lab, study, rows):
         figures = lab.record(trial)["figures"]
         success = {name: figures[name] for name in ("success", "low95", "high95")}
-        measured = lab.measured(trial, "margin", partial(_margin_of, lab, scenes))
+        measured = lab.measured(trial, "margins", partial(_margins_of, lab, scenes))
+        measured |= lab.measured(trial, "tilt", partial(_tilt_of, lab, scenes))
         unsupported = figures["verdicts"].get(Verdict.UNSUPPORTED.label, 0) / figures["attempts"]
         rows.append(_row(trial, **success, unsupported=unsupported, **measured))
     return found(rows)
 
 
-def _margin_of(lab: Lab, scenes: Successes) -> dict[str, Any]:
-    models, config = SceneModels(scenes.world), TiltConfig()
-    arrays = (scenes.poses, scenes.is_placed)
-    margins = contacts_of(models, *arrays, num_threads=lab.num_threads).margin
+def _margins_of(lab: Lab, scenes: Successes) -> dict[str, Any]:
+    models = SceneModels(scenes.world)
+    margins = contacts_of(models, scenes.poses, scenes.is_placed, lab.num_threads).margin
     least = np.nanmin(margins, axis=1)
-    stands = tilt(models, *arrays, config, num_threads=lab.num_threads)
     return {
         "scenes": len(scenes),
         "margin": [float(each) for each in np.percentile(least, [0, 10, 50])],
         "below": float((least < MIN_MARGIN).mean()),
+    }
+
+
+def _tilt_of(lab: Lab, scenes: Successes) -> dict[str, Any]:
+    models, config = SceneModels(scenes.world), TiltConfig()
+    stands = tilt(models, scenes.poses, scenes.is_placed, config, lab.num_threads)
+    return {
         "tilt": [
             {"degrees": by, "directions": float(share.mean()), **_share(share == 1)}
             for by, share in zip(config.degrees, stands.T, strict=True)
