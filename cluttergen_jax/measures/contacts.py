@@ -61,8 +61,8 @@ def contacts_of(
 ) -> Contacts:
     """Forces between the bodies of finished scenes.
 
-    Contacts and overlap are those of the poses as given; forces are read after 0.1 s of simulation, everything
-    awake, when those of rounding the poses have died away; margins are the larger of both times.
+    Contacts and overlap are those of the poses as given; forces are read after 0.1 s of simulation,
+    everything awake, when those of rounding the poses have died away; margins are the larger of both times.
 
     Args:
       poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
