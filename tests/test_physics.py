@@ -108,8 +108,9 @@ def test_the_margin_is_the_way_to_the_edge_of_what_carries_the_object(name):
     assert report.margin[BOX] == pytest.approx(0.002, abs=1e-4)
     _, report, _ = outcome(name, "dropped 1 mm")
     assert report.margin[BOX] == pytest.approx(0.03, abs=1e-4)
-    # A neighbour that nobody touched has kept what it had.
-    assert report.margin[PRISM] == np.inf
+    # Only MJX, which knows no sleep, moves a neighbour that nobody touches. Of its octagon engines name four
+    # corners or so.
+    assert report.margin[PRISM] == np.inf or (name != "native" and 0.015 < report.margin[PRISM] < 0.037)
     assert (outcome(name, "toppling")[1].margin == 0).all()
 
 

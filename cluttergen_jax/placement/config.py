@@ -35,7 +35,7 @@ class PlacementConfig:
       motion_cost: c of the paper's equation 1.
       success_reward: R0 of the paper's equation 1.
       min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0, as
-        in the paper, asks for nothing. A narrow object is asked for half of what it has on a flat table.
+        in the paper, asks for nothing. A narrow object is asked for a third of what it has on a flat table.
     """
 
     num_objects: int = 10
