@@ -10,7 +10,7 @@ PYTEST = $(RUN)/pytest -n auto --maxprocesses 4 --dist loadfile
 INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all lint format scenes bench clean prerequisites
+.PHONY: help demo test test-all lint dist format scenes bench clean prerequisites
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
@@ -40,19 +40,22 @@ demo: $(VENV)/.core ## generate, draw, save and verify 20 scenes of ten dining o
 	$(RUN)/cluttergen generate --pool dining --num-scenes 20 --out $(OUT)
 	$(RUN)/cluttergen verify $(OUT)
 
-test: $(VENV)/.dev ## lint, types and the quick tests
-	$(RUN)/ruff check .
-	$(RUN)/ruff format --check .
-	$(RUN)/mypy
+test: lint ## lint, types and the quick tests
 	$(PYTEST) -m "not slow"
 
 test-all: $(VENV)/.all ## every test, with the extras; writes tests/last_run.json
 	$(PYTEST) --record tests/last_run.json
 
-lint: $(VENV)/.dev ## ruff and mypy alone
+lint: $(VENV)/.dev ## ruff, mypy and undeclared dependencies alone
 	$(RUN)/ruff check .
 	$(RUN)/ruff format --check .
 	$(RUN)/mypy
+	$(RUN)/deptry .
+
+dist: $(VENV)/.dev ## build the wheel and the source distribution in dist, and check them
+	rm -rf dist
+	$(RUN)/python -m build
+	$(RUN)/twine check --strict dist/*
 
 format: $(VENV)/.dev ## let ruff mend what it can
 	$(RUN)/ruff check --fix .

@@ -2,7 +2,7 @@
 
 import sys
 
-from cluttergen_jax.cli.main import main
+from cluttergen_jax.cli.main import program
 
 if __name__ == "__main__":
-    sys.exit(main(["evaluate", *sys.argv[1:]]))
+    program(["evaluate", *sys.argv[1:]])

@@ -2,6 +2,8 @@
 
     sample = cluttergen_jax.make_sampler(pool="dining", num_objects=10)    # sample(key) -> SampledScene
     bank = cluttergen_jax.load_bank("out")                                 # bank.reset(key) -> StoredScene
+    env = cluttergen_jax.make_env(pool="dining", num_objects=5)            # a Brax environment, to train in
+    envs = cluttergen_jax.make_vector_env(64, pool="dining")               # a VectorEnv of Gymnasium
     bank = cluttergen_jax.load_bank("owner/name")                          # pulled from a hub
 
 `Rectangle` tells `make_sampler` of a region or a keep-out box; `make_region` and `KeepOut` are for those of
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
         load_bank,
         make_sampler,
     )
+    from cluttergen_jax.sampler.environments import make_env, make_gym_env, make_sb3_env, make_vector_env
 
 __all__ = [
     "KeepOut",
@@ -34,8 +37,12 @@ __all__ = [
     "StoredArrays",
     "StoredScene",
     "load_bank",
+    "make_env",
+    "make_gym_env",
     "make_region",
     "make_sampler",
+    "make_sb3_env",
+    "make_vector_env",
     "pull_bank",
     "push_bank",
 ]
@@ -44,6 +51,10 @@ _ELSEWHERE = {
     "Rectangle": "assets.support",
     "KeepOut": "placement.region",
     "make_region": "placement.region",
+    "make_env": "sampler.environments",
+    "make_gym_env": "sampler.environments",
+    "make_sb3_env": "sampler.environments",
+    "make_vector_env": "sampler.environments",
     "pull_bank": "bank.hub",
     "push_bank": "bank.hub",
 }

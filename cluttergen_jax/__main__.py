@@ -1,8 +1,6 @@
 """`python -m cluttergen_jax` is the console script `cluttergen`."""
 
-import sys
-
-from cluttergen_jax.cli.main import main
+from cluttergen_jax.cli.main import program
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program()

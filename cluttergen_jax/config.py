@@ -1,12 +1,38 @@
-"""The numbers that decide verdicts: stability and contact. One frozen default, in one place."""
+"""The numbers that decide verdicts, and the words that settings take. One frozen default, in one place."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
 from numbers import Real
+from typing import Literal
 
 from cluttergen_jax.errors import ConfigError
+
+# The words of settings stand where nothing heavy is imported: the command line offers them as choices.
+Method = Literal[
+    "random",
+    "clear",
+    "drop",
+    "policy",
+    "beta",
+    "normal",
+    "open_loop",
+    "short_memory",
+    "ranked",
+    "policy-clear",
+]
+Variant = Literal["policy", "beta", "normal", "open_loop", "short_memory", "ranked"]
+Preset = Literal["cpu", "tight", "gpu", "paper"]
+Engine = Literal["auto", "native", "warp", "jax"]
+Order = Literal["random", "fixed"]
+Containment = Literal["center", "footprint"]
+Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "all"]
+Reward = Literal["paper", "code", "compressed"]
+Encoder = Literal["set", "pointnet", "pointnet2"]
+Suite = Literal["paper", "honest"]
+FilmFormat = Literal["gif", "mp4"]
+ExportFormat = Literal["mjcf", "urdf", "sdf", "usd", "glb", "maniskill", "robosuite", "libero"]
 
 
 def _is_positive(value: object) -> bool:
@@ -153,3 +179,21 @@ class ContactConfig:
                 raise ConfigError(f"ContactConfig.{name} = {value!r}", ", ".join(map(str, choices)))
         if self.noslip_iterations != 0:
             check_positive(self, "noslip_iterations")
+
+
+@dataclass(frozen=True)
+class VerifyConfig:
+    """What it takes to stand in the independent check of saved files (docs/contract.md).
+
+    Attributes:
+      seconds: how long the scene is simulated.
+      max_shift: metres any object may be from its start at any time.
+      max_turn_deg: degrees any object may have turned.
+    """
+
+    seconds: float = 10.0
+    max_shift: float = 0.005
+    max_turn_deg: float = 5.0
+
+    def __post_init__(self) -> None:
+        check_positive(self, "seconds", "max_shift", "max_turn_deg")

@@ -1,12 +1,28 @@
 """Errors: each says what was given, what is allowed, and what to try."""
 
+import difflib
+from collections.abc import Iterable
+
+
+def closest(given: object, known: Iterable[str]) -> str:
+    """The known name that is most like a misspelt one; "" if none is."""
+    return next(iter(difflib.get_close_matches(str(given), list(known), n=1)), "")
+
 
 class ClutterGenError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """Base of every error that this package raises on purpose.
 
-    def __init__(self, given: str, allowed: str = "", hint: str = "") -> None:
-        self.given, self.allowed, self.hint = given, allowed, hint
+    Args:
+      given: what was given.
+      allowed: what is allowed; hint: what to try.
+      meant: the name that was probably meant (`closest`).
+    """
+
+    def __init__(self, given: str, allowed: str = "", hint: str = "", meant: str = "") -> None:
+        self.given, self.allowed, self.hint, self.meant = given, allowed, hint, meant
         parts = [given.rstrip(".") + "."]
+        if meant:
+            parts.append(f"Did you mean {meant!r}?")
         if allowed:
             parts.append(f"Allowed: {allowed.rstrip('.')}.")
         if hint:

@@ -7,13 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 
 from cluttergen_jax.agent.checkpoint import read_record
+from cluttergen_jax.assets.pool import without_exclusions
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.baselines import Clear, make_proposer
-from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.errors import ConfigError, PoolError, closest
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.proposer import Proposer
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.policies import Policy, Screened, find_policy, list_policies, load_policy
+from cluttergen_jax.policies.embedded import find_policy, list_policies
+from cluttergen_jax.policies.policy import Policy, load_policy
+from cluttergen_jax.policies.screened import Screened
 from cluttergen_jax.search import SearchConfig
 from cluttergen_jax.training.presets import VARIANTS
 
@@ -36,7 +39,7 @@ def default_method(pool: str, support: str, num_objects: int, checkpoint: str | 
     """
     if checkpoint is not None:
         return str(read_record(Path(checkpoint)).get("variant", DEFAULT_METHOD))
-    embedded = list_policies().get(f"{pool}-{DEFAULT_METHOD}")
+    embedded = list_policies().get(f"{without_exclusions(pool)}-{DEFAULT_METHOD}")
     record = {} if embedded is None else read_record(embedded)
     is_trained = record.get("support") == support and num_objects <= record["placement"]["num_objects"]
     is_good = record.get("evaluation", {}).get("success", 0.0) >= GOOD_SUCCESS
@@ -51,13 +54,15 @@ def checkpoint_of(method: str, pool: str, checkpoint: str | None = None) -> Path
       PoolError: no checkpoint is embedded for it, or there is none in the given folder.
     """
     if method not in METHODS:
-        raise ConfigError(f"method {method!r}", ", ".join(METHODS), "--method clear")
+        raise ConfigError(
+            f"method {method!r}", ", ".join(METHODS), "--method clear", closest(method, METHODS)
+        )
     if method in BASELINES:
         if checkpoint is not None:
             raise ConfigError(f"--checkpoint with method {method!r}, which has none", ", ".join(VARIANTS))
         return None
     if checkpoint is None:
-        return find_policy(DEFAULT_METHOD if method == SCREENED else method, pool)
+        return find_policy(DEFAULT_METHOD if method == SCREENED else method, without_exclusions(pool))
     _check_variant(method, Path(checkpoint))
     return Path(checkpoint)
 
@@ -85,7 +90,7 @@ def checkpoint_hash(checkpoint: Path) -> str:
         files = [(checkpoint / name).read_bytes() for name in ("record.json", "weights.npz")]
     except OSError as error:
         raise PoolError(
-            f"{checkpoint} holds no policy ({error})", hint="the folder `policy` of a run"
+            f"{checkpoint} holds no policy ({error.strerror})", hint="the folder `policy` of a run"
         ) from error
     return hashlib.sha256(b"".join(hashlib.sha256(data).digest() for data in files)).hexdigest()
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from brax.envs.base import Env
-
 from cluttergen_jax.agent.learner import Learner
 from cluttergen_jax.agent.ppo import Encode, as_seen
 from cluttergen_jax.learners import make_learner
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.ranking import RankerConfig
+from cluttergen_jax.physics.brax_env import Env
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.rules import Rules

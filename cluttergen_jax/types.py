@@ -1,4 +1,4 @@
-"""Vocabulary of the physics waist: verdicts, and what `settle` and `stand` report."""
+"""Vocabulary: verdicts, what `settle` and `stand` report, and small lengths in words."""
 
 from __future__ import annotations
 
@@ -100,3 +100,13 @@ class Standing(struct.PyTreeNode):
     num_steps: Array
     shift: Array
     turn: Array
+
+
+def small_length(metres: float) -> str:
+    """A small length with three digits that count: `0.12 mm`, `3.4 um`, `< 1 um`.
+
+    Below a micrometre, the digits of a simulation tell of its arithmetic and of nothing that moved.
+    """
+    if metres < 1e-6:
+        return "< 1 um"
+    return f"{1e6 * metres:.3g} um" if metres < 1e-5 else f"{1e3 * metres:.3g} mm"

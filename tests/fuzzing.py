@@ -34,8 +34,8 @@ from cluttergen_jax.assets.support_file import read_support, write_support
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.bank.scene import read_scenes
 from cluttergen_jax.bank.stats import stats_of
-from cluttergen_jax.bank.verify import VerifyConfig, verify_scene
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.bank.verify import verify_scene
+from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.scene.xml import scene_xml
 from tests import banks

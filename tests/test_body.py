@@ -8,7 +8,7 @@ import trimesh
 
 from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.cloud import farthest_first
-from cluttergen_jax.assets.decompose import DecompositionConfig
+from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.deviation import deviation, is_inside, sample_surface
 from cluttergen_jax.assets.inertia import mass_properties
 from cluttergen_jax.assets.mesh import Mesh, joined

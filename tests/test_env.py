@@ -3,6 +3,8 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
+from brax.envs.wrappers.training import AutoResetWrapper, EpisodeWrapper, VmapWrapper, wrap
 
 from cluttergen_jax.baselines import make_proposer
 from cluttergen_jax.networks.clouds import scene_cloud
@@ -59,6 +61,72 @@ def test_success_is_kept_after_the_reset():
     assert float(state.done) == 1
     assert float(state.metrics["success"]) == 1
     assert not bool(state.pipeline_state.episode.is_placed.any())
+
+
+def test_what_is_not_its_own_is_handed_on():
+    env = PlacementEnv(made_up_rules())
+    state = jax.eval_shape(env.reset, jax.random.key(0))
+    foreign = {"steps": state.reward, "nested": {"key": state.done}}
+    state = state.replace(info=state.info | foreign, metrics=state.metrics | {"extra": state.reward})
+    assert jax.tree.structure(jax.eval_shape(env.step, state, GOOD)) == jax.tree.structure(state)
+
+
+def test_an_episode_without_auto_reset_stays_over():
+    envs = [PlacementEnv(made_up_rules(max_attempts=1), auto_reset=each) for each in (False, True)]
+    reset, (plain, resetting) = jax.jit(envs[0].reset), (jax.jit(env.step) for env in envs)
+    state = other = reset(jax.random.key(0))
+    for action in (GOOD, GOOD, BAD):
+        state, other = plain(state, action), resetting(other, action)
+        np.testing.assert_array_equal(state.done, other.done)
+        np.testing.assert_array_equal(state.reward, other.reward)
+    # The same episode, but for what comes after it; and beginning again with its key is what the other did.
+    jax.tree.map(np.testing.assert_array_equal, state.metrics, other.metrics)
+    assert int(state.pipeline_state.episode.slot) == 2
+    begun = reset(state.pipeline_state.key).pipeline_state.episode
+    np.testing.assert_array_equal(begun.object_index, other.pipeline_state.episode.object_index)
+    for action in (GOOD, BAD):
+        state = plain(state, action)
+        assert (float(state.done), float(state.reward)) == (1, 0)
+    assert int(state.metrics["num_finished"]) == 1
+
+
+def test_both_kinds_of_keys_begin_the_same_episode():
+    reset = jax.jit(PlacementEnv(made_up_rules()).reset)
+    new, old = (reset(key).pipeline_state for key in (jax.random.key(4), jax.random.PRNGKey(4)))
+    np.testing.assert_array_equal(new.episode.object_index, old.episode.object_index)
+    np.testing.assert_array_equal(jax.random.key_data(new.key), old.key)
+
+
+@pytest.mark.parametrize("auto_reset", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_brax_wrappers_scan_over_it(auto_reset):
+    env = wrap(PlacementEnv(made_up_rules(max_attempts=2), auto_reset=auto_reset), episode_length=3)
+    first = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 2))
+
+    def step(state, action):
+        after = env.step(state, jnp.stack([GOOD, action]))
+        seen = (after.done, after.info["steps"], after.info["truncation"], after.obs["focus"])
+        return after, seen
+
+    _, (done, steps, truncation, focus) = jax.lax.scan(step, first, jnp.stack([BAD, BAD, GOOD, GOOD]))
+    # The first scene is cut short at its third attempt; the second one's object has two. Then all is anew.
+    np.testing.assert_array_equal(done, [[0, 0], [0, 1], [1, 0], [0, 0]])
+    np.testing.assert_array_equal(steps, [[1, 1], [2, 2], [3, 1], [1, 2]])
+    np.testing.assert_array_equal(truncation, [[0, 0], [0, 0], [1, 0], [0, 0]])
+    np.testing.assert_array_equal([focus[2, 0], focus[1, 1]], first.obs["focus"])
+
+
+@pytest.mark.slow
+def test_own_resets_draw_new_orders_and_those_of_brax_repeat_the_first():
+    rules = made_up_rules(max_attempts=1)
+
+    def orders(env):
+        state = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 4))
+        seen = jax.lax.scan(lambda s, _: (env.step(s, jnp.stack([BAD] * 4)),) * 2, state, length=8)[1]
+        return np.asarray(seen.pipeline_state.episode.object_index)
+
+    assert len(np.unique(orders(VmapWrapper(PlacementEnv(rules)))[:, 0], axis=0)) > 1
+    theirs = AutoResetWrapper(EpisodeWrapper(VmapWrapper(PlacementEnv(rules, auto_reset=False)), 9, 1))
+    assert len(np.unique(orders(theirs)[:, 0], axis=0)) == 1
 
 
 def test_observation_shapes_are_as_promised():

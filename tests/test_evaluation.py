@@ -12,7 +12,7 @@ import scipy.stats
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import list_supports
-from cluttergen_jax.cli import evaluate as command
+from cluttergen_jax.cli import evaluation as command
 from cluttergen_jax.cli.evaluate import Evaluate
 from cluttergen_jax.cli.main import run
 from cluttergen_jax.config import StabilityConfig
@@ -39,7 +39,7 @@ from cluttergen_jax.evaluation.tables import Table
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.measures.simulate import no_movement
 from cluttergen_jax.placement.changes import CHANGES, draw_region, find_change
-from cluttergen_jax.policies import list_policies
+from cluttergen_jax.policies.embedded import list_policies
 from cluttergen_jax.sampling import BlockSampler, sample_blocks
 from tests.problems import HalfTable, made_up_rules
 
@@ -570,8 +570,10 @@ def test_command_resumes_after_an_interruption(tmp_path, monkeypatch, capsys):
     rows = json.loads((tmp_path / "results.json").read_text())
     assert [row["support"] for row in rows] == list(asked["supports"])
     assert {path.suffix for path in tmp_path.iterdir() if path.is_file()} == {".md", ".csv", ".tex", ".json"}
-    shown = capsys.readouterr().out
+    shown, said = capsys.readouterr()
     assert shown.startswith("| pool | support | objects | method | success [95 %] |")
+    assert "2 rows, 1 kept from before, 1 to be made\n" in said
+    assert "[2 of 2 rows, 1 kept from before, " in said
 
 
 @pytest.mark.parametrize(

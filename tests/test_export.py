@@ -187,6 +187,13 @@ def test_sdf_is_well_formed_and_complete(folder_of, scene):
             assert value == pytest.approx(asset.inertia[row][column], abs=1e-12, rel=1e-6)
         assert len(model.findall("link/collision")) == len(asset.parts)
         assert all(float(each.text) == 0.5 for each in model.iter("mu"))
+    # What Drake is told of every part and box; others skip what has its prefix.
+    drake = "{http://drake.mit.edu}"
+    for collision in root.iter("collision"):
+        told = collision.find(f"{drake}proximity_properties")
+        assert told.find(f"{drake}compliant_hydroelastic") is not None
+        assert float(told.findtext(f"{drake}hydroelastic_modulus")) == 1e9
+        assert float(told.findtext(f"{drake}mu_dynamic")) == 0.5
     for uri in root.iter("uri"):
         assert (path.parent / uri.text).is_file()
     names = [each.get("name") for each in root.find("world/model/link")]

@@ -8,9 +8,10 @@ from PIL import Image
 
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.render import video
+from cluttergen_jax.render.config import FilmConfig
 from cluttergen_jax.render.figure import GREEN as GREEN_RING
 from cluttergen_jax.render.figure import closed_loop_figure, closed_loop_slot
-from cluttergen_jax.render.film import FilmConfig, replay, replay_frames, turntable
+from cluttergen_jax.render.film import replay, replay_frames, turntable
 from cluttergen_jax.render.overlay import Ring, ring_around, with_caption, with_rings
 from cluttergen_jax.render.stage import RED, Look, Shooting, open_stage, places, swept
 from cluttergen_jax.render.studio import Trail, thresholds

@@ -13,7 +13,8 @@ from cluttergen_jax.assets.support_file import read_support, support_hash
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.bank.verify import scene_files, verify_scene
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.policies.policy import list_policies, load_policy
+from cluttergen_jax.policies.embedded import list_policies
+from cluttergen_jax.policies.policy import load_policy
 from cluttergen_jax.problem import ProblemConfig, make_problem
 
 GOLDEN = Path(__file__).parent / "golden"

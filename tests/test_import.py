@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from cluttergen_jax.assets.body import BodyConfig
-from cluttergen_jax.assets.decompose import DecompositionConfig
+from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.pool import find_pool, user_root
 from cluttergen_jax.assets.readers import ReadOptions, find_sources
 from cluttergen_jax.cli.import_ import Import

@@ -16,8 +16,7 @@ from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.ranking import RankerConfig
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.region import action_scale
-from cluttergen_jax.policies import load_policy
-from cluttergen_jax.policies.policy import Policy
+from cluttergen_jax.policies.policy import Policy, load_policy
 from cluttergen_jax.policies.ranked import Ranked
 from cluttergen_jax.ranking.env import RankingEnv
 from cluttergen_jax.ranking.menu import PATCH_SIDE

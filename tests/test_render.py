@@ -15,7 +15,8 @@ from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.render.assets import object_sheet, render_scene, scene_spec
-from cluttergen_jax.render.camera import View, axes, corners, fitted_eye
+from cluttergen_jax.render.camera import axes, corners, fitted_eye
+from cluttergen_jax.render.config import View
 from cluttergen_jax.render.dress import dress
 from cluttergen_jax.render.gl import renderer_status
 from cluttergen_jax.render.picture import contact_sheet, render_model, save_png

@@ -22,7 +22,7 @@ from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError, PoolE
 from cluttergen_jax.methods import FALLBACK_METHOD, checkpoint_of, default_method
 from cluttergen_jax.placement.region import KeepOut, make_region
 from cluttergen_jax.placement.rules import empty_start
-from cluttergen_jax.policies import list_policies
+from cluttergen_jax.policies.embedded import list_policies
 from cluttergen_jax.types import Verdict
 from tests.worlds import trio
 

@@ -11,7 +11,7 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.scene_cloud import cloud_colours, ply_of, posed, scene_points, top_points
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.render.camera import View
+from cluttergen_jax.render.config import View
 from cluttergen_jax.render.sensors import (
     FIRST_OBJECT,
     FLOOR,

@@ -12,9 +12,8 @@ from cluttergen_jax.assets.reach import check_reach
 from cluttergen_jax.assets.readers import ReadOptions
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.assets.support_file import find_support, list_supports
-from cluttergen_jax.bank.verify import VerifyConfig
 from cluttergen_jax.cli.main import main, run
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.lab import Lab
 from cluttergen_jax.evaluation.store import Store

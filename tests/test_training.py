@@ -13,7 +13,7 @@ from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig, observe
-from cluttergen_jax.policies import load_policy
+from cluttergen_jax.policies.policy import load_policy
 from cluttergen_jax.training.records import read_rows
 from tests.problems import made_up_rules
 from tests.runs import SMALL, Stopping, compiled_once, make_run, weights

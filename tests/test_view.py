@@ -1,6 +1,7 @@
 """Where scenes to look at come from, what is said of them, and how the viewer refuses what cannot be."""
 
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import pytest
 from cluttergen_jax.assets.readers.mjcf_scene import read_mjcf_scene
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.cli.render import chosen_numbers, parse_size
+from cluttergen_jax.cli.rendering import chosen_numbers, parse_size
 from cluttergen_jax.cli.view import native_model
 from cluttergen_jax.errors import AssetError, BankError, ConfigError, MissingExtraError, PoolError
 from cluttergen_jax.sources import BankSource, LiveConfig, LiveSource, open_source
@@ -166,11 +167,36 @@ def test_render_writes_what_is_asked_for(bank, source, tmp_path):
     assert (tmp_path / "sheet.png").exists()
 
 
+def test_a_figure_that_cannot_be_made_costs_nothing_else(bank, source, tmp_path, capsys):
+    asked = ["--scenes", "all", "--figure", "--points", "--no-picture"]
+    assert main(["render", str(bank), *asked, "--out", str(tmp_path)]) == 1
+    assert {each.name for each in tmp_path.iterdir()} == {f"{k:06d}-points.ply" for k in source.numbers}
+    said = capsys.readouterr().err
+    assert "4 could not be made" in said
+    for number in source.numbers:
+        assert f"{number:06d}-figure.png: {source.name}, scene {number}: no object failed 2 times" in said
+    assert said.count("Try: another scene") == 1
+
+
+def test_files_of_attempts_that_nobody_knows_cost_nothing_else(bank, source, tmp_path, capsys):
+    file = tmp_path / "alone.xml"
+    number = int(source.successes[0])
+    shutil.copytree(bank / "assets", tmp_path / "assets")
+    text = (bank / "scenes" / f"{number:06d}.xml").read_text()
+    file.write_text(text.replace("../assets", "assets"))
+    asked = ["--replay", "--points", "--no-picture", "--out", str(tmp_path / "out")]
+    assert main(["render", str(file), *asked]) == 1
+    assert [each.name for each in (tmp_path / "out").iterdir()] == ["alone-points.ply"]
+    assert "alone, its attempts: alone: a scene file does not tell" in capsys.readouterr().err
+
+
 def test_missing_scene_and_format_are_explained(bank, capsys):
     assert main(["render", f"{bank}:77"]) == 2
     assert "no scene 77" in capsys.readouterr().err
+    assert main(["render", str(bank), "--scenes", "0-99", "--no-picture"]) == 2
+    assert "96 of the 100 scenes asked for (4-99) are not in it, which holds 0-3" in capsys.readouterr().err
     assert main(["render", f"{bank}:0", "--replay", "--film", "avi"]) == 2
-    assert "gif, mp4" in capsys.readouterr().err
+    assert "('gif', 'mp4')" in capsys.readouterr().err
     assert main(["view", f"{bank}:77", "--port", "0", "--no-browser"]) == 2
     assert "no scene 77" in capsys.readouterr().err
 
@@ -229,7 +255,8 @@ def test_words_name_verdicts_figures_and_causes():
     text = scene_words(recording)
     assert "**cubes** stands" in text
     assert "objects placed: 2" in text
-    assert "0.020 mm" in text
+    assert "0.02 mm" in text
+    assert "last check: < 1 um" in scene_words(replace(recording, drift=9.4e-8))
     assert "attempts: 4, of which 1 displaced, 1 fell" in text
     failed = scene_words(replace(recording, is_success=False, verdict="crept"), note="a note")
     assert "failed: crept (the finished scene moved in the last check)" in failed

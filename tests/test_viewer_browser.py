@@ -1,6 +1,7 @@
 """The web viewer in a real browser without a screen: it loads, and its buttons do what they say."""
 
 import shutil
+import threading
 import time
 
 import numpy as np
@@ -51,6 +52,9 @@ class Scenes:
 
     still = recorded
 
+    def notice(self, method=None):
+        return ""
+
     def sample(self, method, seed):
         return self.recorder.record(1000 + seed, 0, f"{method}, seed {seed}")
 
@@ -68,28 +72,45 @@ def viewer(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def page(viewer, tmp_path_factory):
+def open_page(viewer, tmp_path_factory):
+    """Opens the viewer in one more browser."""
     webdriver = pytest.importorskip("selenium.webdriver", reason="the extra browser is not installed")
     binary = shutil.which("chromium") or shutil.which("google-chrome")
     driver = shutil.which("chromedriver")
     if not (binary and driver):
         pytest.skip("no Chromium with its driver on this machine")
-    options = webdriver.ChromeOptions()
-    options.binary_location = binary
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
-        options.add_argument(flag)
-    browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
-    browser.get(f"http://127.0.0.1:{viewer.server.get_port()}")
-    yield Page(browser, viewer)
-    browser.quit()
+    browsers = []
+
+    def open_one(waits_for="objects placed"):
+        options = webdriver.ChromeOptions()
+        options.binary_location = binary
+        for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+            options.add_argument(flag)
+        browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+        browsers.append(browser)
+        known = set(viewer.sessions)
+        browser.get(f"http://127.0.0.1:{viewer.server.get_port()}")
+        return Page(browser, viewer, known, waits_for)
+
+    yield open_one
+    for browser in browsers:
+        browser.quit()
+
+
+@pytest.fixture(scope="module")
+def page(open_page):
+    return open_page()
 
 
 class Page:
     """What a person does and sees."""
 
-    def __init__(self, browser, viewer):
+    def __init__(self, browser, viewer, known, waits_for):
         self.browser, self.viewer = browser, viewer
-        self.until(lambda: "scene 0" in self.text() and "attempt" in self.text())
+        self.until(lambda: set(viewer.sessions) - known)
+        (own,) = set(viewer.sessions) - known
+        self.session = viewer.sessions[own]
+        self.until(lambda: waits_for in self.text())
 
     def text(self):
         return self.browser.execute_script("return document.body.innerText")
@@ -119,8 +140,9 @@ class Page:
 
     def picture(self):
         """uint8[H, W, 3], what the browser draws of the scene."""
-        client = next(iter(self.viewer.server.get_clients().values()))
-        pixels = client.get_render(height=240, width=320, transport_format="png", timeout=PATIENCE)
+        pixels = self.session.client.get_render(
+            height=240, width=320, transport_format="png", timeout=PATIENCE
+        )
         return np.asarray(Image.fromarray(pixels).convert("RGB"))
 
     def changes(self, before):
@@ -165,51 +187,51 @@ def test_next_previous_and_number_change_the_scene(page):
     page.until(lambda: "scene 2" in page.text())
     page.enter("Number", 0)
     page.until(lambda: "scene 0" in page.text())
-    assert page.viewer.number == 0
+    assert page.session.number == 0
 
 
 def test_hulls_clouds_and_region_appear_and_go(page):
-    page.until(lambda: page.viewer.number == 0)
+    page.until(lambda: page.session.number == 0)
     for label in ("Hulls", "Scene cloud", "Object cloud", "Queried region"):
         plain = page.picture()
         page.tick(label)
         ticked = page.changes(plain)
         page.tick(label)
         page.changes(ticked)
-    shown = page.viewer.scenery.shown
+    shown = page.session.scenery.shown
     assert (shown.hulls, shown.region, shown.scene_cloud, shown.object_cloud) == (False, True, False, False)
 
 
 def test_failed_attempts_are_shown_in_red(page):
-    page.until(lambda: page.viewer.number == 0)
+    page.until(lambda: page.session.number == 0)
     plain = page.picture()
     page.tick("All failed attempts")
     assert num_red(page.changes(plain)) > num_red(plain) + 30
     page.tick("All failed attempts")
-    page.until(lambda: not page.viewer.scenery.shown.failures)
+    page.until(lambda: not page.session.scenery.shown.failures)
 
 
 def test_attempts_are_played_to_the_end(page):
-    recording = page.viewer.recording
+    recording = page.session.recording
     last = len(recording.attempts)
     page.press("Play")
-    page.until(lambda: f"attempt 1 of {last}" in page.text() or page.viewer._slider.value > 1)
-    page.until(lambda: page.viewer._slider.value == last and "Play" in page.text())
+    page.until(lambda: f"attempt 1 of {last}" in page.text() or page.session._slider.value > 1)
+    page.until(lambda: page.session._slider.value == last and "Play" in page.text())
     page.until(lambda: f"attempt {last} of {last}" in page.text())
 
 
 def test_sample_changes_the_objects(page):
-    before, image = page.viewer.recording, page.picture()
+    before, image = page.session.recording, page.picture()
     page.press("Sample")
     page.until(lambda: "random, seed 1" in page.text() and "sampling" not in page.text())
-    assert np.abs(page.viewer.recording.poses - before.poses).max() > 0.01
+    assert np.abs(page.session.recording.poses - before.poses).max() > 0.01
     page.changes(image)
 
 
 def test_screenshot_is_saved(page):
     page.press("Screenshot")
     page.until(lambda: "saved as" in page.text())
-    (path,) = page.viewer.folder.iterdir()
+    (path,) = page.session.folder.iterdir()
     image = np.asarray(Image.open(path))
     assert image.shape[0] > 300
     assert image.shape[1] > 300
@@ -217,7 +239,7 @@ def test_screenshot_is_saved(page):
 
 
 def test_reset_brings_the_camera_back(page):
-    client = next(iter(page.viewer.server.get_clients().values()))
+    client = page.session.client
     home, near = np.array(client.camera.position), page.picture()
     client.camera.position = home * 1.8
     far = page.changes(near)
@@ -232,6 +254,46 @@ def test_what_goes_wrong_is_said(page, monkeypatch):
     def broken(number):
         raise BankError("the bank is gone", hint="another")
 
-    monkeypatch.setattr(page.viewer.source, "still", broken)
+    monkeypatch.setattr(page.session.source, "still", broken)
     page.press("Next")
     page.until(lambda: "the bank is gone. Try: another." in page.text())
+
+
+@pytest.mark.slow
+def test_two_browsers_look_at_different_scenes(page, open_page):
+    page.enter("Number", 0)
+    page.until(lambda: page.session.recording.title == "scene 0" and "objects placed" in page.text())
+    other = open_page()
+    before = page.picture()
+    other.press("Next")
+    other.until(lambda: "scene 1" in other.text())
+    other.tick("Hulls")
+    other.until(lambda: other.session.scenery.shown.hulls)
+    assert changed(before, other.picture())
+    # The first browser has noticed nothing of it.
+    assert "scene 0" in page.text()
+    assert "scene 1" not in page.text()
+    assert not page.session.scenery.shown.hulls
+    assert not changed(before, page.picture())
+    assert (page.session.number, other.session.number) == (0, 1)
+    other.browser.close()
+    page.until(lambda: list(page.viewer.sessions.values()) == [page.session])
+
+
+@pytest.mark.slow
+def test_a_page_says_that_it_compiles_and_then_shows_the_scene(page, open_page, monkeypatch):
+    source, go = page.session.source, threading.Event()
+    made = source.still
+
+    def slow(number):
+        assert go.wait(PATIENCE)
+        return made(number)
+
+    monkeypatch.setattr(source, "notice", lambda method=None: "compiling, wait a minute")
+    monkeypatch.setattr(source, "still", slow)
+    other = open_page(waits_for="scene 0: compiling, wait a minute")
+    assert "objects placed" not in other.text()
+    empty = other.picture()
+    go.set()
+    other.until(lambda: "objects placed: 3" in other.text())
+    other.changes(empty)

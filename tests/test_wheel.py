@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import tarfile
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -30,12 +31,32 @@ def test_wheel_generates_outside_the_checkout(tmp_path):
     where = run(python, "-c", "import cluttergen_jax; print(cluttergen_jax.__file__)", cwd=tmp_path)
     assert str(ROOT) not in where
     cluttergen = tmp_path / "fresh" / "bin" / "cluttergen"
+    assert run(cluttergen, "--version", cwd=tmp_path).startswith("cluttergen_jax ")
     listed = run(cluttergen, "list", cwd=tmp_path)
     assert all(
         name in listed for name in ("dining", "study", "office", "kitchen", "household", "round_table")
     )
     run(cluttergen, "generate", "-n", "1", "--method", "clear", "--out", "bank", "--no-render", cwd=tmp_path)
     assert "1 of 1 scenes stand" in run(cluttergen, "verify", "bank", cwd=tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_both_distributions_are_ready_to_be_published(tmp_path):
+    run(sys.executable, "-m", "build", "--outdir", tmp_path, ROOT, cwd=tmp_path)
+    (wheel,), (sdist,) = tmp_path.glob("*.whl"), tmp_path.glob("*.tar.gz")
+    run(sys.executable, "-m", "twine", "check", "--strict", wheel, sdist, cwd=tmp_path)
+    with zipfile.ZipFile(wheel) as archive:
+        held = set(archive.namelist())
+    files = {path for name in ("cluttergen_jax", "scenes") for path in (ROOT / name).rglob("*")}
+    data = {path.relative_to(ROOT) for path in files if path.is_file() and "__pycache__" not in path.parts}
+    assert "cluttergen_jax/py.typed" in held
+    inside = (path if path.parts[0] == "cluttergen_jax" else "cluttergen_jax" / path for path in data)
+    assert {str(path) for path in inside} <= held
+
+
+def test_every_import_is_declared():
+    run(sys.executable, "-m", "deptry", ".", cwd=ROOT)
 
 
 @pytest.mark.slow

@@ -79,7 +79,10 @@ def read_record(path: Path) -> dict[str, Any]:
     try:
         record = json.loads((path / "record.json").read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise PoolError(f"{path} is not a checkpoint ({error})", hint="cluttergen train makes one") from error
+        reason = f"record.json: {getattr(error, 'strerror', None) or error}"
+        raise PoolError(
+            f"{path} is not a checkpoint ({reason})", hint="cluttergen train makes one"
+        ) from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PoolError(f"{path} is not a checkpoint of format {FORMAT}")
     return record

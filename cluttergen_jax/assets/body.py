@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cluttergen_jax.assets.cloud import surface_cloud
-from cluttergen_jax.assets.decompose import DecompositionConfig, decompose
+from cluttergen_jax.assets.config import DecompositionConfig
+from cluttergen_jax.assets.decompose import decompose
 from cluttergen_jax.assets.deviation import deviation
 from cluttergen_jax.assets.hollow import MAX_FILL, Hollow, find_hollow, holds_ball, known_hollow
 from cluttergen_jax.assets.inertia import MassProperties, mass_properties
@@ -223,6 +224,7 @@ def _asset(
             holds_ball=best.holds,
         ),
         flags=tuple(_faults(best, config)),
+        friction=shape.friction,
     )
     return replace(asset, resting=resting_poses(asset, config.seed))
 

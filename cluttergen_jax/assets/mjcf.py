@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -14,6 +15,9 @@ from cluttergen_jax.config import ContactConfig
 
 VISUAL_GROUP = 2
 COLLISION_GROUP = 3
+MAX_FRICTION = 10.0
+"""Sliding coefficients of objects from here on are all alike to MuJoCo's choice between two of them."""
+_HIGHEST_PRIORITY = 100_000
 
 
 def new_spec(timestep: float, contact: ContactConfig) -> mujoco.MjSpec:
@@ -33,6 +37,26 @@ def new_spec(timestep: float, contact: ContactConfig) -> mujoco.MjSpec:
     spec.default.geom.solimp = contact.solimp
     spec.default.geom.condim = contact.condim
     return spec
+
+
+def own_contact(friction: float, default: Sequence[float]) -> tuple[tuple[float, float, float], int]:
+    """Friction and priority of the geoms of an object that has a friction of its own.
+
+    MuJoCo takes both from the geom of higher priority, and the larger friction of two that are equal. The
+    priority grows as the friction falls, so an object's own friction holds against all that has none, be it
+    more or less slippery, and the more slippery of two objects decides.
+
+    Args:
+      friction: the object's sliding coefficient.
+      default: the contact's sliding, torsional and rolling coefficients (`ContactConfig.friction`).
+
+    Returns:
+      The three coefficients in the same proportions as the contact's, which scale with the contact's: the
+      sliding one is `friction` under the default `ContactConfig`. Then the priority, from 1 on.
+    """
+    factor = friction / ContactConfig().friction[0]
+    sliding, torsional, rolling = (factor * each for each in default)
+    return (sliding, torsional, rolling), max(1, round(_HIGHEST_PRIORITY * (1 - friction / MAX_FRICTION)))
 
 
 def _yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
@@ -82,6 +106,9 @@ def add_object(spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bo
             group=COLLISION_GROUP,
             rgba=(0.6, 0.6, 0.65, 1.0),
         )
+    if asset.friction is not None:
+        for geom in body.geoms:
+            geom.friction, geom.priority = own_contact(asset.friction, spec.default.geom.friction)
     if visual:
         _add_visuals(spec, body, name, asset.pieces)
     return body

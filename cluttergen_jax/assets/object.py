@@ -66,6 +66,7 @@ class ObjectAsset:
       tier: "standard" or "light".
       quality: what was measured.
       flags: why a user should think twice, in words; empty for a sound body.
+      friction: sliding coefficient of its own (`mjcf.own_contact`); None for the contact's.
     """
 
     name: str
@@ -81,6 +82,7 @@ class ObjectAsset:
     tier: str = "standard"
     quality: Quality = field(default_factory=Quality)
     flags: tuple[str, ...] = ()
+    friction: float | None = None
 
     @property
     def half_extents(self) -> np.ndarray:

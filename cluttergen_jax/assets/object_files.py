@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -113,7 +114,9 @@ def _rounded(values: np.ndarray, digits: int) -> Any:
 
 
 def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
-    return {
+    # Absent where an object has none, so that objects keep the digest that they had before there was any.
+    friction = {} if asset.friction is None else {"friction": float(asset.friction)}
+    return friction | {
         "format": FORMAT,
         "name": asset.name,
         "label": asset.label,
@@ -157,7 +160,17 @@ def _asset(record: dict[str, Any], blobs: dict[str, bytes]) -> ObjectAsset:
         tier=record["tier"],
         quality=Quality(**record["quality"]),
         flags=tuple(record["flags"]),
+        friction=_friction(record.get("friction")),
     )
+
+
+def _friction(value: Any) -> float | None:
+    """ValueError for what is no coefficient."""
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+        raise ValueError(f"friction {value!r}")
+    return float(value)
 
 
 def _read_bytes(path: Path) -> bytes:

@@ -1,7 +1,9 @@
 """Pools: named sets of objects, in memory and on disk.
 
 A pool folder holds `pool.json` and one folder per object. `find_pool` looks among the embedded pools first,
-then among the user's own, then takes its argument for a path.
+then among the user's own, then takes its argument for a path. `a+b` is the union of two, and `a+b~mug~pan`
+the same without two of its objects. Such a text names a composition wherever a pool can be named, and so in a
+bank's recipe and a checkpoint's record too.
 """
 
 from __future__ import annotations
@@ -10,7 +12,8 @@ import hashlib
 import importlib.resources
 import json
 import os
-from collections.abc import Iterator
+import shutil
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,12 +21,13 @@ from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
-from cluttergen_jax.errors import PoolError
+from cluttergen_jax.errors import ClutterGenError, PoolError, closest
 from cluttergen_jax.files import folder_whole, inside
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
 ALL = "all"
 _INDEX = "pool.json"
+_AND, _WITHOUT = "+", "~"
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +80,11 @@ class Pool:
         for asset in self.objects:
             if asset.name == name:
                 return asset
-        raise PoolError(f"no object {name!r} in pool {self.name!r}", ", ".join(self.names))
+        raise PoolError(
+            f"no object {name!r} in pool {self.name!r}",
+            ", ".join(self.names),
+            meant=closest(name, self.names),
+        )
 
 
 def write_pool(path: str | Path, pool: Pool, *, overwrite: bool = False) -> Path:
@@ -157,37 +165,116 @@ def user_root() -> Path:
 
 def list_pools() -> dict[str, Path]:
     """Every pool that can be named, with its folder: embedded ones first, then the user's."""
-    found: dict[str, Path] = {}
-    for root in (embedded_root() / "pools", user_root()):
-        folders = sorted(root.iterdir()) if root.is_dir() else []
-        for folder in sorted(folders, key=lambda each: _rank(each.name)):
-            if not folder.name.startswith(".") and (folder / _INDEX).is_file():
-                found.setdefault(folder.name, folder)
-    return found
+    found = _pools_in(embedded_root() / "pools")
+    return found | {name: path for name, path in _pools_in(user_root()).items() if name not in found}
+
+
+def _pools_in(root: Path) -> dict[str, Path]:
+    folders = sorted(root.iterdir()) if root.is_dir() else []
+    return {
+        folder.name: folder
+        for folder in sorted(folders, key=lambda each: _rank(each.name))
+        if not folder.name.startswith(".") and (folder / _INDEX).is_file()
+    }
 
 
 def _rank(name: str) -> int:
     return EMBEDDED.index(name) if name in EMBEDDED else len(EMBEDDED)
 
 
-def find_pool(name_or_path: str | Path) -> Pool:
+def find_pool(name_or_path: str | Path, exclude: Sequence[str] = ()) -> Pool:
     """The pool of that name, or at that path. `all` is the union of the embedded ones.
 
+    Args:
+      name_or_path: one pool, or several joined by `+`: their union, in which a name that occurs in more than
+        one of them is prefixed with its pool's. Objects named after it, each after a `~`, are left out.
+      exclude: more names of objects to leave out.
+
     Raises:
-      PoolError: nothing is called so (the message lists what exists), or its files are damaged.
+      PoolError: nothing is called so (the message lists what exists), or its files are damaged; the pools
+        have one name or different tiers; or there is no such object to leave out.
     """
+    text = composed(name_or_path, exclude)
+    union, *without = [text] if _folders(text) else text.split(_WITHOUT)
+    terms = [union] if _folders(union) else union.split(_AND)
+    pools = [_read(term) for term in terms]
+    pool = pools[0] if len(pools) == 1 else _union("-".join(each.name for each in pools), pools)
+    for name in without:
+        pool[name]  # Raises where there is none.
+    if not set(pool.names) - set(without):
+        raise PoolError(f"pool {text!r} has no object left", "leaving fewer of them out")
+    return replace(pool, objects=tuple(each for each in pool.objects if each.name not in without))
+
+
+def composed(name_or_path: str | Path, exclude: Sequence[str] = ()) -> str:
+    """The text that names a pool without some of its objects."""
+    return _WITHOUT.join([str(name_or_path), *exclude])
+
+
+def without_exclusions(text: str) -> str:
+    """The text that names the same pool with all of its objects."""
+    return text if _folders(text) else text.partition(_WITHOUT)[0]
+
+
+def public_name(text: str | Path) -> str:
+    """The text that names a pool, but without folders: where files lie is nobody else's business."""
+    union, mark, without = str(text).partition(_WITHOUT)
+    return _AND.join(Path(each).name for each in union.split(_AND)) + mark + without
+
+
+def remove_pool(name: str) -> Pool | None:
+    """Removes one of the user's own pools; what it held, None if its files were damaged.
+
+    Raises:
+      PoolError: it is embedded, or there is none of that name.
+    """
+    folder = user_pool_folder(name)
+    try:
+        pool = read_pool(folder)
+    except ClutterGenError:
+        pool = None
+    # Out of sight first: a removal that is stopped halfway leaves no pool of which half is missing.
+    aside = folder.with_name(f".{name}.removed")
+    shutil.rmtree(aside, ignore_errors=True)
+    os.rename(folder, aside)
+    shutil.rmtree(aside)
+    return pool
+
+
+def user_pool_folder(name: str) -> Path:
+    """The folder of the user's own pool of that name.
+
+    Raises:
+      PoolError: there is none; the message lists the user's pools.
+    """
+    own = _pools_in(user_root())
+    if name in (*EMBEDDED, ALL) or name not in own:
+        kind = "embedded" if name in (*EMBEDDED, ALL) else "not among your own"
+        raise PoolError(f"pool {name!r} is {kind}", f"pools of your own: {', '.join(own) or 'none yet'}")
+    return own[name]
+
+
+def _folders(text: str) -> list[Path]:
+    """The folders of the pool that a text names as a whole; none if it names no single one."""
     pools = list_pools()
-    name = str(name_or_path)
-    if name == ALL:
-        return _union(ALL, [read_pool(pools[each]) for each in EMBEDDED if each in pools])
-    if name in pools:
-        return read_pool(pools[name])
-    if (Path(name_or_path) / _INDEX).exists():
-        return read_pool(name_or_path)
+    if text == ALL:
+        return [pools[each] for each in EMBEDDED if each in pools]
+    if text in pools:
+        return [pools[text]]
+    return [Path(text)] if text and (Path(text) / _INDEX).exists() else []
+
+
+def _read(text: str) -> Pool:
+    folders = _folders(text)
+    if text == ALL:
+        return _union(ALL, [read_pool(each) for each in folders])
+    if folders:
+        return read_pool(folders[0])
     raise PoolError(
-        f"no pool is called {name!r}, and there is none at that path",
-        ", ".join([*pools, ALL]) or "none exists yet",
+        f"no pool is called {text!r}, and there is none at that path",
+        f"{', '.join([*list_pools(), ALL])}; several joined by {_AND!r}",
         "cluttergen import SOURCE --pool NAME makes one",
+        closest(text, [*list_pools(), ALL]),
     )
 
 
@@ -195,10 +282,14 @@ def _union(name: str, pools: list[Pool]) -> Pool:
     """All objects of several pools; a name that occurs in more than one is prefixed with its pool's."""
     if not pools:
         raise PoolError(f"pool {name!r} is the union of the embedded pools, and none of them is installed")
+    if len({pool.name for pool in pools}) < len(pools) or len({pool.tier for pool in pools}) > 1:
+        told = ", ".join(f"{pool.name} (tier {pool.tier})" for pool in pools)
+        raise PoolError(f"the union of pools {told}", "pools of different names and of one tier")
     names = [each for pool in pools for each in pool.names]
     objects = tuple(
         replace(asset, name=f"{pool.name}-{asset.name}") if names.count(asset.name) > 1 else asset
         for pool in pools
         for asset in pool.objects
     )
-    return Pool(name, objects, pools[0].tier, pools[0].licence)
+    licences = dict.fromkeys(pool.licence or "not stated" for pool in pools)
+    return Pool(name, objects, pools[0].tier, "; ".join(licences))

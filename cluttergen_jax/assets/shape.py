@@ -54,6 +54,7 @@ class Shape:
       cavity: given where the object is hollow and known to be.
       mass: kilograms, or None to take it from `density`.
       density: kg/m^3 of the solid material, used if `mass` is None.
+      friction: sliding coefficient wherever the object touches something; None for the contact's.
     """
 
     name: str
@@ -64,4 +65,5 @@ class Shape:
     cavity: Cavity | None = None
     mass: float | None = None
     density: float = 500.0
+    friction: float | None = None
     notes: tuple[str, ...] = field(default_factory=tuple)

@@ -19,7 +19,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import embedded_root, user_root
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
-from cluttergen_jax.errors import PoolError
+from cluttergen_jax.errors import PoolError, closest
 from cluttergen_jax.files import folder_whole, inside
 
 FORMAT = 1
@@ -125,6 +125,7 @@ def find_support(name_or_path: str | Path) -> SupportAsset:
         f"no support is called {str(name_or_path)!r}, and there is none at that path",
         ", ".join(supports) or "none is installed",
         "a cuboid such as table-0.40x0.50, or cluttergen import --support FILE, which makes one of a mesh",
+        closest(name_or_path, supports),
     )
 
 

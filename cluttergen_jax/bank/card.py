@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.bank.bank import Bank
 from cluttergen_jax.bank.disk import write_atomically
-from cluttergen_jax.bank.stats import BankStats, small_length, stats_of
+from cluttergen_jax.bank.stats import BankStats, stats_of
 from cluttergen_jax.bank.table import CERTIFICATE, COUNTED, SCHEMA
-from cluttergen_jax.types import Verdict
+from cluttergen_jax.types import Verdict, small_length
 
 CARD = "README.md"
 _MARK = "<!-- written by cluttergen; remove this line to keep your own changes -->"
@@ -154,7 +155,7 @@ def _files() -> str:
 def _made(recipe: dict[str, Any]) -> str:
     placement = recipe.get("placement", {})
     rows = {
-        "pool": _named(recipe.get("pool")),
+        "pool": public_name(str(recipe.get("pool"))),
         "support": _named(recipe.get("support")),
         "objects per scene": placement.get("num_objects"),
         "attempts per object": placement.get("max_attempts"),

@@ -9,13 +9,16 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.bank.bank import Bank, SceneRecord
+from cluttergen_jax.bank.reference import missing_text, numbers_text
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.scene import Origin, Scene
 from cluttergen_jax.world import base_name
 
+_LEAVE_OUT = "leaving those out; without numbers, all that stand are taken"
 _Config = TypeVar("_Config", bound=StabilityConfig | ContactConfig | PlacementConfig)
 
 
@@ -32,13 +35,20 @@ def chosen_records(bank: Bank, indices: Sequence[int] | None = None) -> list[Sce
             raise BankError(f"{bank.path}: none of its {len(records)} scenes succeeded", hint="more scenes")
         return good
     by_index = {record.index: record for record in records}
-    missing = [index for index in indices if index not in by_index]
-    failed = [index for index in indices if index in by_index and not by_index[index].is_success]
-    if missing or failed:
-        said = [f"no scene {index}" for index in missing]
-        said += [f"scene {index} failed ({by_index[index].verdict})" for index in failed]
-        raise BankError(f"{bank.path}: {', '.join(said)}", "scenes that stand", "leaving those out")
+    said = [missing_text(indices, by_index), _failed_text([by_index[i] for i in indices if i in by_index])]
+    if any(said):
+        raise BankError(f"{bank.path}: {'; '.join(filter(None, said))}", "scenes that stand", _LEAVE_OUT)
     return [by_index[index] for index in indices]
+
+
+def _failed_text(records: Sequence[SceneRecord]) -> str:
+    """Which of these failed, and how, in one sentence; empty if none did."""
+    failed = [record for record in records if not record.is_success]
+    if len(failed) == 1:
+        return f"scene {failed[0].index} failed ({failed[0].verdict})"
+    verdicts = sorted({record.verdict for record in failed})
+    numbers = numbers_text(int(record.index) for record in failed)
+    return f"{len(failed)} scenes failed: {numbers} ({', '.join(verdicts)})" if failed else ""
 
 
 def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Scene]:
@@ -68,7 +78,7 @@ def _scene(bank: Bank, record: SceneRecord, drift: float, objects: Sequence[Obje
         origin=Origin(
             bank=bank.path.resolve().name,
             index=record.index,
-            pool=_named(recipe.get("pool", "")),
+            pool=public_name(recipe.get("pool", "")),
             method=recipe.get("method", ""),
             checkpoint=None if recipe.get("checkpoint") is None else _named(recipe["checkpoint"]),
             seed=recipe.get("seed"),

@@ -13,6 +13,7 @@ import pyarrow as pa
 from cluttergen_jax.bank.bank import Bank
 from cluttergen_jax.bank.summary import summary_of
 from cluttergen_jax.bank.table import CERTIFICATE, is_certified
+from cluttergen_jax.types import small_length
 from cluttergen_jax.world import base_name
 
 _SHOWN_GROUPS = 5
@@ -229,11 +230,6 @@ def stats_text(bank: Bank, stats: BankStats) -> str:
         mean = each.attempts / max(each.drawn, 1)
         lines.append(f"           {each.name:{width}}  {each.drawn:5d}  {each.placed:6d}  {mean:13.2f}")
     return "\n".join(lines)
-
-
-def small_length(metres: float) -> str:
-    """A small length, with three digits that count; micrometres below a hundredth of a millimetre."""
-    return f"{1e6 * metres:.3g} um" if metres < 1e-5 else f"{1e3 * metres:.3g} mm"
 
 
 def _duplicates_text(stats: BankStats) -> str:

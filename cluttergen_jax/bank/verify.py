@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.bank.bank import INDEX
-from cluttergen_jax.config import check_positive
+from cluttergen_jax.config import VerifyConfig
 from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.files import inside
 from cluttergen_jax.physics.log import silent_log
@@ -19,26 +19,9 @@ from cluttergen_jax.physics.rotation import turn_between
 
 _STRIDE = 12
 _SHORTEST_STEP, _LONGEST_STEP = 1e-4, 0.05
+_GIVEN = "the folder of a bank with files, or one MJCF file"
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 _OURS = "files written by `cluttergen generate`"
-
-
-@dataclass(frozen=True)
-class VerifyConfig:
-    """What it takes to stand (docs/contract.md).
-
-    Attributes:
-      seconds: how long the scene is simulated.
-      max_shift: metres any object may be from its start at any time.
-      max_turn_deg: degrees any object may have turned.
-    """
-
-    seconds: float = 10.0
-    max_shift: float = 0.005
-    max_turn_deg: float = 5.0
-
-    def __post_init__(self) -> None:
-        check_positive(self, "seconds", "max_shift", "max_turn_deg")
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,13 +138,15 @@ def scene_files(path: str | Path) -> list[Path]:
       BankError: there is nothing to verify.
     """
     path = Path(path)
+    if path.suffix in (".parquet", ".json"):
+        raise BankError(f"{path} is a part of a bank", _GIVEN, f"cluttergen verify {path.parent}")
     if path.is_file():
         return [path]
     files = sorted((path / "scenes").glob("*.xml"))
     if not files:
         raise BankError(
             f"{path} holds no scene files",
-            "a bank with files, or one MJCF file",
+            _GIVEN,
             "cluttergen generate --out DIR (it writes files for the first --max-files scenes)",
         )
     return files

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import tyro
-from tqdm import tqdm
 
-from cluttergen_jax.bank import Bank, read_bank
-from cluttergen_jax.bank.bank import block_numbers, read_block
-from cluttergen_jax.bank.card import write_card
-from cluttergen_jax.bank.disk import writing
-from cluttergen_jax.bank.lock import BankLock
-from cluttergen_jax.bank.table import is_fully_certified
-from cluttergen_jax.bank.writer import write_rows
-from cluttergen_jax.certification import certified, models_of
 from cluttergen_jax.config import check_workers
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.measures.simulate import horizons_of
+from cluttergen_jax.progress import Progress
+
+if TYPE_CHECKING:
+    from cluttergen_jax.bank import Bank
 
 
 @dataclass(frozen=True)
@@ -27,6 +22,8 @@ class Certify:
 
     Residual speed, drift, overlap, contacts, shake score, who rests on whom, support margins, and what tilted
     gravity topples. The same command goes on where it was interrupted.
+
+    Example: `cluttergen certify out --seconds 10`
 
     Attributes:
       path: a bank.
@@ -42,6 +39,12 @@ class Certify:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        from cluttergen_jax.bank import read_bank
+        from cluttergen_jax.bank.card import write_card
+        from cluttergen_jax.bank.disk import writing
+        from cluttergen_jax.bank.lock import BankLock
+        from cluttergen_jax.measures.simulate import horizons_of
+
         check_workers("--jobs", self.jobs)
         horizons_of((self.seconds,))
         bank = read_bank(self.path)
@@ -57,9 +60,14 @@ class Certify:
 
 
 def _certify(args: Certify, bank: Bank) -> str:
+    from cluttergen_jax.bank.bank import block_numbers, read_block
+    from cluttergen_jax.bank.table import is_fully_certified
+    from cluttergen_jax.bank.writer import write_rows
+    from cluttergen_jax.certification import certified, models_of
+
     record = {name: value for name, value in bank.record.items() if name != "num_scenes"}
     models, num_new, shake = models_of(bank), 0, []
-    with tqdm(total=bank.num_scenes, unit="scene", disable=None) as bar:
+    with Progress("certifying", bank.num_scenes, "scene") as progress:
         for number in block_numbers(bank.path):
             rows = read_block(bank.path, number)
             if args.force or not is_fully_certified(rows):
@@ -67,7 +75,7 @@ def _certify(args: Certify, bank: Bank) -> str:
                 write_rows(bank.path, number, rows, record)
                 num_new += rows.num_rows
             shake.append(np.array(rows["shake"].drop_null()))
-            bar.update(rows.num_rows)
+            progress.update(rows.num_rows)
     scores = np.concatenate([*shake, np.zeros(0)])
     if not len(scores):
         raise BankError(f"{bank.path}: no scene in it stands", hint="more scenes")

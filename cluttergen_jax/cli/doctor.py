@@ -8,8 +8,6 @@ import platform
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
-from cluttergen_jax.render.gl import renderer_status
-
 _CORE = (
     "cluttergen_jax",
     "mujoco",
@@ -37,11 +35,16 @@ _EXTRAS = {
 
 @dataclass(frozen=True)
 class Doctor:
-    """Show versions, devices, renderers and extras."""
+    """Show versions, devices, renderers and extras.
+
+    Example: `cluttergen doctor`
+    """
 
     def run(self) -> int:
         """Runs the command; the exit status."""
         import jax
+
+        from cluttergen_jax.render.gl import renderer_status
 
         print(f"python     {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores")
         for name in _CORE:

@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from cluttergen_jax.bank.bank import Bank, SceneRecord
 from cluttergen_jax.bank.digests import digest_of
 from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.files import inside
 from cluttergen_jax.problem import ProblemConfig
+from cluttergen_jax.progress import tracked
 from cluttergen_jax.render.assets import render_scene
 from cluttergen_jax.render.gl import renderer_status
 from cluttergen_jax.render.sheet import contact_sheet, save_png
@@ -46,7 +46,7 @@ def write_files(
     scenes = [scene for scene in bank.scenes() if scene.is_success and scene.index < num_scenes]
     assets = {name: bank.object(name) for name in {base_name(n) for scene in scenes for n in scene.objects}}
     digests: dict[str, str] = {}
-    for scene in scenes:
+    for scene in tracked(scenes, "writing", len(scenes), "file"):
         path = scene_path(bank, scene.index, "xml")
         objects = [assets[base_name(name)] for name in scene.objects]
         text = scene_xml(objects, scene.poses, bank.support, config.stability, config.contact)
@@ -73,7 +73,8 @@ def _is_whole_png(path: Path) -> bool:
 def _draw(bank: Bank, scenes: Sequence[SceneRecord], assets: dict) -> None:
     images: list[np.ndarray] = []
     samples = _FINE if len(scenes) <= _MANY else _QUICK
-    for scene in tqdm(scenes, unit="picture", desc="drawing", disable=None):
+    print(f"drawing    {len(scenes)} pictures (--no-render leaves them out)", flush=True)
+    for scene in tracked(scenes, "drawing", len(scenes), "picture"):
         path = scene_path(bank, scene.index, "png")
         if _is_whole_png(path) and len(images) >= min(_OVERVIEW, len(scenes)):
             continue

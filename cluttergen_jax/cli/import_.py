@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from cluttergen_jax.assets.body import BodyConfig
-from cluttergen_jax.assets.decompose import DecompositionConfig
-from cluttergen_jax.assets.readers import ReadOptions
-from cluttergen_jax.cli.pool_table import pool_table
+from cluttergen_jax.assets.config import DecompositionConfig
+from cluttergen_jax.cli.parse import refuse_given
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.importing.run import ImportConfig, ImportReport, import_sources
-from cluttergen_jax.importing.table import import_support
-from cluttergen_jax.importing.worker import ObjectConfig
+
+if TYPE_CHECKING:
+    from cluttergen_jax.assets.readers import ReadOptions
+    from cluttergen_jax.importing.run import ImportReport
+
+Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
+_OF_OBJECTS = ("mass", "density", "friction", "settings", "add", "tier", "trials")
 
 
 @dataclass(frozen=True)
 class Import:
     """Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, MJCF, folders, or `ycb`.
+
+    Example: `cluttergen import my_meshes/ --pool mine --scale 0.001`
 
     Attributes:
       sources: files or folders; the word ycb stands for the 78 YCB objects (extra `ycb`).
@@ -30,12 +37,18 @@ class Import:
       tier: standard (up to 32 convex parts), or light (one hull) for MJX in pure JAX.
       scale: factor from the files' unit to metres.
       up: the files' vertical axis; auto is y for GLTF, what a DAE file says, and z for all others.
+      front: the files' axis that becomes the objects' +x; auto is x, or -y where x is up.
       density: kg/m^3, where the mass is not known.
       mass: kilograms for every object, such as the paper's 0.1.
       decomposition: CoACD's parameters.
       trials: placements by which solo stability is measured.
       jobs: worker processes; 0 takes one for each core.
-      force: make everything again, and replace a pool or a support of that name.
+      friction: sliding coefficient of every object, instead of 0.5 wherever it touches something.
+      licence: on which terms the objects may be passed on, where their source does not say.
+      attribution: whom to name, where the licence asks for it.
+      settings: a TOML file of settings per object, in place of the objects.toml in each folder.
+      add: add to the pool, which exists; objects of equal names are refused, or replaced with --force.
+      force: make everything again, and replace a pool, a support, or with --add objects of that name.
       progress: show a progress bar (--no-progress to hide).
     """
 
@@ -45,19 +58,40 @@ class Import:
     name: str | None = None
     tier: Literal["standard", "light"] = "standard"
     scale: float = 1.0
-    up: Literal["auto", "y", "z"] = "auto"
+    up: Axis = "auto"
+    front: Axis = "auto"
     density: float = 500.0
     mass: float | None = None
     decomposition: DecompositionConfig = field(default_factory=DecompositionConfig)
     trials: int = 256
     jobs: int = 0
+    friction: float | None = None
+    licence: Annotated[str, tyro.conf.arg(aliases=["--license"])] = ""
+    attribution: str = ""
+    settings: Path | None = None
+    add: bool = False
     force: bool = False
     progress: bool = True
 
     def run(self) -> int:
         """Runs the command: 0, or 1 if an object could not be imported."""
-        read = ReadOptions(self.scale, self.up, self.density, self.mass)
+        from cluttergen_jax.assets.body import BodyConfig
+        from cluttergen_jax.assets.readers import ReadOptions
+        from cluttergen_jax.importing.run import ImportConfig, import_sources
+        from cluttergen_jax.importing.worker import ObjectConfig
+
+        read = ReadOptions(
+            scale=self.scale,
+            up=self.up,
+            front=self.front,
+            density=self.density,
+            mass=self.mass,
+            friction=self.friction,
+            licence=self.licence,
+            attribution=self.attribution,
+        )
         if self.support is not None:
+            refuse_given(self, _OF_OBJECTS, "with --support", "leaving it out: a table is not an object")
             return self._import_support(self.support, read)
         if self.pool is None or self.name is not None:
             raise ConfigError(
@@ -65,13 +99,14 @@ class Import:
                 "SOURCES --pool NAME for objects, or --support FILE [--name NAME] for a table",
             )
         config = ObjectConfig(read, BodyConfig(self.tier, self.decomposition), self.trials)
-        report = import_sources(
-            self.sources, self.pool, ImportConfig(config, self.jobs, self.force, self.progress)
-        )
+        how = ImportConfig(config, self.jobs, self.force, self.progress, self.add, self.settings)
+        report = import_sources(self.sources, self.pool, how)
         print_report(report)
         return report.status
 
     def _import_support(self, path: str, read: ReadOptions) -> int:
+        from cluttergen_jax.importing.table import import_support
+
         if self.sources or self.pool is not None:
             raise ConfigError("--support together with sources or --pool", "one of them", "two commands")
         folder, support = import_support(path, self.name, read, self.force)
@@ -84,14 +119,34 @@ class Import:
 
 
 def print_report(report: ImportReport) -> None:
-    """The table of what was made, and of what failed and why."""
+    """What was made, which axes were taken for up, what was skipped, and what failed, and why."""
+    from cluttergen_jax.cli.pool_table import pool_table
+
     if report.objects:
         print(pool_table(report.objects))
         made = len(report.objects) - report.num_cached
         print(
             f"{report.path}: {len(report.objects)} objects ({made} made, {report.num_cached} from the cache)"
         )
+    for (axis, reason), names in _grouped(
+        [(each.axis, each.reason, n) for n, each in report.up_axes.items()]
+    ):
+        print(f"up is {axis} ({reason}): {names}")
+    if any(each.axis == "y" for each in report.up_axes.values()):
+        print('  (an object that lies on its side: --up z, or up = "z" for its file in objects.toml)')
+    if report.skipped:
+        print(f"{len(report.skipped)} skipped:")
+        for (reason,), names in _grouped([(each.reason, each.name) for each in report.skipped]):
+            print(f"  {reason}: {names}")
     if report.failures:
         print(f"{len(report.failures)} failed:", file=sys.stderr)
         for failure in report.failures:
-            print(f"  {failure.name}: {failure.reason}", file=sys.stderr)
+            # A source that could not be found is named in its reason already.
+            is_named = failure.reason.startswith(failure.name)
+            print(f"  {failure.reason if is_named else f'{failure.name}: {failure.reason}'}", file=sys.stderr)
+
+
+def _grouped(rows: Sequence[tuple[str, ...]]) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Rows that agree in all but the last entry, which is a name: what they agree in, and the names."""
+    for head, group in groupby(sorted(rows), key=lambda row: row[:-1]):
+        yield head, ", ".join(row[-1] for row in group)

@@ -7,29 +7,33 @@ from pathlib import Path
 
 import tyro
 
-from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.cli.pool_table import pool_table
-
 
 @dataclass(frozen=True)
 class Inspect:
     """Show what was measured about a pool's objects; draw each mesh beside its collision parts.
 
+    Example: `cluttergen inspect dining --out dining.png`
+
     Attributes:
-      pool: a pool's name or folder.
+      pool: a pool's name or folder, or several joined by +.
       out: write a contact sheet to this PNG file.
       objects: only these.
+      exclude: all but these.
       columns: objects in a row of the sheet.
     """
 
     pool: tyro.conf.Positional[str]
     out: Path | None = None
     objects: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
     columns: int = 4
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        pool = find_pool(self.pool)
+        from cluttergen_jax.assets.pool import find_pool
+        from cluttergen_jax.cli.pool_table import pool_table
+
+        pool = find_pool(self.pool, self.exclude)
         objects = tuple(pool[name] for name in self.objects) or pool.objects
         print(f"pool {pool.name}, licence: {pool.licence or 'not stated'}, content {pool.hash[:12]}")
         print(pool_table(objects))

@@ -4,28 +4,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cluttergen_jax.assets.pool import ALL, EMBEDDED, list_pools, read_pool
-from cluttergen_jax.assets.support_file import list_supports
-from cluttergen_jax.errors import PoolError
-from cluttergen_jax.policies import list_policies
+from cluttergen_jax.errors import ClutterGenError
 
 
 @dataclass(frozen=True)
 class List:
-    """List pools and their objects, supports and checkpoints."""
+    """List pools and their objects, supports and checkpoints.
+
+    Example: `cluttergen list`
+    """
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        from cluttergen_jax.assets.pool import ALL, EMBEDDED, list_pools, read_pool
+        from cluttergen_jax.assets.support_file import list_supports
+        from cluttergen_jax.policies.embedded import list_policies
+
         print("pools")
         for name, path in list_pools().items():
             try:
                 pool = read_pool(path)
                 names = ", ".join(f"{n}*" if pool[n].flags else n for n in pool.names)
                 print(f"  {name:12} {len(pool):3} objects: {names}")
-            except PoolError as error:
+            except ClutterGenError as error:
                 print(f"  {name:12} damaged: {error}")
         print(f"  {ALL:12}     the union of {', '.join(EMBEDDED)}")
-        print("  (* flagged: `cluttergen inspect POOL` says why)")
+        print(
+            "  (* flagged: `cluttergen inspect POOL` says why; a+b is the union of two, a~mug leaves mug out)"
+        )
         print("supports")
         for name in list_supports():
             print(f"  {name}")

@@ -1,15 +1,18 @@
-"""Cluttered, physically stable, diverse tabletop scenes."""
+"""`cluttergen`: finds the command that is asked for, and imports no other."""
 
 from __future__ import annotations
 
 import errno
 import os
+import signal
 import sys
-from typing import Annotated, Any
+from collections.abc import Sequence
+from types import FrameType
+from typing import Any
 
-import tyro
-
-from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.cli.commands import COMMANDS, all_commands, overview
+from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
+from cluttergen_jax.progress import stop_asked
 
 _ADVICE = {
     errno.EEXIST: "another --out: where a folder has to be, there is a file",
@@ -21,50 +24,70 @@ _ADVICE = {
     errno.EROFS: "a folder on a disk that can be written",
     errno.ENOSPC: "making room on the disk, then the same command again",
 }
+INTERRUPTED = 130
 
 
-def commands() -> Any:
-    """The union of all commands. They are imported here so that an import that fails can be explained."""
-    from cluttergen_jax.cli.certify import Certify
-    from cluttergen_jax.cli.doctor import Doctor
-    from cluttergen_jax.cli.evaluate import Evaluate
-    from cluttergen_jax.cli.export import Export
-    from cluttergen_jax.cli.generate import Generate
-    from cluttergen_jax.cli.import_ import Import
-    from cluttergen_jax.cli.inspect_ import Inspect
-    from cluttergen_jax.cli.list_ import List
-    from cluttergen_jax.cli.pretrain import Pretrain
-    from cluttergen_jax.cli.pull import Pull
-    from cluttergen_jax.cli.push import Push
-    from cluttergen_jax.cli.render import Render
-    from cluttergen_jax.cli.stats import Stats
-    from cluttergen_jax.cli.train import Train
-    from cluttergen_jax.cli.verify import Verify
-    from cluttergen_jax.cli.view import View
+def program(args: Sequence[str] | None = None) -> None:
+    """The console script: `main`, and an exit that waits for nothing once Ctrl-C was pressed."""
+    signal.signal(signal.SIGINT, _struck)
+    status = main(args)
+    if status == INTERRUPTED:
+        # What was computed is on disk. A compilation that is still at work in a thread would hold up an
+        # orderly exit, or bring it down.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)
 
-    return (
-        Annotated[Generate, tyro.conf.subcommand("generate")]
-        | Annotated[Verify, tyro.conf.subcommand("verify")]
-        | Annotated[Export, tyro.conf.subcommand("export")]
-        | Annotated[Certify, tyro.conf.subcommand("certify")]
-        | Annotated[Stats, tyro.conf.subcommand("stats")]
-        | Annotated[Push, tyro.conf.subcommand("push")]
-        | Annotated[Pull, tyro.conf.subcommand("pull")]
-        | Annotated[View, tyro.conf.subcommand("view")]
-        | Annotated[Render, tyro.conf.subcommand("render")]
-        | Annotated[Train, tyro.conf.subcommand("train")]
-        | Annotated[Pretrain, tyro.conf.subcommand("pretrain")]
-        | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
-        | Annotated[Import, tyro.conf.subcommand("import")]
-        | Annotated[Inspect, tyro.conf.subcommand("inspect")]
-        | Annotated[List, tyro.conf.subcommand("list")]
-        | Annotated[Doctor, tyro.conf.subcommand("doctor")]
-    )
+
+def _struck(number: int, frame: FrameType | None) -> None:
+    """The first Ctrl-C interrupts what is done, in good order; a second one waits for nothing."""
+    signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
+    stop_asked.set()
+    raise KeyboardInterrupt
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Parses the command line and runs it; the exit status."""
+    words = list(sys.argv[1:] if args is None else args)
+    name = words[0] if words else ""
+    if name in ("-h", "--help", "") or name == "--version":
+        print(_version() if name == "--version" else overview())
+        return 0 if name else 2
+    is_completion = name.startswith("--tyro-")
+    if not (is_completion or name in COMMANDS):
+        given, meant = f"no command is called {name!r}", closest(name, COMMANDS)
+        error = ConfigError(given, ", ".join(COMMANDS), "cluttergen --help", meant)
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    try:
+        if is_completion:
+            return run(parsed(all_commands(), "cluttergen", words))
+        command = parsed(COMMANDS[name].load(), f"cluttergen {name}", words[1:])
+    except SystemExit as ended:
+        # tyro ends the process where it has said what is wrong, or has explained a command.
+        return int(ended.code or 0)
+    return run(command)
+
+
+def parsed(command: Any, prog: str, words: Sequence[str]) -> Any:
+    """What the words make of a command; tyro exits where they make nothing, or ask for help."""
+    import tyro
+
+    config = (tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes)
+    return tyro.cli(command, prog=prog, args=words, config=config)
+
+
+def _version() -> str:
+    from importlib.metadata import version
+
+    return f"cluttergen_jax {version('cluttergen_jax')}"
 
 
 def run(command: Any) -> int:
     """Runs a command: its exit status, 2 for an error that was explained, 130 for Ctrl-C."""
     try:
+        _check_backend()
         return command.run()
     except ClutterGenError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -78,7 +101,20 @@ def run(command: Any) -> int:
         return 2
     except KeyboardInterrupt:
         print("\nstopped; the same command takes it up again", file=sys.stderr)
-        return 130
+        return INTERRUPTED
+
+
+def _check_backend() -> None:
+    """MuJoCo itself refuses to be imported when MUJOCO_GL names a backend that it cannot load.
+
+    Raises:
+      ClutterGenError: so it is.
+    """
+    if backend := os.environ.get("MUJOCO_GL"):
+        try:
+            import mujoco  # noqa: F401
+        except (RuntimeError, ImportError, AttributeError) as error:
+            raise ClutterGenError(f"MUJOCO_GL={backend}: {error}", hint="unset MUJOCO_GL") from error
 
 
 def _told(error: OSError) -> str:
@@ -86,26 +122,3 @@ def _told(error: OSError) -> str:
     path = error.filename2 or error.filename
     advice = _ADVICE.get(error.errno or 0, "mending that, then the same command again")
     return str(ClutterGenError(f"{f'{path}: ' if path else ''}{error.strerror or error}", hint=advice))
-
-
-def main(args: list[str] | None = None) -> int:
-    """Parses the command line and runs it."""
-    try:
-        command = commands()
-    except (RuntimeError, ImportError, AttributeError) as error:
-        if os.environ.get("MUJOCO_GL"):
-            # MuJoCo itself refuses to be imported when MUJOCO_GL names a backend that it cannot load.
-            print(
-                f"error: MUJOCO_GL={os.environ['MUJOCO_GL']}: {error} Try: unset MUJOCO_GL.", file=sys.stderr
-            )
-            return 2
-        raise
-    return run(
-        tyro.cli(
-            command,
-            prog="cluttergen",
-            description=__doc__,
-            args=args,
-            config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
-        )
-    )

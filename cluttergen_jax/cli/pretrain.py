@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+
+from cluttergen_jax.config import Encoder
 
 
 @dataclass(frozen=True)
@@ -14,6 +15,8 @@ class Pretrain:
 
     The classes are the families of the modeller (those of the five pools), each with many objects of drawn
     proportions; accuracy is that on objects that were not learned from.
+
+    Example: `cluttergen pretrain --encoder pointnet2`
 
     Attributes:
       encoder: pointnet2 (the paper's), pointnet, or set (the small one of the set encoder).
@@ -30,7 +33,7 @@ class Pretrain:
       seed: of shapes, weights and their order.
     """
 
-    encoder: Literal["set", "pointnet", "pointnet2"] = "pointnet2"
+    encoder: Encoder = "pointnet2"
     out: str | None = None
     features: int | None = None
     object_points: int = 512

@@ -7,15 +7,12 @@ from dataclasses import dataclass
 
 import tyro
 
-from cluttergen_jax.bank import read_bank
-from cluttergen_jax.bank.card import CARD, write_card
-from cluttergen_jax.bank.disk import writing
-from cluttergen_jax.bank.stats import stats_of, stats_text
-
 
 @dataclass(frozen=True)
 class Stats:
     """Show what a bank holds: successes, verdicts, objects, attempts, duplicates, what is missing.
+
+    Example: `cluttergen stats out --card`
 
     Attributes:
       path: a bank.
@@ -29,6 +26,11 @@ class Stats:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        from cluttergen_jax.bank import read_bank
+        from cluttergen_jax.bank.card import CARD, write_card
+        from cluttergen_jax.bank.disk import writing
+        from cluttergen_jax.bank.stats import stats_of, stats_text
+
         bank = read_bank(self.path)
         stats = stats_of(bank)
         print(json.dumps(stats.as_json(), indent=1) if self.json else stats_text(bank, stats))

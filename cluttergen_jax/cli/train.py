@@ -7,31 +7,32 @@ import math
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from cluttergen_jax.agent.checkpoint import has_state, read_record
-from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.cli.parse import refuse_given
+from cluttergen_jax.config import Change, Encoder, Engine, Preset, Reward, Suite, Variant
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.placement.config import placement_record
-from cluttergen_jax.problem import ProblemConfig, make_problem
-from cluttergen_jax.training.encoder_weights import choose_encoder
-from cluttergen_jax.training.hosts import join
-from cluttergen_jax.training.presets import Settings, make_settings
 from cluttergen_jax.training.suite import POOLS, SEEDS
 
-ACTIONS = ("sampled", "mean")
+if TYPE_CHECKING:
+    from cluttergen_jax.training.presets import Settings
+
+Action = Literal["sampled", "mean"]
+ACTIONS = get_args(Action)
 _OF_SUITES = ("suite_list", "suite_only", "pools", "seeds")
-_OF_RUNS = ("pool", "support", "change", "num_objects", "variant", "attempts", "seed")
+_OF_RUNS = ("pool", "exclude", "support", "change", "num_objects", "variant", "attempts", "seed")
 
 
 @dataclass(frozen=True)
 class Train:
     """Train a placement policy with PPO. The same command takes an interrupted run up again.
 
+    Example: `cluttergen train --pool dining --preset cpu`
+
     Attributes:
-      pool: a pool's name or folder.
+      pool: a pool's name or folder, or several joined by +: dining+mine.
+      exclude: names of the pool's objects to leave out; --exclude mug is the same as --pool dining~mug.
       support: a support's name or folder; table-0.40x0.50 is a cuboid of that size.
       change: how the queried region is changed at random in every episode: none, translation, rotation,
         shrinkage, expansion or all.
@@ -65,27 +66,28 @@ class Train:
     """
 
     pool: str = "dining"
+    exclude: tuple[str, ...] = ()
     support: str = "table"
-    change: str = "none"
+    change: Change = "none"
     num_objects: int = 10
     attempts: int = 5
-    preset: str = "cpu"
-    variant: str = "policy"
+    preset: Preset = "cpu"
+    variant: Variant = "policy"
     num_attempts: int | None = None
     num_envs: int | None = None
     seed: int = 0
-    reward: str | None = None
-    encoder: str | None = None
+    reward: Reward | None = None
+    encoder: Encoder | None = None
     encoder_weights: str | None = None
     encoder_frozen: bool = False
     out: str | None = None
-    engine: str = "auto"
+    engine: Engine = "auto"
     eval_every: int = 0
     eval_episodes: int = 256
-    eval_action: str | None = None
+    eval_action: Action | None = None
     memory_limit: float | None = None
     wandb: bool = False
-    suite: str | None = None
+    suite: Suite | None = None
     suite_list: bool = False
     suite_only: str | None = None
     pools: tuple[str, ...] = POOLS
@@ -102,14 +104,19 @@ class Train:
             from cluttergen_jax.cli.training_suite import run_suite
 
             return run_suite(self)
+        from cluttergen_jax.assets.pool import composed
+        from cluttergen_jax.training.hosts import join
+
         join(self.coordinator, self.num_processes, self.process_id)
-        self.train()
+        dataclasses.replace(self, pool=composed(self.pool, self.exclude), exclude=()).train()
         return 0
 
     def train(self) -> None:
         """One run, to its end."""
         # Brax takes seconds to import, and only who trains needs it.
         from cluttergen_jax.cli.training_evaluation import Evaluator
+        from cluttergen_jax.networks.config import NetworkConfig
+        from cluttergen_jax.problem import ProblemConfig, make_problem
         from cluttergen_jax.training.hosts import is_writer
         from cluttergen_jax.training.run import Run, RunConfig
 
@@ -152,10 +159,16 @@ class Train:
     @property
     def folder(self) -> Path:
         """The run's."""
-        return Path(self.out or f"runs/{Path(self.pool).name}-{self.variant}-{self.seed}")
+        from cluttergen_jax.assets.pool import public_name
+
+        return Path(self.out or f"runs/{public_name(self.pool)}-{self.variant}-{self.seed}")
 
     def settings(self) -> Settings:
         """The preset with what the command line changes."""
+        from cluttergen_jax.networks.config import NetworkConfig
+        from cluttergen_jax.training.encoder_weights import choose_encoder
+        from cluttergen_jax.training.presets import make_settings
+
         settings = make_settings(self.preset, self.variant)
         placement = dataclasses.replace(
             settings.placement, num_objects=self.num_objects, max_attempts=self.attempts
@@ -196,6 +209,8 @@ class Train:
 
 def recipe_of(args: Train, settings: Settings) -> dict[str, Any]:
     """What a checkpoint says of how it was made."""
+    from cluttergen_jax.assets.pool import find_pool
+
     # Runs that were begun before regions could change are still runs of the same settings.
     changed = {} if args.change == "none" else {"change": args.change}
     return changed | {
@@ -218,6 +233,8 @@ def check_folder(folder: Path, recipe: dict[str, Any]) -> None:
     Raises:
       ConfigError: there is one; the message says which settings differ.
     """
+    from cluttergen_jax.agent.checkpoint import has_state, read_record
+
     if not has_state(folder / "last"):
         return
     theirs = read_record(folder / "last")

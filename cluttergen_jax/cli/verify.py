@@ -9,18 +9,18 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 import tyro
-from tqdm import tqdm
 
-from cluttergen_jax.bank import read_bank
-from cluttergen_jax.bank.bank import INDEX
-from cluttergen_jax.bank.digests import Change, changes_of, touched
-from cluttergen_jax.bank.disk import write_atomically
-from cluttergen_jax.bank.verify import Verification, VerifyConfig, scene_files, verify_scene
-from cluttergen_jax.config import check_workers
+from cluttergen_jax.config import VerifyConfig, check_workers
+from cluttergen_jax.files import write_atomically
+from cluttergen_jax.progress import tracked
+
+if TYPE_CHECKING:
+    from cluttergen_jax.bank.digests import Change
+    from cluttergen_jax.bank.verify import Verification
 
 _SHOWN = 20
 
@@ -31,6 +31,8 @@ class Verify:
 
     Of a bank, its files are compared with the digests in bank.json as well: a scene of which a file was
     changed does not count.
+
+    Example: `cluttergen verify out`
 
     Attributes:
       path: a bank, or one MJCF file with a keyframe called scene.
@@ -44,6 +46,11 @@ class Verify:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        import mujoco
+
+        from cluttergen_jax.bank.digests import touched
+        from cluttergen_jax.bank.verify import scene_files, verify_scene
+
         check_workers("--jobs", self.jobs)
         files = scene_files(self.path)
         changes = _changes(Path(self.path))
@@ -52,7 +59,12 @@ class Verify:
         jobs = self.jobs or os.cpu_count() or 1
         with ThreadPoolExecutor(jobs) as pool:
             checks = pool.map(lambda file: verify_scene(file, self.check), files)
-            results = list(tqdm(checks, total=len(files), unit="scene", desc="verifying", disable=None))
+            try:
+                results = list(tracked(checks, "verifying", len(files), "scene"))
+            except BaseException:
+                # Leaving the pool waits for what has begun; what has not is not to begin.
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
         records = [_record(each, touched(changes, each.path.name, each.objects)) for each in results]
         print(report_of(results, self.check, [bool(each["changed_files"]) for each in records]))
         if Path(self.path).is_dir():
@@ -62,6 +74,10 @@ class Verify:
 
 def _changes(path: Path) -> list[Change]:
     """The changed files of a bank, and says them; none for a single file."""
+    from cluttergen_jax.bank import read_bank
+    from cluttergen_jax.bank.bank import INDEX
+    from cluttergen_jax.bank.digests import changes_of
+
     if not (path / INDEX).is_file():
         return []
     changes = changes_of(read_bank(path))
@@ -98,19 +114,21 @@ def _record(result: Verification, changed: list[str]) -> dict:
 
 def report_of(results: list[Verification], config: VerifyConfig, is_changed: Sequence[bool]) -> str:
     """Which scenes stand, and how far objects moved; those of changed files do not count."""
+    from cluttergen_jax.types import small_length
+
     stands = np.array([each.stands for each in results]) & ~np.array(is_changed)
-    shift = np.concatenate([each.shift for each in results]) * 1000
+    shift = np.concatenate([each.shift for each in results])
     turn = np.degrees(np.concatenate([each.turn for each in results]))
     lines = [
         f"{stands.sum()} of {len(stands)} scenes stand for {config.seconds:g} s "
         f"(no object moved more than {config.max_shift * 1000:g} mm or {config.max_turn_deg:g} deg)",
-        f"movement of {len(shift)} objects: median {np.median(shift):.3f} mm, "
-        f"99th percentile {np.percentile(shift, 99):.3f} mm, "
-        f"most {shift.max():.3f} mm and {turn.max():.2f} deg",
+        f"movement of {len(shift)} objects: median {small_length(np.median(shift))}, "
+        f"99th percentile {small_length(np.percentile(shift, 99))}, "
+        f"most {small_length(shift.max())} and {turn.max():.2f} deg",
     ]
     if any(is_changed):
         lines.append(f"  {sum(is_changed)} scenes do not count: files that they are made of were changed")
     for each in results:
         if not each.stands:
-            lines.append(f"  {each.path.name}: {each.worst} moved {each.shift.max() * 1000:.1f} mm")
+            lines.append(f"  {each.path.name}: {each.worst} moved {small_length(each.shift.max())}")
     return "\n".join(lines)

@@ -5,26 +5,36 @@ from __future__ import annotations
 import threading
 import webbrowser
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 import tyro
 
+from cluttergen_jax.config import Method
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.placement.recording import Recording
-from cluttergen_jax.sources import LiveConfig, open_source
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from cluttergen_jax.placement.recording import Recording
+    from cluttergen_jax.sources import LiveConfig
 
 
 @dataclass(frozen=True)
 class View:
-    """Look at scenes in a browser: objects, hulls, clouds, attempts, and new scenes at the press of a button.
+    """Look at scenes in a browser: objects, hulls, clouds, attempts, and new scenes when asked for.
+
+    Example: `cluttergen view out`, or `cluttergen view --pool dining --method drop`
 
     Attributes:
       source: a bank; one scene of it, BANK:INDEX or BANK/scenes/000003.xml; any MJCF file with free bodies;
         or a checkpoint, whose policy then makes the scenes. Without it, --method makes them from --pool.
-      live: what to sample from where no bank says it.
+      pool: a pool's name or folder to sample from where no bank says it; a checkpoint's own if one is given.
+      method: random, clear, drop, or a trained policy; the checkpoint's own, else drop.
+      num_objects: all of the pool's (40 at most) if not given.
+      support: a support's name or folder.
       native: open MuJoCo's own viewer instead (needs a screen).
       host: the address to listen on; 0.0.0.0 lets other machines look.
       port: 0 takes any free one.
@@ -33,7 +43,10 @@ class View:
     """
 
     source: tyro.conf.Positional[str | None] = None
-    live: LiveConfig = field(default_factory=LiveConfig)
+    pool: str | None = None
+    method: Method | None = None
+    num_objects: int | None = None
+    support: str | None = None
     native: bool = False
     host: str = "localhost"
     port: int = 8080
@@ -44,17 +57,26 @@ class View:
         """Runs the command; the exit status. The web viewer runs until Ctrl-C."""
         return _show_native(self) if self.native else _serve(self)
 
+    @property
+    def live(self) -> LiveConfig:
+        """What to sample from where no bank says it."""
+        from cluttergen_jax.sources import LiveConfig
+
+        return LiveConfig(self.pool, self.method, self.num_objects, self.support)
+
 
 def _first(own: int | None, numbers: Sequence[int]) -> int:
     return int(numbers[0]) if own is None else own
 
 
 def _serve(args: View) -> int:
+    from cluttergen_jax.sources import open_source
     from cluttergen_jax.viewer.server import free_port, open_server
     from cluttergen_jax.viewer.viewer import Viewer
 
     # What cannot work is said before anything is compiled.
     free_port(args.host, args.port)
+    print(f"opening    {args.source or 'scenes made on the spot'}", flush=True)
     source, own = open_source(args.source, args.live)
     first = _first(own, source.numbers)
     if first not in source.numbers:
@@ -63,6 +85,8 @@ def _serve(args: View) -> int:
     viewer = Viewer(source, server, first, args.screenshots)
     url = f"http://{'localhost' if args.host == '0.0.0.0' else args.host}:{server.get_port()}"
     print(f"viewer     {url} (Ctrl-C ends it)", flush=True)
+    if notice := source.notice():
+        print(f"first      {notice}", flush=True)
     if args.browser:
         webbrowser.open(url)
     try:
@@ -75,6 +99,7 @@ def _serve(args: View) -> int:
 
 
 def _show_native(args: View) -> int:
+    from cluttergen_jax.sources import open_source
     from cluttergen_jax.viewer.native import check_display, show_native
 
     check_display()

@@ -94,7 +94,7 @@ def _names(trial: Trial) -> list[str]:
 
     One trained with the trial's attempts goes before one trained with the usual number.
     """
-    pool = Path(trial.pool).name
+    pool = trial.pool_name
     # Methods that are no variant of the network act with the weights of the full method.
     variants = dict.fromkeys((trial.method, trial.method if trial.method in VARIANTS else "policy"))
     attempts = "" if trial.attempts == DEFAULT_ATTEMPTS else f"-attempts{trial.attempts}"

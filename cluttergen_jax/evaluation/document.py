@@ -35,7 +35,9 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
         try:
             result = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise ConfigError(f"{path} cannot be read ({error})", hint="making it again") from error
+            raise ConfigError(
+                f"{path} cannot be read ({getattr(error, 'strerror', None) or error})", hint="making it again"
+            ) from error
         if not isinstance(result, dict) or result.get("format") != FORMAT or "suite" not in result:
             raise ConfigError(f"{path} is not the result of a study of format {FORMAT}", hint="removing it")
         results.append(result)

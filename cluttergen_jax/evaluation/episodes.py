@@ -15,6 +15,7 @@ from flax import struct
 from cluttergen_jax.evaluation.programs import Programs
 from cluttergen_jax.placement.scenes import Scenes
 from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.progress import interruptible
 from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler
 from cluttergen_jax.types import Array
 
@@ -85,6 +86,11 @@ def run_episodes(
     episodes = begin(*example)
     step = programs.compile(lambda each: logged_step(sampler, each), episodes)
     finish = programs.compile(sampler.finish, episodes)
+
+    def attempted(episodes: Episode, rows: int) -> tuple[Episode, np.ndarray, Attempts]:
+        after, attempts = step(episodes)
+        return after, *jax.device_get((after.is_over[:rows], attempts))
+
     compiled = time.perf_counter()
     cpu = time.process_time()
     scenes: list[Scenes] = []
@@ -94,8 +100,7 @@ def run_episodes(
         episodes = begin(key, indices, place < rows)
         done = 0
         while done < rows:
-            episodes, attempts = step(episodes)
-            over, attempts = jax.device_get((episodes.is_over[:rows], attempts))
+            episodes, over, attempts = interruptible(attempted, episodes, rows)
             made.append(_kept(attempts.replace(scene=indices.astype(np.int32))))
             on_done(int(over.sum()) - done)
             done = int(over.sum())

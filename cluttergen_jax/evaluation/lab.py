@@ -32,6 +32,7 @@ from cluttergen_jax.methods import checkpoint_hash, proposer_of, suited
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.problem import Problem, ProblemConfig, compose
+from cluttergen_jax.progress import interruptible
 from cluttergen_jax.sampling import BlockSampler
 
 Record = dict[str, Any]
@@ -158,7 +159,7 @@ class Lab:
         if known is not None:
             return known["figures"]
         self.progress.begin(title)
-        figures = self.store.keep(title, key, make())
+        figures = self.store.keep(title, key, interruptible(make))
         self.progress.say(f"{title}: done")
         return figures
 

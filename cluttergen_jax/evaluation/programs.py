@@ -21,6 +21,7 @@ from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.physics.host import host_function
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.report import empty_settling, empty_standing
+from cluttergen_jax.progress import interruptible
 from cluttergen_jax.types import Array, Settling, Standing
 
 _KEPT = 48
@@ -48,7 +49,7 @@ class Programs:
         if name not in self._compiled:
             lowered = jax.jit(_with_constants(closed.jaxpr)).lower(constants, jax.tree.leaves(args))
             # The trace is kept, so that no two of its callbacks ever share an address.
-            self._compiled[name] = (traced, lowered.compile())
+            self._compiled[name] = (traced, interruptible(lowered.compile))
             if len(self._compiled) > _KEPT:
                 self._compiled.popitem(last=False)
         self._compiled.move_to_end(name)

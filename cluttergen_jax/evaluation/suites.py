@@ -8,7 +8,7 @@ from typing import Any
 
 from cluttergen_jax.assets.pool import EMBEDDED
 from cluttergen_jax.baselines import METHODS as BASELINES
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.published import IMPORTED
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.methods import METHODS, SCREENED
@@ -197,7 +197,10 @@ def find_suite(name: str, scale: Scale, only: tuple[str, ...] = ()) -> tuple[Stu
     unknown = [each for each in only if each not in names]
     if unknown:
         raise ConfigError(
-            f"--only {' '.join(unknown)} in suite {name!r}", ", ".join(names), f"--only {names[0]}"
+            f"--only {' '.join(unknown)} in suite {name!r}",
+            ", ".join(names),
+            f"--only {names[0]}",
+            closest(unknown[0], names),
         )
     asked = [study for study in studies if (not only or study.name in only) and study.trials]
     if not asked:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.changes import find_change
 
@@ -64,7 +65,7 @@ class Trial:
     @property
     def pool_name(self) -> str:
         """Without its folder: where a pool lies is nobody's business in a table."""
-        return Path(self.pool).name
+        return public_name(self.pool)
 
     @property
     def support_name(self) -> str:

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import importlib.resources
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -29,11 +30,16 @@ from cluttergen_jax.export.manifest import (
 )
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, object_folder
 from cluttergen_jax.files import folder_whole, inside
-from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene import Scene, scene_cameras
 
 
 def export_scenes(
-    scenes: Iterable[Scene], out: str | Path, format: str = "mjcf", *, overwrite: bool = False
+    scenes: Iterable[Scene],
+    out: str | Path,
+    format: str = "mjcf",
+    *,
+    overwrite: bool = False,
+    cameras: Sequence[str] = (),
 ) -> Path:
     """Writes scenes as a self-contained folder.
 
@@ -42,20 +48,27 @@ def export_scenes(
       out: a folder that does not exist yet.
       format: a key of `FORMATS`.
       overwrite: replace an earlier export that is there.
+      cameras: of `scene.CAMERAS`, to be added to every scene; `scene.scene_cameras` says where they stand.
 
     Returns:
       The folder.
 
     Raises:
-      ConfigError: no such format, no scenes, scenes that do not go together, or `out` exists.
+      ConfigError: no such format, no such camera, no scenes, scenes that do not go together, or `out` exists.
       MissingExtraError: the format needs a package that is not installed.
       UnsafePathError: an object's name is a path that leads out of the folder.
     """
     kind, out = find_format(format), Path(out)
     _check_place(out, overwrite)
     with folder_whole(out) as fresh:
-        _Folder(fresh, kind).write(scenes)
+        _Folder(fresh, kind).write(_filmed(scenes, cameras) if cameras else scenes)
     return out
+
+
+def _filmed(scenes: Iterable[Scene], names: Sequence[str]) -> Iterator[Scene]:
+    """The scenes with these cameras around them."""
+    for scene in scenes:
+        yield replace(scene, cameras=scene_cameras(scene.support, names))
 
 
 def _check_place(out: Path, overwrite: bool) -> None:
@@ -127,7 +140,7 @@ class _Folder:
         record = manifest(self._kind.name, _version(), assets, first, self._records)
         self._save(MANIFEST, json.dumps(record, indent=1) + "\n")
         self._save(LICENCES, licences_text(first.support, assets, self._kind.script))
-        self._save("README.txt", _readme(self._kind, len(self._records)))
+        self._save("README.txt", _readme(self._kind, len(self._records), first))
         if self._kind.script:
             scripts = importlib.resources.files("cluttergen_jax.export") / "scripts"
             self._save(self._kind.script, (scripts / self._kind.script).read_text(encoding="utf-8"))
@@ -157,10 +170,17 @@ def _version() -> str:
         return "unknown"
 
 
-def _readme(kind: Format, num_scenes: int) -> str:
+def _readme(kind: Format, num_scenes: int, first: Scene) -> str:
+    cameras = ", ".join(camera.name for camera in first.cameras)
     return (
         f"{num_scenes} tabletop scenes, exported by cluttergen_jax as {kind.name}.\n\n"
         f"Open with {kind.opens_in}\n\n"
-        f"{MANIFEST}: how each scene came about, poses, masses and hashes. {LICENCES}: terms.\n"
+        + (f"{kind.notes}\n\n" if kind.notes else "")
+        + f"{MANIFEST}: how each scene came about, poses, masses and hashes. {LICENCES}: terms.\n"
         "Metres, kilograms, z up, origin on the floor below the support.\n"
+        + (
+            f"Cameras: {cameras}. {MANIFEST}: where; they look along their own -z, +y is up.\n"
+            if cameras
+            else ""
+        )
     )

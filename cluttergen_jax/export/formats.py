@@ -10,7 +10,7 @@ from pathlib import Path
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.export.glb import glb_bytes
 from cluttergen_jax.export.maniskill import maniskill_json
 from cluttergen_jax.export.meshes import write_object_meshes, write_support_meshes
@@ -41,6 +41,7 @@ class Format:
       write_object, write_support: write what all scenes share into a folder; None where a scene holds all.
       write_scene: writes a scene's file.
       script: a stand-alone loader that travels along, in `export/scripts`; "" for none.
+      notes: more for the README: the settings that the program needs, and what it takes from the files.
       require: raises MissingExtraError if a package that the format needs is not installed.
     """
 
@@ -51,6 +52,7 @@ class Format:
     write_support: WriteSupport | None
     write_scene: WriteScene
     script: str = ""
+    notes: str = ""
     require: Callable[[], None] = _nothing
 
 
@@ -114,6 +116,11 @@ def _require_usd() -> None:
     require_usd()
 
 
+_DRAKE_NOTES = (
+    "For Drake (1.40 or newer) parts and boxes are compliant hydroelastic bodies of 1e9 Pa with the friction "
+    "of the scene (drake:proximity_properties); other readers skip this. The plant needs the time step named "
+    "above, and all else as Drake has it: contact hydroelastic_with_fallback, approximation lagged."
+)
 _ALL = (
     Format(
         "mjcf",
@@ -135,11 +142,13 @@ _ALL = (
     ),
     Format(
         "sdf",
-        "Drake: Parser(plant).AddModels('scenes/NUMBER.sdf'); Gazebo: gz sim scenes/NUMBER.sdf.",
+        "Drake: Parser(plant).AddModels('scenes/NUMBER.sdf'), the plant made by "
+        "AddMultibodyPlantSceneGraph(builder, time_step=1/240); Gazebo: gz sim scenes/NUMBER.sdf.",
         "sdf",
         _meshes_only,
         _surfaces_only,
         _written(sdf_text),
+        notes=_DRAKE_NOTES,
     ),
     Format(
         "usd",
@@ -200,6 +209,6 @@ def find_format(name: str) -> Format:
       MissingExtraError: it needs a package that is not installed.
     """
     if name not in FORMATS:
-        raise ConfigError(f"format {name!r}", ", ".join(FORMATS), "--format mjcf")
+        raise ConfigError(f"format {name!r}", ", ".join(FORMATS), "--format mjcf", closest(name, FORMATS))
     FORMATS[name].require()
     return FORMATS[name]

@@ -21,7 +21,7 @@ from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.export.frames import linear
 from cluttergen_jax.export.meshes import drawn_pieces
 from cluttergen_jax.export.shading import box_mesh, shaded
-from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene import Camera, Scene
 
 _ARRAY, _ELEMENT = 34962, 34963
 _FLOAT, _UNSIGNED = 5126, 5125
@@ -74,7 +74,21 @@ class _Builder:
                 "extras": _body(asset) | friction,
             }
             children.append(self._add("nodes", node))
+        children += [self._camera(each) for each in scene.cameras if not suffix]
         return self._add("nodes", {"name": name, "rotation": _Y_UP, "children": children})
+
+    def _camera(self, camera: Camera) -> int:
+        """glTF's cameras look along -z too."""
+        lens = {
+            "yfov": math.radians(camera.fovy),
+            "aspectRatio": camera.width / camera.height,
+            "znear": 0.01,
+            "zfar": 100.0,
+        }
+        index = self._add("cameras", {"name": camera.name, "type": "perspective", "perspective": lens})
+        w, x, y, z = camera.quaternion.tolist()
+        node = {"name": f"camera/{camera.name}", "camera": index}
+        return self._add("nodes", {**node, "translation": camera.position.tolist(), "rotation": [x, y, z, w]})
 
     def _mesh(self, name: str, pieces: Any) -> int:
         primitives = [self._primitive(piece.mesh, piece.rgba) for piece in pieces]
@@ -112,7 +126,7 @@ class _Builder:
         return self._materials[rgba]
 
     def _add(self, key: str, value: dict[str, Any]) -> int:
-        self._doc[key].append(value)
+        self._doc.setdefault(key, []).append(value)
         return len(self._doc[key]) - 1
 
     def _packed(self, roots: list[int]) -> bytes:

@@ -12,6 +12,7 @@ from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import support_hash
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, object_folder
+from cluttergen_jax.export.placement import cameras_record
 from cluttergen_jax.scene import Scene
 
 MANIFEST = "MANIFEST.json"
@@ -60,6 +61,7 @@ def manifest(
         "physics": {"timestep": first.stability.timestep, **asdict(first.contact)},
         "support": _support_record(first.support),
         "assets": [_asset_record(asset) for asset in assets],
+        **cameras_record(first),
         "scenes": list(scenes),
     }
 

@@ -9,5 +9,11 @@ from cluttergen_jax.scene.xml import scene_xml
 def mjcf_text(scene: Scene) -> bytes:
     """The scene as MJCF, to be saved in `scenes/`."""
     return scene_xml(
-        scene.objects, scene.poses, scene.support, scene.stability, scene.contact, names=scene.names
+        scene.objects,
+        scene.poses,
+        scene.support,
+        scene.stability,
+        scene.contact,
+        names=scene.names,
+        cameras=scene.cameras,
     )

@@ -27,6 +27,22 @@ def scene_bounds(scene: Scene) -> np.ndarray:
     return np.stack([corners.min(0), corners.max(0)])
 
 
+def cameras_record(scene: Scene) -> dict[str, Any]:
+    """The entry `cameras` where there are any: each looks along its own -z, +y is up; degrees and pixels."""
+    cameras = [
+        {
+            "name": each.name,
+            "position": each.position.tolist(),
+            "quaternion_wxyz": each.quaternion.tolist(),
+            "fovy": each.fovy,
+            "width": each.width,
+            "height": each.height,
+        }
+        for each in scene.cameras
+    ]
+    return {"cameras": cameras} if cameras else {}
+
+
 def placement_json(
     scene: Scene, ending: str = "", more: Mapping[str, Any] | None = None, support: Any = None
 ) -> bytes:
@@ -74,5 +90,6 @@ def placement_json(
             }
             for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True)
         ],
+        **cameras_record(scene),
     }
     return (json.dumps(record, indent=1) + "\n").encode()

@@ -1,6 +1,8 @@
 """SDFormat 1.9: one world file per scene, for Gazebo and for Drake.
 
-Drake's own element `drake:declare_convex` says that a part is convex; other readers skip it.
+Drake's own elements say that a part is convex, and make parts and boxes compliant hydroelastic bodies, which
+touch over areas: its point contact has one point for each two bodies, on which nothing flat stands still.
+Other readers skip them.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from pathlib import PurePosixPath
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.part_files import part_name
@@ -16,10 +19,14 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.export.frames import text, yaw_quaternion
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, drawn_pieces, object_folder, visual_name
-from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene import Camera, Scene
 
 VERSION = "1.9"
 _DRAKE = "http://drake.mit.edu"
+HYDROELASTIC_MODULUS = 1e9
+"""Pascals: of hard plastic. As soft as rubber (1e7), tables give way at edges, and what overhangs tips."""
+DISSIPATION = 50.0
+"""Seconds per metre, of Hunt and Crossley: nothing springs back from more than 2 cm/s."""
 
 
 def sdf_text(scene: Scene) -> bytes:
@@ -34,6 +41,8 @@ def sdf_text(scene: Scene) -> bytes:
     _add_support(world, scene.support, scene.contact)
     for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
         _add_object(world, name, asset, pose, scene.contact)
+    for camera in scene.cameras:
+        _add_camera(world, camera)
     ET.indent(root)
     return b'<?xml version="1.0"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
 
@@ -72,7 +81,7 @@ def _add_support(world: ET.Element, support: SupportAsset, contact: ContactConfi
             if kind == "visual":
                 _add_colour(element, box.rgba)
             else:
-                _add_friction(element, contact)
+                _add_contact(element, contact)
 
 
 def _add_object(
@@ -94,7 +103,28 @@ def _add_object(
         collision = ET.SubElement(link, "collision", name=f"part-{index}")
         mesh = _add_mesh(collision, f"{folder}/{part_name(index)}")
         ET.SubElement(mesh, "drake:declare_convex")
-        _add_friction(collision, contact)
+        _add_contact(collision, contact)
+
+
+def _add_camera(world: ET.Element, camera: Camera) -> None:
+    """A sensor on a model that stands still; SDFormat's cameras look along +x, +z is up."""
+    right, up, backward = camera.rotation.T
+    x, y, z, w = Rotation.from_matrix(np.stack([-backward, -right, up], axis=1)).as_quat()
+    model = ET.SubElement(world, "model", name=f"camera-{camera.name}")
+    _leaf(model, "static", "true")
+    _add_pose(model, camera.position, np.array([w, x, y, z]))
+    link = ET.SubElement(model, "link", name="body")
+    sensor = ET.SubElement(link, "sensor", name=camera.name, type="camera")
+    _leaf(sensor, "always_on", "true")
+    _leaf(sensor, "update_rate", "30")
+    lens = ET.SubElement(sensor, "camera")
+    _leaf(lens, "horizontal_fov", text([np.radians(camera.fovx)]))
+    image = ET.SubElement(lens, "image")
+    _leaf(image, "width", str(camera.width))
+    _leaf(image, "height", str(camera.height))
+    clip = ET.SubElement(lens, "clip")
+    _leaf(clip, "near", "0.01")
+    _leaf(clip, "far", "20")
 
 
 def _add_mesh(parent: ET.Element, file: str) -> ET.Element:
@@ -117,10 +147,16 @@ def _add_colour(visual: ET.Element, rgba: tuple[float, ...]) -> None:
         _leaf(visual, "transparency", text([1 - rgba[3]]))
 
 
-def _add_friction(collision: ET.Element, contact: ContactConfig) -> None:
+def _add_contact(collision: ET.Element, contact: ContactConfig) -> None:
     # Torsional friction is left out: SDFormat's depends on a patch radius that nobody has measured here.
     sliding = contact.friction[0]
     friction = ET.SubElement(ET.SubElement(collision, "surface"), "friction")
     ode = ET.SubElement(friction, "ode")
     _leaf(ode, "mu", text([sliding]))
     _leaf(ode, "mu2", text([sliding]))
+    proximity = ET.SubElement(collision, "drake:proximity_properties")
+    ET.SubElement(proximity, "drake:compliant_hydroelastic")
+    _leaf(proximity, "drake:hydroelastic_modulus", text([HYDROELASTIC_MODULUS]))
+    _leaf(proximity, "drake:hunt_crossley_dissipation", text([DISSIPATION]))
+    _leaf(proximity, "drake:mu_dynamic", text([sliding]))
+    _leaf(proximity, "drake:mu_static", text([sliding]))

@@ -22,12 +22,14 @@ from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.export.frames import linear, principal_of, yaw_quaternion
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, drawn_pieces, object_folder
 from cluttergen_jax.export.shading import shaded
-from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene import Camera, Scene
 
 try:
     from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, Vt
 except ImportError:  # pragma: no cover - depends on what is installed
     Usd = None
+
+_FOCAL_LENGTH = 24.0
 
 
 def require_usd() -> None:
@@ -95,7 +97,19 @@ def write_scene_usd(path: Path, scene: Scene) -> None:
         body.GetPrim().SetDisplayName(name)
         body.GetPrim().GetReferences().AddReference(f"../{object_folder(asset.name)}/{asset.name}.usda")
         _place(body, pose[:3], pose[3:])
+    for each in scene.cameras:
+        _add_camera(stage, each)
     stage.GetRootLayer().Save()
+
+
+def _add_camera(stage: Any, camera: Camera) -> None:
+    """USD's own cameras look along -z too; apertures and focal length are of the same unit."""
+    prim = UsdGeom.Camera.Define(stage, f"/World/cameras/{camera.name}")
+    _place(prim, camera.position, camera.quaternion)
+    prim.CreateFocalLengthAttr(_FOCAL_LENGTH)
+    prim.CreateHorizontalApertureAttr(2 * _FOCAL_LENGTH * np.tan(np.radians(camera.fovx) / 2))
+    prim.CreateVerticalApertureAttr(2 * _FOCAL_LENGTH * np.tan(np.radians(camera.fovy) / 2))
+    prim.CreateClippingRangeAttr(Gf.Vec2f(0.01, 100.0))
 
 
 def _identifiers(names: Sequence[str]) -> list[str]:

@@ -17,6 +17,7 @@ import cluttergen_jax
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.assets.readers import Source
+from cluttergen_jax.assets.readers.references import ModelFile, model_file
 from cluttergen_jax.errors import ClutterGenError
 
 # Code that decides what a body is; a change in any of it makes every cached body stale.
@@ -49,19 +50,20 @@ def code_digest() -> str:
 
 
 def source_digest(source: Source) -> str:
-    """Hex digest of every byte that reading the source may touch.
+    """Hex digest of every byte that reading the source may touch: files, materials and textures beside them.
 
-    Of a URDF or MJCF file that is all of its folder; of a mesh file, also materials and textures beside it.
+    Raises:
+      OSError: a file cannot be read.
     """
-    folder = source.path.parent
-    if source.kind == "mesh":
-        beside = [each for each in folder.iterdir() if each.suffix.lower() in _COMPANIONS]
-        files = [source.path, *sorted(beside)]
-    else:
-        files = sorted(each for each in folder.rglob("*") if each.is_file())
+    files = {source.path.resolve()}
+    if source.kind != "mesh" and isinstance(model := model_file(source.path), ModelFile):
+        files |= model.files | model.includes | {source.path.parent.resolve() / "label.json"}
+    for folder in {file.parent for file in files}:
+        files |= {each for each in folder.iterdir() if each.suffix.lower() in _COMPANIONS}
+    home = source.path.parent.resolve()
     digest = hashlib.sha256()
-    for file in files:
-        digest.update(f"{file.relative_to(folder)}\n".encode())
+    for file in sorted(file for file in files if file.is_file()):
+        digest.update(f"{os.path.relpath(file, home)}\n".encode())
         digest.update(hashlib.sha256(file.read_bytes()).digest())
     return digest.hexdigest()
 

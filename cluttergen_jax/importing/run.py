@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from tqdm import tqdm
-
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.object_files import NAME_PATTERN
-from cluttergen_jax.assets.pool import ALL, EMBEDDED, Pool, read_pool, user_root, write_pool
-from cluttergen_jax.assets.readers import Source, find_sources, ycb_sources
-from cluttergen_jax.assets.readers.source import named_apart
+from cluttergen_jax.assets.object_files import NAME_PATTERN, object_hash
+from cluttergen_jax.assets.pool import ALL, EMBEDDED, Pool, read_pool, user_pool_folder, user_root, write_pool
+from cluttergen_jax.assets.readers import Skipped
+from cluttergen_jax.assets.readers.axes import UpAxis
 from cluttergen_jax.config import check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.importing import cache
+from cluttergen_jax.importing.planning import YCB, Failure, Planned, plan_all
 from cluttergen_jax.importing.processes import run_all
 from cluttergen_jax.importing.worker import Job, ObjectConfig, run_job
-
-YCB = "ycb"
+from cluttergen_jax.progress import Progress
 
 
 @dataclass(frozen=True)
@@ -30,25 +29,21 @@ class ImportConfig:
     Attributes:
       object: what decides each body.
       jobs: worker processes; 0 takes one for each core.
-      force: make everything again, and replace a pool of that name.
+      force: make everything again, and replace a pool of that name, or with `add` objects in it.
       progress: show a progress bar.
+      add: add to a pool that exists.
+      settings: a file of settings per object, in place of the `objects.toml` in each folder.
     """
 
     object: ObjectConfig = field(default_factory=ObjectConfig)
     jobs: int = 0
     force: bool = False
     progress: bool = True
+    add: bool = False
+    settings: Path | None = None
 
     def __post_init__(self) -> None:
         check_workers("--jobs", self.jobs)
-
-
-@dataclass(frozen=True)
-class Failure:
-    """An object that could not be made, and why."""
-
-    name: str
-    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,15 +52,19 @@ class ImportReport:
 
     Attributes:
       path: the pool's folder; None if no object could be made.
-      objects: those in the pool.
+      objects: those that were imported, in the pool now.
       num_cached: how many of them had been made before.
-      failures: those that are not.
+      failures: those that could not be.
+      skipped: files that are no objects, and why.
+      up_axes: by object, the vertical axis of its file, and who says so.
     """
 
     path: Path | None
     objects: tuple[ObjectAsset, ...]
     num_cached: int
     failures: tuple[Failure, ...]
+    skipped: tuple[Skipped, ...] = ()
+    up_axes: dict[str, UpAxis] = field(default_factory=dict)
 
     @property
     def status(self) -> int:
@@ -83,32 +82,33 @@ def import_sources(
 
     Raises:
       PoolError: the name is taken by an embedded pool, or by another of different content and `force` is
-        not set. Then nothing is lost: the bodies are in the cache.
+        not set; or `add` is, and there is no such pool, or it has other objects of the same names. Then
+        nothing is lost: the bodies are in the cache.
+      ConfigError: the settings are wrong, or fit nothing.
       MissingExtraError: `ycb` without the extra.
     """
     config = config or ImportConfig()
     _check_name(pool_name)
     if not sources:
         raise AssetError("nothing to import", f"files, folders, or {YCB!r}")
-    found, failures = _find(sources)
-    keys = [cache.cache_key(source, config.object) for source in found]
-    made: dict[str, ObjectAsset] = {}
-    if not config.force:
-        made = _loaded(found, keys)
-    missing = [
-        Job(source, key, config.object)
-        for source, key in zip(found, keys, strict=True)
-        if source.name not in made
-    ]
+    old = read_pool(user_pool_folder(pool_name)) if config.add else None
+    planned = plan_all(sources, config.object.read, config.settings)
+    jobs, unreadable = _jobs(planned.objects, config.object)
+    made: dict[str, ObjectAsset] = {} if config.force else _loaded(jobs)
+    missing = [job for job in jobs if job.source.name not in made]
     num_cached = len(made)
     if config.force:
         for job in missing:
             cache.drop(job.key)
-    failures += _make(missing, config)
-    made |= _loaded([job.source for job in missing], [job.key for job in missing])
-    objects = tuple(made[source.name] for source in found if source.name in made)
-    path = _write(pool_name, objects, config) if objects else None
-    return ImportReport(path, objects, num_cached, tuple(failures))
+    failures = (*planned.failures, *unreadable, *_make(missing, config))
+    made |= _loaded(missing)
+    names = [each.source.name for each in planned.objects if each.source.name in made]
+    objects = tuple(made[name] for name in names)
+    path = _write(pool_name, objects, old, config) if objects else None
+    axes = {each.source.name: each.up for each in planned.objects}
+    return ImportReport(
+        path, objects, num_cached, failures, planned.skipped, {name: axes[name] for name in names}
+    )
 
 
 def _check_name(name: str) -> None:
@@ -119,20 +119,20 @@ def _check_name(name: str) -> None:
         )
 
 
-def _find(sources: Sequence[str | Path]) -> tuple[list[Source], list[Failure]]:
-    found: list[Source] = []
-    failures: list[Failure] = []
-    for each in sources:
+def _jobs(planned: Sequence[Planned], config: ObjectConfig) -> tuple[list[Job], list[Failure]]:
+    """What there is to make, and the files that cannot be read."""
+    jobs, failures = [], []
+    for each in planned:
+        own = replace(config, read=each.options)
         try:
-            is_ycb = str(each) == YCB and not Path(each).exists()
-            found += ycb_sources() if is_ycb else find_sources(each)
-        except AssetError as error:
-            failures.append(Failure(str(each), str(error)))
-    return named_apart(found), failures
+            jobs.append(Job(each.source, cache.cache_key(each.source, own), own))
+        except OSError as error:
+            failures.append(Failure(each.source.name, f"{error.filename} cannot be read ({error.strerror})"))
+    return jobs, failures
 
 
-def _loaded(sources: Sequence[Source], keys: Sequence[str]) -> dict[str, ObjectAsset]:
-    pairs = ((source.name, cache.load(key, source.name)) for source, key in zip(sources, keys, strict=True))
+def _loaded(jobs: Sequence[Job]) -> dict[str, ObjectAsset]:
+    pairs = ((job.source.name, cache.load(job.key, job.source.name)) for job in jobs)
     return {name: asset for name, asset in pairs if asset is not None}
 
 
@@ -140,28 +140,51 @@ def _make(jobs: Sequence[Job], config: ImportConfig) -> list[Failure]:
     """Runs the jobs; those that failed, in the order of the jobs."""
     reasons: dict[int, str] = {}
     num_processes = config.jobs or os.cpu_count() or 1
-    bar = tqdm(total=len(jobs), unit="object", disable=not config.progress or not jobs)
-    note: Callable[[str], None] = bar.set_postfix_str
-    with bar:
+    is_shown = config.progress and bool(jobs)
+    with Progress("importing", len(jobs), "object") if is_shown else nullcontext() as progress:
+        if progress is not None:
+            progress.say(f"importing {len(jobs)} objects, {min(num_processes, len(jobs))} at a time")
         for index, reason in run_all(run_job, jobs, num_processes):
-            bar.update()
-            note(jobs[index].source.name)
+            if progress is not None:
+                progress.update(note=jobs[index].source.name)
             if reason:
                 reasons[index] = reason
     return [Failure(jobs[index].source.name, reasons[index]) for index in sorted(reasons)]
 
 
-def _write(name: str, objects: tuple[ObjectAsset, ...], config: ImportConfig) -> Path:
+def _write(name: str, objects: tuple[ObjectAsset, ...], old: Pool | None, config: ImportConfig) -> Path:
+    path = user_root() / name
+    if old is not None:
+        objects = _added(old, objects, config)
     licences = sorted({asset.provenance.licence for asset in objects})
     pool = Pool(name, objects, config.object.body.tier, "; ".join(licences))
-    path = user_root() / name
-    if path.exists() and not config.force:
-        if _is_same(path, pool):
-            return path
+    if path.exists() and (not config.force or old is not None) and _is_same(path, pool):
+        return path
+    if path.exists() and not config.force and old is None:
         raise PoolError(
-            f"pool {name!r} exists and holds something else", "a new name", "--force to replace it"
+            f"pool {name!r} exists and holds something else",
+            "a new name",
+            "--add to add to it, or --force to replace it",
         )
-    return write_pool(path, pool, overwrite=config.force)
+    return write_pool(path, pool, overwrite=config.force or old is not None)
+
+
+def _added(old: Pool, objects: tuple[ObjectAsset, ...], config: ImportConfig) -> tuple[ObjectAsset, ...]:
+    """The old objects, new ones in place of those of the same name, then the rest."""
+    if old.tier != config.object.body.tier:
+        raise PoolError(
+            f"pool {old.name!r} is of tier {old.tier}, not {config.object.body.tier}", f"--tier {old.tier}"
+        )
+    new = {asset.name: asset for asset in objects}
+    changed = [n for n in old.names if n in new and object_hash(new[n]) != object_hash(old[n])]
+    if changed and not config.force:
+        raise PoolError(
+            f"pool {old.name!r} has other objects called {', '.join(changed)}",
+            "objects of other names",
+            "--force to replace them, or another `name` in a settings file",
+        )
+    kept = tuple(new.get(asset.name, asset) for asset in old.objects)
+    return kept + tuple(asset for asset in objects if asset.name not in old)
 
 
 def _is_same(path: Path, pool: Pool) -> bool:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import get_args
 
+from cluttergen_jax.config import Encoder
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.networks.clouds import MAX_POINTS
 from cluttergen_jax.networks.distributions import HEADS
 
 MIXTURE = "mixture"
-SCENE_ENCODERS = ("set", "pointnet", "pointnet2")
+SCENE_ENCODERS = get_args(Encoder)
 _POSITIVE = ("object_points", "object_features", "scene_features", "num_centroids", "group_size")
 
 

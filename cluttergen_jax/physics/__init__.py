@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import jax
 
-from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.config import Engine, StabilityConfig
+from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.physics.log import silent_import
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.protocol import Physics
 
-ENGINES = ("auto", "native", "warp", "jax")
+ENGINES = get_args(Engine)
 
 
 def make_physics(
@@ -30,12 +33,18 @@ def make_physics(
       MissingExtraError: "warp" without Warp installed.
     """
     if engine not in ENGINES:
-        raise ConfigError(f"engine = {engine!r}", ", ".join(ENGINES), "engine native, which runs everywhere")
+        raise ConfigError(
+            f"engine = {engine!r}",
+            ", ".join(ENGINES),
+            "engine native, which runs everywhere",
+            closest(engine, ENGINES),
+        )
     if engine == "auto":
         engine = "warp" if jax.default_backend() == "gpu" else "native"
     if engine == "native":
         return NativePhysics(layout, config, num_threads)
     # MJX takes a second to import, and only who asks for it pays.
-    from cluttergen_jax.physics.mjx import MjxPhysics
+    with silent_import():
+        from cluttergen_jax.physics.mjx import MjxPhysics
 
     return MjxPhysics(layout, config, engine)

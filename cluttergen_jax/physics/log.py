@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+import io
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 
 import mujoco
 
 _lock = threading.Lock()
 _users = 0
 _before = mujoco.MjLogConfig.get()
+
+
+@contextmanager
+def silent_import() -> Iterator[None]:
+    """Leaves out what MJX prints of packages that are not installed, while it is first imported."""
+    said = io.StringIO()
+    try:
+        with redirect_stdout(said):
+            yield
+    finally:
+        others = [line for line in said.getvalue().splitlines() if not line.startswith("Failed to import")]
+        print("".join(f"{line}\n" for line in others), end="")
 
 
 @contextmanager

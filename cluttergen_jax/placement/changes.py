@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.region import Region, make_region
 from cluttergen_jax.types import Array
 
@@ -54,7 +54,7 @@ def find_change(name: str) -> RegionChange:
       ConfigError: there is none.
     """
     if name not in CHANGES:
-        raise ConfigError(f"region change {name!r}", ", ".join(CHANGES))
+        raise ConfigError(f"region change {name!r}", ", ".join(CHANGES), meant=closest(name, CHANGES))
     return CHANGES[name]
 
 

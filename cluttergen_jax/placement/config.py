@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from numbers import Real
-from typing import Any
+from typing import Any, get_args
 
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.config import Containment, Order, Reward
+from cluttergen_jax.errors import ConfigError, closest
 
 MAX_SLOTS = 40
 MAX_ATTEMPTS = 10
 MAX_MARGIN = 0.1
 MIN_MARGIN = 0.003
 """Metres of support margin that what is generated has by default (`PlacementConfig.min_margin`)."""
-CONTAINMENTS = ("center", "footprint")
-ORDERS = ("random", "fixed")
-REWARDS = ("paper", "code", "compressed")
+CONTAINMENTS, ORDERS, REWARDS = get_args(Containment), get_args(Order), get_args(Reward)
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,12 @@ class PlacementConfig:
             ("reward", self.reward, REWARDS),
         ):
             if value not in allowed:
-                raise ConfigError(f"{name} = {value!r}", ", ".join(allowed), f"{name}={allowed[0]!r}")
+                raise ConfigError(
+                    f"{name} = {value!r}",
+                    ", ".join(allowed),
+                    f"{name}={allowed[0]!r}",
+                    closest(value, allowed),
+                )
 
 
 def placement_record(config: PlacementConfig) -> dict[str, Any]:

@@ -6,9 +6,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from brax.envs.base import Env, State
 from flax import struct
 
+from cluttergen_jax.physics.brax_env import Env, State
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rules import Rules
@@ -39,19 +39,50 @@ class Ongoing(struct.PyTreeNode):
 class PlacementEnv(Env):
     """`brax.envs.Env`: place objects one after another, an attempt a step.
 
-    `step` on a finished episode's last attempt returns its reward with done = 1 and the first observation
-    of a new episode, drawn with a key carried in the state; `info["truncation"]` is always 0.
+    With `auto_reset`, `step` on a finished episode's last attempt returns its reward with done = 1 and the
+    first observation of a new episode, drawn with a key carried in the state. Without it the episode stays
+    finished: done is 1 and the reward 0 for whatever follows, until somebody else resets.
+
     `pipeline_state` is an `Ongoing`; metrics are of the latest attempt and the latest finished episode.
+    `info["truncation"]` is 0 after a reset. `step` hands on `info`, and metrics that are not its own, as it
+    finds them, which is what Brax's wrappers build on.
+
+    Args:
+      rules: of the world.
+      observation: how much of an episode is spelled out.
+      auto_reset: begin the next episode in the step that ends one.
+      start: what stands there when an episode begins; nothing if None.
+      keep_out: where no object may come to lie.
     """
 
-    def __init__(self, rules: Rules, observation: ObservationConfig | None = None) -> None:
+    def __init__(
+        self,
+        rules: Rules,
+        observation: ObservationConfig | None = None,
+        *,
+        auto_reset: bool = True,
+        start: Start | None = None,
+        keep_out: KeepOut | None = None,
+    ) -> None:
         self.rules = rules
         self.observation = observation or ObservationConfig()
+        self.auto_reset = auto_reset
+        self.start, self.keep_out = start, keep_out
 
     def reset(self, rng: Array, scene: Start | None = None, keep_out: KeepOut | None = None) -> State:
-        """A new episode on an empty support, or around `scene`, outside `keep_out` (both optional)."""
+        """A new episode on an empty support, or around `scene`, outside `keep_out` (both optional).
+
+        Args:
+          rng: one key, `jax.random.key` or `jax.random.PRNGKey`; keys in the state are of the same kind.
+            Brax's own wrappers take the second kind alone.
+          scene, keep_out: instead of the environment's own.
+        """
         key_episode, key_next = jax.random.split(rng)
-        episode = self.rules.begin(key_episode, keep_out=keep_out, start=scene)
+        episode = self.rules.begin(
+            key_episode,
+            keep_out=self.keep_out if keep_out is None else keep_out,
+            start=self.start if scene is None else scene,
+        )
         ongoing = Ongoing(
             episode=episode,
             start=Start(episode.poses, episode.is_placed),
@@ -60,41 +91,50 @@ class PlacementEnv(Env):
             finished=jax.tree.map(jnp.zeros_like, scenes_of(episode)),
             num_finished=jnp.int32(0),
         )
-        return self._state(ongoing, jnp.float32(0), jnp.bool_(False))
+        return State(
+            info={"truncation": jnp.float32(0)}, **self._seen(ongoing, jnp.float32(0), jnp.bool_(False))
+        )
 
     def step(self, state: State, action: Array) -> State:
         """One attempt with `action`, f32[4] in (0, 1)."""
         before: Ongoing = state.pipeline_state
         after, reward = self.rules.attempt(before.episode, action)
-        is_over = after.is_over
-        key_episode, key_next = jax.random.split(before.key)
-        fresh = self.rules.begin(key_episode, keep_out=before.keep_out, start=before.start)
+        ends = after.is_over & ~before.episode.is_over
         ongoing = before.replace(
-            episode=_where(is_over, fresh, after),
-            key=jnp.where(is_over, key_next, before.key),
-            finished=_where(is_over, scenes_of(after), before.finished),
-            num_finished=before.num_finished + is_over.astype(jnp.int32),
+            episode=after,
+            finished=_where(ends, scenes_of(after), before.finished),
+            num_finished=before.num_finished + ends.astype(jnp.int32),
         )
-        return self._state(ongoing, reward, is_over)
+        if self.auto_reset:
+            ongoing = self._begun_again(ongoing, ends)
+        seen = self._seen(ongoing, reward, after.is_over)
+        return state.replace(**seen | {"metrics": {**state.metrics, **seen["metrics"]}})
 
-    def _state(self, ongoing: Ongoing, reward: Array, is_over: Array) -> State:
-        finished = ongoing.finished
-        metrics = {
-            "reward": reward,
-            "success": finished.is_success.astype(jnp.float32),
-            "num_placed": finished.is_placed.sum().astype(jnp.float32),
-            "attempts_used": finished.counts.attempts.sum().astype(jnp.float32),
-            "stable_steps": finished.counts.steps.sum().astype(jnp.float32),
-            "num_finished": ongoing.num_finished.astype(jnp.float32),
-        }
-        return State(
-            pipeline_state=ongoing,
-            obs=observe(self.rules, ongoing.episode, self.observation),
-            reward=reward,
-            done=is_over.astype(jnp.float32),
-            metrics=metrics,
-            info={"truncation": jnp.float32(0)},
+    def _begun_again(self, ongoing: Ongoing, ends: Array) -> Ongoing:
+        """With the next episode in place of one that has ended."""
+        key_episode, key_next = jax.random.split(ongoing.key)
+        fresh = self.rules.begin(key_episode, keep_out=ongoing.keep_out, start=ongoing.start)
+        return ongoing.replace(
+            episode=_where(ends, fresh, ongoing.episode), key=jnp.where(ends, key_next, ongoing.key)
         )
+
+    def _seen(self, ongoing: Ongoing, reward: Array, is_over: Array) -> dict[str, Any]:
+        """The fields of `State` that are this environment's own."""
+        finished = ongoing.finished
+        return {
+            "pipeline_state": ongoing,
+            "obs": observe(self.rules, ongoing.episode, self.observation),
+            "reward": reward,
+            "done": is_over.astype(jnp.float32),
+            "metrics": {
+                "reward": reward,
+                "success": finished.is_success.astype(jnp.float32),
+                "num_placed": finished.is_placed.sum().astype(jnp.float32),
+                "attempts_used": finished.counts.attempts.sum().astype(jnp.float32),
+                "stable_steps": finished.counts.steps.sum().astype(jnp.float32),
+                "num_finished": ongoing.num_finished.astype(jnp.float32),
+            },
+        }
 
     @property
     def observation_size(self) -> dict[str, Any]:
@@ -106,6 +146,11 @@ class PlacementEnv(Env):
     def action_size(self) -> int:
         """x, y, z and turn."""
         return 4
+
+    @property
+    def episode_length(self) -> int:
+        """The most attempts that an episode can take."""
+        return self.rules.config.num_objects * self.rules.config.max_attempts
 
     @property
     def backend(self) -> str:

@@ -31,6 +31,8 @@ class ObservationConfig:
     num_cells: int = 0
 
     def __post_init__(self) -> None:
+        if not 0 <= self.num_cells <= 256:
+            raise ConfigError(f"num_cells = {self.num_cells}", "0 to 256", "8")
         if not (0 <= self.num_scene_points <= MAX_POINTS and 1 <= self.num_object_points <= 1024):
             raise ConfigError(
                 f"{self.num_scene_points} scene points and {self.num_object_points} object points",

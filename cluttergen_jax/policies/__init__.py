@@ -1,7 +1,5 @@
-"""Trained policies as proposers."""
+"""Trained policies as proposers.
 
-from cluttergen_jax.policies.policy import Policy, find_policy, list_policies, load_policy
-from cluttergen_jax.policies.ranked import Ranked
-from cluttergen_jax.policies.screened import Screened
-
-__all__ = ["Policy", "Ranked", "Screened", "find_policy", "list_policies", "load_policy"]
+embedded: those that come with the package, by name. policy: one read from a checkpoint and bound to a world.
+ranked: one that ranks candidates. screened: draws of one, screened by geometry.
+"""

@@ -12,7 +12,6 @@ import numpy as np
 
 from cluttergen_jax.agent.checkpoint import read_policy, read_record
 from cluttergen_jax.agent.learner import Learner
-from cluttergen_jax.assets.pool import embedded_root
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learners import make_learner
 from cluttergen_jax.networks.config import NetworkConfig
@@ -25,30 +24,6 @@ from cluttergen_jax.policies.ranked import Ranked
 from cluttergen_jax.ranking.learner import RankingLearner
 from cluttergen_jax.search import LowestFit
 from cluttergen_jax.types import Array
-
-
-def list_policies() -> dict[str, Path]:
-    """Embedded checkpoints by name, POOL-VARIANT, with their folders."""
-    root = embedded_root() / "checkpoints"
-    folders = sorted(root.iterdir()) if root.is_dir() else []
-    return {folder.name: folder for folder in folders if (folder / "record.json").is_file()}
-
-
-def find_policy(variant: str, pool: str) -> Path:
-    """The embedded checkpoint of a variant for a pool.
-
-    Raises:
-      PoolError: there is none; the message lists those that exist.
-    """
-    policies = list_policies()
-    name = f"{pool}-{variant}"
-    if name in policies:
-        return policies[name]
-    raise PoolError(
-        f"no checkpoint for method {variant!r} on pool {pool!r}",
-        ", ".join(policies) or "none is embedded",
-        f"cluttergen train --pool {pool} --variant {variant}, then --checkpoint runs/{name}-0/policy",
-    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import jax
-from brax.envs.base import Env, State
 
+from cluttergen_jax.physics.brax_env import Env, State
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.ranking.menu import with_menu

@@ -13,7 +13,8 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.render.camera import View, axes
+from cluttergen_jax.render.camera import axes
+from cluttergen_jax.render.config import View
 from cluttergen_jax.render.dress import dress
 from cluttergen_jax.render.picture import distinct_colour, render_model
 from cluttergen_jax.render.sheet import contact_sheet

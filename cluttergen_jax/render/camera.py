@@ -3,43 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from cluttergen_jax.errors import ConfigError
-
-_MOST_AZIMUTH = 3600
-
-
-@dataclass(frozen=True)
-class View:
-    """From which side a scene is seen.
-
-    Attributes:
-      azimuth: degrees; 0 looks along +x, 90 along +y.
-      elevation: degrees; -90 looks straight down.
-      field_of_view: degrees, vertical; small ones flatten perspective.
-      margin: share of the picture left free at each edge, in [0, 0.45].
-    """
-
-    azimuth: float = 125.0
-    elevation: float = -28.0
-    field_of_view: float = 30.0
-    margin: float = 0.06
-
-    def __post_init__(self) -> None:
-        if not abs(self.azimuth) <= _MOST_AZIMUTH:
-            raise ConfigError(
-                f"View.azimuth = {self.azimuth}", f"-{_MOST_AZIMUTH} to {_MOST_AZIMUTH} degrees"
-            )
-        if not -90.0 <= self.elevation <= 90.0:
-            raise ConfigError(f"View.elevation = {self.elevation}", "-90 to 90 degrees")
-        if not 1.0 <= self.field_of_view <= 120.0:
-            raise ConfigError(f"View.field_of_view = {self.field_of_view}", "1 to 120 degrees")
-        if not 0.0 <= self.margin <= 0.45:
-            raise ConfigError(f"View.margin = {self.margin}", "0 to 0.45")
+from cluttergen_jax.render.config import View
 
 
 def corners(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.recording import Attempt, Recording
+from cluttergen_jax.render.config import FilmConfig
 from cluttergen_jax.render.figure import GREEN, trails_of
 from cluttergen_jax.render.overlay import with_caption
 from cluttergen_jax.render.stage import RED, Look, Shooting, open_stage, places, swept
@@ -17,35 +18,6 @@ from cluttergen_jax.render.studio import Trail
 
 _STEPS_PER_SECOND = 240
 _TINT = 0.72
-MAX_FRAMES = 5000
-
-
-@dataclass(frozen=True)
-class FilmConfig:
-    """How fast a film runs.
-
-    Attributes:
-      fps: frames per second.
-      seconds: the longest that it takes; what would last longer is shown faster.
-      slowdown: how many times slower than in reality objects settle, where there is time.
-      lift: metres above its release from which an object is let down (for the eye: that was not simulated).
-      captions: write into the picture what is tried and how it ends.
-    """
-
-    fps: float = 20.0
-    seconds: float = 12.0
-    slowdown: float = 4.0
-    lift: float = 0.12
-    captions: bool = True
-
-    def __post_init__(self) -> None:
-        for name in ("fps", "seconds", "slowdown"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise ConfigError(f"{name} = {getattr(self, name)}", "a finite number above zero")
-        if self.fps * self.seconds > MAX_FRAMES:
-            raise ConfigError(
-                f"a film of {self.fps * self.seconds:.0f} frames", f"{MAX_FRAMES} at most", "fewer --seconds"
-            )
 
 
 @dataclass(frozen=True, eq=False)

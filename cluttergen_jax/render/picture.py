@@ -11,7 +11,8 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.render.camera import View, drawn_points, placed_camera
+from cluttergen_jax.render.camera import drawn_points, placed_camera
+from cluttergen_jax.render.config import View
 from cluttergen_jax.render.sheet import contact_sheet, save_png
 from cluttergen_jax.render.studio import HIDDEN_GROUP, check_size, open_studio, set_range
 

@@ -13,7 +13,8 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.render.assets import close_points, scene_spec
-from cluttergen_jax.render.camera import View, axes, corners, drawn_points, placed_camera
+from cluttergen_jax.render.camera import axes, corners, drawn_points, placed_camera
+from cluttergen_jax.render.config import View
 from cluttergen_jax.render.picture import DEFAULT_VIEW, prepared
 from cluttergen_jax.render.studio import HIDDEN_GROUP, Studio, Trail, check_size, open_studio, set_range
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.render.camera import View
+from cluttergen_jax.render.config import View
 from cluttergen_jax.render.gl import gl_context
 from cluttergen_jax.render.sampling import low_discrepancy, shift_lights, shift_pixel
 

@@ -7,14 +7,16 @@ import shutil
 import subprocess
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from PIL import Image
 
+from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.errors import ClutterGenError, ConfigError, MissingExtraError
 from cluttergen_jax.files import file_whole
 
-FORMATS = ("gif", "mp4")
+FORMATS = get_args(FilmFormat)
 
 
 def check_format(name: str) -> None:

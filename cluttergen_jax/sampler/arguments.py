@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
 from typing import Any
 
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.types import Start
 
@@ -21,6 +22,15 @@ def is_known(*arrays: Any) -> bool:
     return not any(isinstance(each, jax.core.Tracer) for each in arrays)
 
 
+def check_known(unknown: Mapping[str, Any], function: Callable[..., Any]) -> None:
+    """Refuses keywords that a function does not have; the nearest that it has is named."""
+    if unknown:
+        kinds = inspect.signature(function).parameters
+        names = [name for name, each in kinds.items() if each.kind is not inspect.Parameter.VAR_KEYWORD]
+        given = next(iter(unknown))
+        raise ConfigError(f"{function.__name__}({given}=...)", ", ".join(names), meant=closest(given, names))
+
+
 def check_whole(**numbers: Any) -> None:
     """Refuses what is no whole number; None is let through."""
     for name, value in numbers.items():
@@ -28,10 +38,10 @@ def check_whole(**numbers: Any) -> None:
             raise ConfigError(f"{name} = {value!r}", "a whole number")
 
 
-def check_names(objects: Sequence[str]) -> None:
+def check_names(names: Sequence[str], argument: str) -> None:
     """Refuses a single name, whose letters would be taken for names."""
-    if isinstance(objects, str):
-        raise ConfigError(f"objects = {objects!r}", "a sequence of names", f"objects=({objects!r},)")
+    if isinstance(names, str):
+        raise ConfigError(f"{argument} = {names!r}", "a sequence of names", f"{argument}=({names!r},)")
 
 
 def check_rectangles(region: Rectangle | None, keep_out: Sequence[Rectangle]) -> None:

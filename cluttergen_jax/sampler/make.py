@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Never
 
-from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.reach import check_keep_out
+from cluttergen_jax.assets.pool import composed
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.bank.start import read_start, start_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.methods import checkpoint_of, default_method, proposer_of, suited
-from cluttergen_jax.placement.config import MAX_SLOTS, MIN_MARGIN, PlacementConfig
+from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.problem import ProblemConfig, keep_out_of, make_problem
-from cluttergen_jax.sampler.arguments import check_names, check_rectangles, check_whole
+from cluttergen_jax.problem import ProblemConfig
+from cluttergen_jax.sampler.arguments import check_known, check_names, check_rectangles, check_whole
 from cluttergen_jax.sampler.sampler import Sampler
+from cluttergen_jax.sampler.wiring import bind, number_of
 from cluttergen_jax.sampling import BlockSampler
 
 MAX_RETRIES = 10_000
@@ -30,6 +30,7 @@ def make_sampler(
     checkpoint: str | Path | None = None,
     max_retries: int = 0,
     objects: Sequence[str] = (),
+    exclude: Sequence[str] = (),
     repeat: bool = False,
     region: Rectangle | None = None,
     keep_out: Sequence[Rectangle] = (),
@@ -41,6 +42,7 @@ def make_sampler(
     num_scene_points: int = 0,
     engine: str = "auto",
     num_threads: int = 0,
+    **unknown: Never,
 ) -> Sampler:
     """A function `sample(key) -> SampledScene` that may be compiled, mapped, scanned and sharded.
 
@@ -48,7 +50,7 @@ def make_sampler(
     names.
 
     Args:
-      pool: a pool's name or folder.
+      pool: a pool's name or folder, or several joined by "+".
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
       num_objects: objects per scene, 1 to 40; all of the pool's (40 at most) if not given.
       method: "random", "clear", "drop", or a trained policy. If not given: the checkpoint's own; else
@@ -57,6 +59,7 @@ def make_sampler(
       max_retries: a scene that fails is drawn again up to so often, inside the compiled code, until one
         passes; 0 to 10,000.
       objects: names of the pool's objects to use; all of them if empty.
+      exclude: names of the pool's objects to leave out; exclude=("mug",) is the same as pool="dining~mug".
       repeat: let objects stand there more than once.
       region: the queried region on the support's top: a `Rectangle` with its centre (world x, y) and half
         extents in metres, its yaw in radians; the support's own if not given.
@@ -72,10 +75,11 @@ def make_sampler(
       num_threads: of the native engine; 0 takes every core.
 
     Raises:
-      ConfigError: a setting is out of range or contradicts another.
+      ConfigError: a setting is unknown, out of range, or contradicts another.
       PoolError: a pool, an object, a support or a checkpoint cannot be found or read.
       BankError: the scene to start from cannot be read, or does not stand.
     """
+    check_known(unknown, make_sampler)
     check_whole(
         num_objects=num_objects,
         max_retries=max_retries,
@@ -83,14 +87,14 @@ def make_sampler(
         num_scene_points=num_scene_points,
         num_threads=num_threads,
     )
-    check_names(objects)
+    check_names(objects, "objects")
+    check_names(exclude, "exclude")
     check_rectangles(region, keep_out)
     if not 0 <= max_retries <= MAX_RETRIES:
         raise ConfigError(f"max_retries = {max_retries}", f"0 to {MAX_RETRIES}", "max_retries=5")
     ObservationConfig(num_scene_points=num_scene_points)
-    pool, given = str(pool), None if checkpoint is None else str(checkpoint)
-    if num_objects is None:
-        num_objects = min(len(objects) or len(find_pool(pool)), MAX_SLOTS)
+    pool, given = composed(pool, exclude), None if checkpoint is None else str(checkpoint)
+    num_objects = number_of(num_objects, pool, objects, repeat)
     method = method or default_method(pool, str(support), num_objects, given)
     policy = checkpoint_of(method, pool, given)
     placement = PlacementConfig(
@@ -110,14 +114,13 @@ def make_sampler(
         num_threads=num_threads,
         placement=suited(placement, policy),
     )
-    standing, poses = read_start(start)
-    problem = make_problem(config, standing)
-    check_keep_out(keep_out, problem.region)
+    bound = bind(config, keep_out, start)
+    rules = bound.problem.rules
     return Sampler(
-        problem=problem,
-        steps=BlockSampler(problem.rules, proposer_of(method, policy, problem.rules)),
-        keep_out=keep_out_of(keep_out),
-        start=start_of(problem.world, standing, poses),
+        problem=bound.problem,
+        steps=BlockSampler(rules, proposer_of(method, policy, rules)),
+        keep_out=bound.keep_out,
+        start=bound.start,
         max_retries=max_retries,
         num_scene_points=num_scene_points,
     )

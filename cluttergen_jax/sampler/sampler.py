@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.reach import reach_of
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
@@ -141,7 +141,7 @@ class Sampler:
             contact=config.contact,
             origin=Origin(
                 index=index,
-                pool=Path(config.pool).name,
+                pool=public_name(config.pool),
                 verdict=Verdict(int(sampled.verdict)).label,
                 is_success=bool(sampled.is_success),
                 drift=float(sampled.drift),

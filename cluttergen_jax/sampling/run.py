@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 from cluttergen_jax.placement.scenes import BLOCK_SIZE, Scenes
+from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.progress import COMPILING, Progress, interruptible
 from cluttergen_jax.sampling.blocks import BlockSampler
 
 
@@ -33,16 +34,21 @@ def sample_blocks(
     begin, step = jax.jit(sampler.begin), jax.jit(sampler.step, donate_argnums=0)
     finish = jax.jit(sampler.finish)
     place = np.arange(BLOCK_SIZE)
-    with tqdm(total=sum(rows for _, rows in blocks), unit="scene", desc="compiling", disable=None) as bar:
+
+    def attempted(episodes: Episode, rows: int) -> tuple[Episode, int]:
+        after = step(episodes)
+        return after, int(after.is_over[:rows].sum())
+
+    with Progress("compiling", sum(rows for _, rows in blocks), "scene") as progress:
+        progress.say(COMPILING)
         for block, rows in blocks:
             indices = block * BLOCK_SIZE + place
-            episodes = begin(jax.random.key(seed), indices, place < rows)
+            episodes = interruptible(begin, jax.random.key(seed), indices, place < rows)
             done = 0
             while done < rows:
-                episodes = step(episodes)
-                bar.set_description(title, refresh=False)
-                now_done = int(episodes.is_over[:rows].sum())
-                bar.update(now_done - done)
+                episodes, now_done = interruptible(attempted, episodes, rows)
+                progress.rename(title)
+                progress.update(now_done - done)
                 done = now_done
-            scenes = jax.device_get(finish(episodes))
+            scenes = interruptible(lambda last=episodes: jax.device_get(finish(last)))
             yield block, indices[:rows], jax.tree.map(lambda array, rows=rows: array[:rows], scenes)

@@ -12,6 +12,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.scene.cameras import Camera
 
 if TYPE_CHECKING:
     import mujoco
@@ -59,6 +60,7 @@ class Scene:
       stability: the time step with which the scene was checked, among others.
       contact: friction, softness and solver.
       origin: how it came about.
+      cameras: around the support; see `scene.cameras.scene_cameras`.
 
     Raises:
       ConfigError: the numbers of names, objects and poses differ, a name comes twice, or a pose is none.
@@ -71,6 +73,7 @@ class Scene:
     stability: StabilityConfig = field(default_factory=StabilityConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
     origin: Origin = field(default_factory=Origin)
+    cameras: tuple[Camera, ...] = ()
 
     def __post_init__(self) -> None:
         poses = np.array(self.poses, np.float64)

@@ -58,8 +58,12 @@ def to_mjspec(scene: Scene, prefix: str = "", *, support: bool = True) -> mujoco
         body.pos, body.quat = pose[:3], pose[3:]
     for geom in spec.geoms:
         # The attached scene keeps its contact parameters even where the other model has defaults of its own.
-        geom.friction, geom.condim = scene.contact.friction, scene.contact.condim
+        if not geom.priority:
+            geom.friction = scene.contact.friction
+        geom.condim = scene.contact.condim
         geom.solref, geom.solimp = scene.contact.solref, scene.contact.solimp
+    for each in scene.cameras:
+        spec.worldbody.add_camera(name=each.name, pos=each.position, quat=each.quaternion, fovy=each.fovy)
     spec.add_key(name=KEYFRAME, qpos=scene.poses.ravel())
     spec.modelname = "cluttergen scene"
     if not prefix:

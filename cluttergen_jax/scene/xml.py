@@ -13,11 +13,12 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP
+from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP, own_contact
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.scene.cameras import Camera
 from cluttergen_jax.world import unique_names
 
 _UNSEEN: dict[str, str] = {"contype": "0", "conaffinity": "0", "group": str(VISUAL_GROUP), "mass": "0"}
@@ -31,6 +32,7 @@ def scene_xml(
     contact: ContactConfig,
     assets_path: str = "../assets",
     names: Sequence[str] | None = None,
+    cameras: Sequence[Camera] = (),
 ) -> bytes:
     """MJCF text of a scene.
 
@@ -39,6 +41,7 @@ def scene_xml(
       poses: f32[N, 7], world, metres, wxyz.
       assets_path: the bank's `assets` folder, relative to where the text will be saved.
       names: of the bodies, unique; None makes them from the assets' names.
+      cameras: around the support.
     """
     root = ET.Element("mujoco", model="cluttergen scene")
     ET.SubElement(root, "compiler", angle="radian", meshdir=assets_path)
@@ -53,7 +56,10 @@ def scene_xml(
         if asset.name not in stored:
             stored.add(asset.name)
             _add_meshes(assets, asset)
-        _add_body(world, name, asset, pose)
+        _add_body(world, name, asset, pose, contact)
+    for each in cameras:
+        pose = {"pos": _text(each.position), "quat": _text(each.quaternion)}
+        ET.SubElement(world, "camera", pose, name=each.name, fovy=_text([each.fovy]))
     keyframe = ET.SubElement(root, "keyframe")
     ET.SubElement(keyframe, "key", name="scene", qpos=_text(np.asarray(poses).ravel()))
     ET.indent(root)
@@ -143,7 +149,9 @@ def _add_meshes(assets: ET.Element, asset: ObjectAsset) -> None:
         ET.SubElement(assets, "mesh", name=f"{asset.name}/visual-{index}", file=file, inertia="shell")
 
 
-def _add_body(world: ET.Element, name: str, asset: ObjectAsset, pose: np.ndarray) -> None:
+def _add_body(
+    world: ET.Element, name: str, asset: ObjectAsset, pose: np.ndarray, contact: ContactConfig
+) -> None:
     body = ET.SubElement(world, "body", name=name, pos=_text(pose[:3]), quat=_text(pose[3:]))
     ET.SubElement(body, "freejoint", name=name)
     inertia = np.asarray(asset.inertia)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
@@ -154,9 +162,13 @@ def _add_body(world: ET.Element, name: str, asset: ObjectAsset, pose: np.ndarray
         mass=_text([asset.mass]),
         fullinertia=_text(inertia),
     )
+    own: dict[str, str] = {}
+    if asset.friction is not None:
+        friction, priority = own_contact(asset.friction, contact.friction)
+        own = {"friction": _text(friction), "priority": str(priority)}
     for index in range(len(asset.parts)):
         ET.SubElement(
-            body, "geom", type="mesh", mesh=f"{asset.name}/part-{index}", group=str(COLLISION_GROUP)
+            body, "geom", own, type="mesh", mesh=f"{asset.name}/part-{index}", group=str(COLLISION_GROUP)
         )
     for index, piece in enumerate(asset.pieces):
         ET.SubElement(

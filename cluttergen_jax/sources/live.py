@@ -61,6 +61,10 @@ class LiveSource:
         first = (method,) if method in self._workshop.methods else ()
         self.methods = (*first, *(each for each in self._workshop.methods if each not in first))
 
+    def notice(self, method: str | None = None) -> str:
+        """See `Source`."""
+        return self._workshop.notice(method or self.methods[0])
+
     def still(self, number: int) -> Recording:
         """Scene 0 of seed `number`, by the method asked for."""
         return self.sample(self.methods[0], number)
@@ -69,4 +73,4 @@ class LiveSource:
 
     def sample(self, method: str, seed: int) -> Recording:
         """See `Source`."""
-        return self._workshop.recorder(method).record(seed, 0, f"{method}, seed {seed}")
+        return self._workshop.record(method, seed, 0, f"{method}, seed {seed}")

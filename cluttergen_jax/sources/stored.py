@@ -50,6 +50,10 @@ class BankSource:
         except ClutterGenError:
             return ()
 
+    def notice(self, method: str | None = None) -> str:
+        """See `Source`. Stored scenes come at once."""
+        return self._workshop.notice(method) if method else ""
+
     def still(self, number: int) -> Recording:
         """See `Source`.
 
@@ -84,7 +88,7 @@ class BankSource:
 
     def sample(self, method: str, seed: int) -> Recording:
         """See `Source`."""
-        return self._workshop.recorder(method).record(seed, 0, f"{method}, seed {seed}")
+        return self._workshop.record(method, seed, 0, f"{method}, seed {seed}")
 
     @cached_property
     def _workshop(self) -> Workshop:
@@ -120,6 +124,10 @@ class FileSource:
             scene.support.region,
             verdict="not judged",
         )
+
+    def notice(self, method: str | None = None) -> str:
+        """See `Source`."""
+        return ""
 
     def still(self, number: int) -> Recording:
         """See `Source`."""

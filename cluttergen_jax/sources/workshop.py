@@ -29,6 +29,8 @@ from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler
 from cluttergen_jax.sampling.record import Recorder
 from cluttergen_jax.world import base_name
 
+COMPILING = "compiling, which takes about a minute the first time"
+
 
 @dataclass(frozen=True, eq=False)
 class Workshop:
@@ -45,11 +47,22 @@ class Workshop:
     start: Start
     checkpoints: dict[str, Path] = field(default_factory=dict)
     _made: dict[tuple[str, int], Recorder] = field(default_factory=dict)
+    _used: set[str] = field(default_factory=set)
 
     @property
     def methods(self) -> tuple[str, ...]:
         """What can be asked of it: trained methods first."""
         return (*self.checkpoints, *BASELINES)
+
+    def notice(self, method: str) -> str:
+        """What to say while a scene by `method` is made: the first is compiled."""
+        return "" if method in self._used else COMPILING
+
+    def record(self, method: str, seed: int, index: int, title: str, width: int = 1) -> Recording:
+        """Scene number `index` of `seed`, with its attempts; see `Recorder.record`."""
+        recording = self.recorder(method, width).record(seed, index, title)
+        self._used.add(method)
+        return recording
 
     def recorder(self, method: str, width: int = 1) -> Recorder:
         """Records episodes of a method; kept, for it is compiled at first use."""
@@ -97,8 +110,8 @@ def remade(bank: Bank, workshop: Workshop, index: int, stored: Recording) -> Rec
       BankError: made again it ends elsewhere: other versions, another machine, changed assets.
     """
     recipe = bank.record["recipe"]
-    recorder = workshop.recorder(recipe["method"], int(recipe.get("block_size", BLOCK_SIZE)))
-    recording = recorder.record(int(recipe["seed"]), index, stored.title)
+    width = int(recipe.get("block_size", BLOCK_SIZE))
+    recording = workshop.record(recipe["method"], int(recipe["seed"]), index, stored.title, width)
     if not _equal(recording, stored):
         made = ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items())
         raise BankError(

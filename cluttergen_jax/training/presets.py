@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, get_args
 
 from cluttergen_jax.agent.config import PPOConfig
-from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.config import StabilityConfig, Variant
+from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.ranking import RankerConfig
 from cluttergen_jax.placement.config import PlacementConfig
@@ -93,7 +93,7 @@ def paper() -> Settings:
 
 
 PRESETS = {"cpu": cpu, "tight": tight, "gpu": gpu, "paper": paper}
-VARIANTS = ("policy", "beta", "normal", "open_loop", "short_memory", "ranked")
+VARIANTS = get_args(Variant)
 """`policy` is the full method with the preset's head (a mixture; in `paper` a Beta a coordinate); `beta`
 and `normal` are the full method with the paper's heads; `open_loop` and `short_memory` look back on nothing
 and on one attempt; `ranked` chooses among poses that geometry has found."""
@@ -114,9 +114,9 @@ def make_settings(preset: str, variant: str) -> Settings:
       ConfigError: there is no such preset or variant.
     """
     if preset not in PRESETS:
-        raise ConfigError(f"preset {preset!r}", ", ".join(PRESETS))
+        raise ConfigError(f"preset {preset!r}", ", ".join(PRESETS), meant=closest(preset, PRESETS))
     if variant not in VARIANTS:
-        raise ConfigError(f"variant {variant!r}", ", ".join(VARIANTS))
+        raise ConfigError(f"variant {variant!r}", ", ".join(VARIANTS), meant=closest(variant, VARIANTS))
     settings = PRESETS[preset]()
     if variant == "ranked":
         return _ranked(settings)

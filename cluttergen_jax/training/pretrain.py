@@ -10,12 +10,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tqdm import tqdm
 
 from cluttergen_jax.agent.checkpoint import has_state, read_record, read_state, save_state
 from cluttergen_jax.assets.modeller.catalog import FAMILIES
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.networks.config import NetworkConfig
+from cluttergen_jax.progress import Progress
 from cluttergen_jax.training.classifier import Classifier, Fit, FitState, turned
 from cluttergen_jax.training.encoder_weights import save_encoder
 from cluttergen_jax.training.interrupt import Interrupt
@@ -117,15 +117,14 @@ class Pretraining:
     def _learn(self, state: FitState, shapes: ShapeClouds, interrupt: Interrupt) -> FitState:
         config, step = self.config, jax.jit(self.fit.step, donate_argnums=0)
         first, saved = int(state.step), time.monotonic()
-        with tqdm(total=config.num_steps, initial=first, unit="step", disable=None) as bar:
+        with Progress("learning", config.num_steps, "step", kept=first) as progress:
             for number in range(first, config.num_steps):
                 if interrupt.is_asked:
                     break
                 index = self._batch(number)
                 key = jax.random.fold_in(jax.random.key(config.seed + 1), number)
                 state, loss, accuracy = step(state, shapes.cloud[index], shapes.label[index], key)
-                bar.set_postfix_str(f"loss {float(loss):.3f} accuracy {float(accuracy):.2f}")
-                bar.update()
+                progress.update(note=f"loss {float(loss):.3f} accuracy {float(accuracy):.2f}")
                 if time.monotonic() - saved > config.save_every:
                     save_state(self.folder / "last", state, {"config": asdict(config)})
                     saved = time.monotonic()

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from tqdm import tqdm
 
 from cluttergen_jax.assets.cloud import farthest_first
 from cluttergen_jax.assets.deviation import sample_surface
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.modeller.catalog import make_shape
+from cluttergen_jax.progress import tracked
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +41,6 @@ def shape_cloud(family: str, seed: int, num_points: int) -> np.ndarray:
 def make_clouds(families: Sequence[str], seeds: Sequence[int], num_points: int, title: str) -> ShapeClouds:
     """One cloud of each family for each seed, with a progress bar."""
     wanted = [(label, seed) for label in range(len(families)) for seed in seeds]
-    bar = tqdm(wanted, desc=title, unit="shape", disable=None, leave=False)
+    bar = tracked(wanted, title, len(wanted), "shape")
     cloud = np.stack([shape_cloud(families[label], seed, num_points) for label, seed in bar])
     return ShapeClouds(cloud, np.array([label for label, _ in wanted], np.int32))

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
+from cluttergen_jax.config import Variant
 from cluttergen_jax.errors import ConfigError
 
 POOLS = ("dining", "study", "office", "kitchen", "household")
-VARIANTS = ("policy", "open_loop", "short_memory", "normal", "beta")
+VARIANTS: tuple[Variant, ...] = ("policy", "open_loop", "short_memory", "normal", "beta")
 SEEDS = (0, 1, 2)
 ATTEMPTS_POOL = "dining"
 ATTEMPTS = (1, 2, 3, 5, 10)
@@ -17,6 +18,7 @@ DEFAULT_ATTEMPTS, DEFAULT_OBJECTS = 5, 10
 LADDER_POOLS = ("dining",)
 TIGHTEST = "table-0.30x0.40"
 CROWD = 20
+_OF_CROWDS: tuple[Variant, ...] = ("policy", "ranked")
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class PlannedRun:
     """
 
     pool: str
-    variant: str
+    variant: Variant
     seed: int
     attempts: int = DEFAULT_ATTEMPTS
     support: str = "table"
@@ -86,7 +88,7 @@ def _honest(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
     return [
         *(PlannedRun(pool, variant, seed) for pool in ladder for variant in VARIANTS),
         *(PlannedRun(pool, "ranked", seed, support=TIGHTEST) for pool in ladder),
-        *(PlannedRun("all", variant, seed, num_objects=CROWD) for variant in ("policy", "ranked")),
+        *(PlannedRun("all", variant, seed, num_objects=CROWD) for variant in _OF_CROWDS),
     ]
 
 

@@ -48,10 +48,10 @@ class Scenery:
     """Draws one recording at a time.
 
     Args:
-      server: of viser.
+      server: of viser; or one browser of it, which then alone sees what is drawn.
     """
 
-    def __init__(self, server: viser.ViserServer) -> None:
+    def __init__(self, server: viser.ViserServer | viser.ClientHandle) -> None:
         self.server, self.shown = server, Shown()
         self.recording: Recording | None = None
         self._roots: list[Any] = []

@@ -18,12 +18,16 @@ class Source(Protocol):
 
     @property
     def numbers(self) -> Sequence[int]:
-        """The scenes that it holds, at least one."""
+        """The scenes that it holds, at least one, in ascending order; where they are seeds, a vast range."""
         ...
 
     @property
     def methods(self) -> tuple[str, ...]:
         """How new scenes can be sampled; empty if they cannot."""
+        ...
+
+    def notice(self, method: str | None = None) -> str:
+        """What to say while a scene by `method`, or by number, is made; empty where it comes at once."""
         ...
 
     def still(self, number: int) -> Recording:

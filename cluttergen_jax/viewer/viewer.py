@@ -1,292 +1,63 @@
-"""The panel beside the scene, and what its buttons do."""
+"""The web viewer: every browser has a session of its own, and one thread makes scenes for all."""
 
 from __future__ import annotations
 
-import io
 import threading
-import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-from PIL import Image
-
-from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.placement.recording import Recording
-from cluttergen_jax.viewer.scenery import Scenery
+from cluttergen_jax.viewer.session import Offer, Session
 from cluttergen_jax.viewer.source import Source
-from cluttergen_jax.viewer.words import attempt_words, scene_words
 
 if TYPE_CHECKING:
     import viser
 
-_FRAMES_PER_SECOND = 20
-_SECONDS_PER_ATTEMPT = 0.8
-_DIRECTION = np.array([0.62, -0.88, 0.78])
-
 
 class Viewer:
-    """Shows a source's scenes on a server until `close`.
-
-    Scenes are read and made in one thread of their own, the newest wish first: whatever was asked for before
-    and has not begun is dropped.
+    """Shows a source's scenes to whatever browsers come, until `close`.
 
     Args:
       source: the scenes.
       server: of viser; see `server.open_server`.
-      first: the scene to begin with.
+      first: the scene that each browser begins with.
       folder: where screenshots go.
+
+    Attributes:
+      sessions: of the browsers that are there, by viser's number of the client.
     """
 
     def __init__(self, source: Source, server: viser.ViserServer, first: int, folder: Path) -> None:
-        self.source, self.server, self.folder = source, server, folder
-        self.scenery = Scenery(server)
-        self.number, self.recording, self._note = first, None, ""
-        self._wish, self._lock = 0, threading.RLock()
+        self.source, self.server = source, server
+        self.sessions: dict[int, Session] = {}
+        self._lock = threading.Lock()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="scenes")
-        self._seed = 0
-        self._playing = threading.Event()
-        self._is_closed = False
-        server.on_client_connect(lambda client: self._aim(client))
-        self._build_panel()
-        self.show(first)
-
-    recording: Recording | None
-    # viser types the value of its handles as read-only, which it is not.
-    _scene: Any
-    _slider: Any
-    _seed_entry: Any
+        self._offer = Offer(source, source.methods, first, folder, self._worker)
+        if source.notice():
+            # What has to be compiled is begun before the first browser has come.
+            self._worker.submit(source.still, first)
+        server.on_client_disconnect(self._leave)
+        server.on_client_connect(self._enter)
 
     def close(self) -> None:
         """Stops what is under way and the server."""
-        self._is_closed = True
-        self._playing.clear()
         with self._lock:
-            self._wish += 1
+            sessions = list(self.sessions.values())
+        for session in sessions:
+            session.close()
         self._worker.shutdown(wait=True, cancel_futures=True)
         self.server.stop()
 
-    # What the buttons do.
-
-    def show(self, number: int) -> None:
-        """Shows a scene by number; first as it is stored, then with its attempts."""
-
-        def stored() -> Recording:
-            return self.source.still(number)
-
-        def attempted() -> Recording:
-            return self.source.recorded(number)
-
+    def _enter(self, client: viser.ClientHandle) -> None:
+        session = Session(self._offer, client)
         with self._lock:
-            self.number = number
-        self._ask(stored, attempted, f"scene {number}")
+            self.sessions[client.client_id] = session
+        if client.client_id not in self.server.get_clients():
+            # It left while its panel was being made.
+            self._leave(client)
 
-    def step(self, places: int) -> None:
-        """The scene so many places further on, round and round."""
-        numbers = self.source.numbers
-        place = numbers.index(self.number) if self.number in numbers else -min(places, 0)
-        number = int(numbers[(place + places) % len(numbers)])
-        # The entry shows it, which is a change of the entry, which shows the scene.
-        self._scene.value = number
-        self.show(number)
-
-    def sample(self) -> None:
-        """A new scene by the chosen method."""
-        method, seed = self._method.value, int(self._seed_entry.value)
-        self._seed_entry.value = seed + 1
-        self._ask(lambda: self.source.sample(method, seed), None, f"sampling by {method}, seed {seed}")
-
-    def screenshot(self, client: viser.ClientHandle) -> Path:
-        """Saves what a browser shows as PNG here, and sends it to the browser as a download."""
-        height, width = client.camera.image_height, client.camera.image_width
-        pixels = client.get_render(height=height, width=width, transport_format="png", timeout=30)
-        image = Image.new("RGB", (width, height), (255, 255, 255))
-        layer = Image.fromarray(pixels)
-        image.paste(layer, mask=layer.getchannel("A") if layer.mode == "RGBA" else None)
-        buffer = io.BytesIO()
-        image.save(buffer, format="PNG")
-        self.folder.mkdir(parents=True, exist_ok=True)
-        path = _unused(self.folder, _file_name(self.recording.title if self.recording else self.source.name))
-        path.write_bytes(buffer.getvalue())
-        client.send_file_download(path.name, buffer.getvalue(), save_immediately=True)
-        return path
-
-    def play(self) -> None:
-        """Plays the attempts from the chosen one to the end; called again, it stops."""
-        if self._playing.is_set():
-            self._playing.clear()
-            return
-        self._playing.set()
-        self._play.label = "Stop"
-        recording = self.recording
-        last = len(recording.attempts) if recording else 0
-        start = int(self._slider.value)
-        for number in range(1 if start >= last else start + 1, last + 1):
-            self._slider.value = number
-            for frame in range(frames := round(_SECONDS_PER_ATTEMPT * _FRAMES_PER_SECOND)):
-                if not self._playing.is_set() or self.recording is not recording:
-                    break
-                self.scenery.at(number, frame / (frames - 1))
-                time.sleep(1 / _FRAMES_PER_SECOND)
-        if self.recording is recording:
-            self._redraw()
-        self._playing.clear()
-        self._play.label = "Play"
-
-    # How it is done.
-
-    def _ask(self, make: Callable[[], Recording], then: Callable[[], Recording] | None, what: str) -> None:
+    def _leave(self, client: viser.ClientHandle) -> None:
         with self._lock:
-            self._wish += 1
-            wish = self._wish
-        self._playing.clear()
-        self._status.content = f"{what} ..."
-        self._worker.submit(self._fulfil, wish, make, then)
-
-    def _fulfil(self, wish: int, make: Callable[[], Recording], then: Callable[[], Recording] | None) -> None:
-        """In the worker's thread: makes and shows a recording, and then its fuller version."""
-        if wish != self._wish:
-            return
-        try:
-            recording = make()
-            if recording.attempts or then is None:
-                self._set(wish, recording, "")
-                return
-            self._set(wish, recording, "_making its attempts again ..._")
-            if wish == self._wish:
-                self._set(wish, then(), "")
-        except ClutterGenError as error:
-            self._complain(wish, str(error))
-        except Exception as error:
-            # Whatever goes wrong, the panel says so; a thread that dies in silence would leave it waiting.
-            self._complain(wish, f"{type(error).__name__}: {error}")
-            raise
-
-    def _set(self, wish: int, recording: Recording, note: str) -> None:
-        with self._lock:
-            if wish != self._wish or self._is_closed:
-                return
-            self.recording, self._note = recording, note
-            self.scenery.show(recording)
-            last = len(recording.attempts)
-            self._slider.max = max(last, 1)
-            self._slider.value = last
-            self._slider.disabled = self._play.disabled = self._failures.disabled = last == 0
-            self._redraw()
-
-    def _complain(self, wish: int, text: str) -> None:
-        with self._lock:
-            if wish != self._wish:
-                return
-            self._note = f"**Note:** {text}"
-            if self.recording is None:
-                self._status.content = self._note
-            else:
-                self._redraw()
-
-    def _redraw(self) -> None:
-        with self._lock:
-            if self.recording is None:
-                return
-            number = int(self._slider.value) if self.recording.attempts else 0
-            self.scenery.at(number if self.recording.attempts else 1, None)
-            self._status.content = scene_words(self.recording, self._note)
-            self._attempt.content = attempt_words(self.recording, number)
-
-    def _aim(self, client: viser.ClientHandle) -> None:
-        """Puts a browser's camera where the whole region is seen."""
-        if self.recording is None:
-            return
-        region, top = self.recording.region, self.recording.support.top
-        reach = 1.25 * float(np.hypot(*region.half_extents)) + 0.25
-        target = np.array([*region.center, top + 0.05])
-        with client.atomic():
-            client.camera.fov = float(np.radians(42))
-            client.camera.up_direction = (0.0, 0.0, 1.0)
-            client.camera.position = target + 1.9 * reach * _DIRECTION / np.linalg.norm(_DIRECTION)
-            client.camera.look_at = target
-
-    def _build_panel(self) -> None:
-        gui = self.server.gui
-        numbers = self.source.numbers
-        with gui.add_folder("Scene"):
-            self._status = gui.add_markdown("")
-            self._scene = gui.add_number(
-                "Number", self.number, min=int(min(numbers)), max=int(max(numbers)), step=1
-            )
-            turn = gui.add_button_group("Go to", ("Previous", "Next"))
-        with gui.add_folder("Attempts"):
-            self._attempt = gui.add_markdown("")
-            self._slider = gui.add_slider("Attempt", min=0, max=1, step=1, initial_value=0)
-            self._play = gui.add_button("Play")
-            self._failures = gui.add_checkbox("All failed attempts", False)
-        with gui.add_folder("Show"):
-            boxes = {
-                "hulls": gui.add_checkbox("Hulls", False),
-                "region": gui.add_checkbox("Queried region", True),
-                "scene_cloud": gui.add_checkbox("Scene cloud", False),
-                "object_cloud": gui.add_checkbox("Object cloud", False),
-                "failures": self._failures,
-            }
-        with gui.add_folder("New scene"):
-            methods = self.source.methods or ("none",)
-            self._method = gui.add_dropdown("Method", methods, disabled=not self.source.methods)
-            self._seed_entry = gui.add_number("Seed", 1, min=0, max=2**31 - 1, step=1)
-            sample = gui.add_button("Sample", disabled=not self.source.methods)
-        with gui.add_folder("Camera"):
-            camera = gui.add_button_group("View", ("Reset", "Screenshot"))
-            self._saved = gui.add_markdown("")
-        turn.on_click(lambda _: self.step(-1 if turn.value == "Previous" else 1))
-        sample.on_click(lambda _: self.sample())
-        self._play.on_click(lambda _: self.play())
-        camera.on_click(lambda event: self._on_camera(camera.value, event))
-        self._scene.on_update(self._on_number)
-        self._slider.on_update(self._on_slider)
-        for name, box in boxes.items():
-            box.on_update(self._setter(name, box))
-
-    def _setter(self, name: str, box: Any) -> Callable[[Any], None]:
-        def update(_: Any) -> None:
-            setattr(self.scenery.shown, name, box.value)
-            self._redraw()
-
-        return update
-
-    def _on_camera(self, wish: str, event: Any) -> None:
-        if event.client is None:
-            return
-        if wish == "Reset":
-            self._aim(event.client)
-            return
-        try:
-            self._saved.content = f"saved as {self.screenshot(event.client)}"
-        except (OSError, RuntimeError, TimeoutError) as error:
-            self._saved.content = f"not saved: {error}"
-
-    def _on_number(self, event: Any) -> None:
-        # Only what a person typed: the panel's own changes have no client.
-        if event.client is None:
-            return
-        number = int(self._scene.value)
-        if number in self.source.numbers:
-            self.show(number)
-        else:
-            self._status.content = f"{self.source.name} has no scene {number}"
-
-    def _on_slider(self, event: Any) -> None:
-        if event.client is not None:
-            self._playing.clear()
-            self._redraw()
-
-
-def _file_name(title: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_" else "-" for c in title).replace("--", "-")
-
-
-def _unused(folder: Path, name: str) -> Path:
-    """A file that is not there yet: NAME-001.png and so on."""
-    return next(
-        path for number in range(1, 100_000) if not (path := folder / f"{name}-{number:03d}.png").exists()
-    )
+            session = self.sessions.pop(client.client_id, None)
+        if session is not None:
+            session.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from cluttergen_jax.placement.recording import Attempt, Recording
-from cluttergen_jax.types import Verdict
+from cluttergen_jax.types import Verdict, small_length
 
 
 def scene_words(recording: Recording, note: str = "") -> str:
@@ -18,7 +18,7 @@ def scene_words(recording: Recording, note: str = "") -> str:
         said = f"failed: {recording.verdict}" + (f" ({verdict.sentence})" if verdict is not None else "")
     lines = [f"**{recording.title}** {said}", f"objects placed: {len(recording.placed)}"]
     if recording.drift > 0:
-        lines.append(f"largest movement in the last check: {recording.drift * 1000:.3f} mm")
+        lines.append(f"largest movement in the last check: {small_length(recording.drift)}")
     if recording.attempts:
         failures = Counter(attempt.verdict.label for attempt in recording.failures)
         counted = ", ".join(f"{number} {label}" for label, number in failures.most_common())

@@ -9,7 +9,7 @@ from pydrake.all import AddMultibodyPlantSceneGraph, DiagramBuilder, Parser, Sim
 folder, seconds = Path(sys.argv[1]), float(sys.argv[2])
 own = json.loads((folder / "MANIFEST.json").read_text())["scenes"][0]
 builder = DiagramBuilder()
-plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.001)
+plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=1 / 240)
 Parser(plant).AddModels(str(folder / own["file"]))
 plant.Finalize()
 simulator = Simulator(builder.Build())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,8 @@ import numpy as np
 import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.readers.sizes import check_sizes
+from cluttergen_jax.assets.readers.text import TextResolver, opened
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.errors import AssetError
 
@@ -17,19 +18,20 @@ GREY = (0.7, 0.7, 0.7, 1.0)
 _STAND_IN = 2
 
 
-def read_mesh_file(path: Path) -> tuple[list[Piece], str]:
-    """The file's surfaces in its own unit and frame, each with one colour, and which axis is up.
+def read_mesh_file(path: Path) -> list[Piece]:
+    """The file's surfaces in its own unit and frame, each with one colour.
 
     Every geometry of a scene graph is placed where its nodes put it. The colour is the material's, or the
     mean over texture or vertex colours. A DAE file's declared unit is applied.
 
     Raises:
-      AssetError: the file is missing or cannot be understood.
+      AssetError: the file is missing, announces more than it holds, or cannot be understood.
     """
     if not path.is_file():
         raise AssetError(f"mesh file {path} is missing", hint="restoring the file or its name")
+    check_sizes(path)
     try:
-        scene = trimesh.load_scene(str(path), process=False)
+        scene = trimesh.load_scene(**opened(path), resolver=TextResolver(str(path)), process=False)
     except Exception as error:  # trimesh's loaders raise whatever their parsers do.
         raise AssetError(f"{path} cannot be read as a mesh: {type(error).__name__}: {error}") from error
     is_linear = path.suffix.lower() in (".glb", ".gltf")
@@ -44,7 +46,7 @@ def read_mesh_file(path: Path) -> tuple[list[Piece], str]:
             pieces.append(Piece(mesh, mean_colour(geometry.visual, is_linear)))
     if not pieces:
         raise AssetError(f"{path} holds no triangles", "a surface mesh, not points or curves")
-    return pieces, _up(path, is_linear)
+    return pieces
 
 
 def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:
@@ -55,16 +57,6 @@ def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise AssetError(f"{path} is damaged: its triangles name vertices that it does not have")
     return Mesh(vertices, faces)
-
-
-def _up(path: Path, is_gltf: bool) -> str:
-    if is_gltf:
-        return "y"
-    if path.suffix.lower() == ".dae":
-        declared = re.search(rb"<up_axis>\s*([XYZ])_UP", path.read_bytes())
-        # COLLADA's own default is y.
-        return declared.group(1).decode().lower() if declared else "y"
-    return "z"
 
 
 def mean_colour(visual: Any, is_linear: bool = False) -> tuple[float, float, float, float]:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.readers.axes import AUTO, own_up, turn_of
 from cluttergen_jax.assets.readers.check import check_shape
 from cluttergen_jax.assets.readers.mesh_file import read_mesh_file
 from cluttergen_jax.assets.readers.mjcf import read_mjcf
-from cluttergen_jax.assets.readers.source import ReadOptions, Source, find_sources
+from cluttergen_jax.assets.readers.source import ReadOptions, Source
+from cluttergen_jax.assets.readers.tree import find_sources
 from cluttergen_jax.assets.readers.urdf import read_urdf
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
-from cluttergen_jax.errors import AssetError
-
-_Y_TO_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def read_shape(source: Source, options: ReadOptions | None = None) -> Shape:
@@ -25,28 +25,26 @@ def read_shape(source: Source, options: ReadOptions | None = None) -> Shape:
       AssetError: a file is missing or unreadable (the message names it), or the size is impossible.
     """
     options = options or ReadOptions()
-    if options.up not in ("auto", "y", "z"):
-        raise AssetError(f"up = {options.up!r}", "auto, y or z")
     parts: tuple[Mesh, ...] | None = None
     mass = options.mass
     if source.kind == "urdf":
         pieces, parts = read_urdf(source.path)
-        up = "z"
     elif source.kind == "mjcf":
         pieces, parts, own_mass = read_mjcf(source.path, source.body)
-        mass, up = mass or own_mass * options.scale**3, "z"
+        mass = mass or own_mass * options.scale**3
     else:
-        pieces, up = read_mesh_file(source.path)
-    turn = _Y_TO_Z if (up if options.up == "auto" else options.up) == "y" else np.eye(3)
-    turn = turn * options.scale
+        pieces = read_mesh_file(source.path)
+    up = own_up(source.path, source.kind).axis if options.up == AUTO else options.up
+    turn = turn_of(up, options.front) * options.scale
     shape = Shape(
         name=source.name,
         label=source.label,
         pieces=tuple(Piece(piece.mesh.transformed(turn, np.zeros(3)), piece.rgba) for piece in pieces),
-        provenance=source.provenance or Provenance(_public_name(source.path), "not stated"),
+        provenance=_provenance(source, options),
         parts=None if parts is None else tuple(part.transformed(turn, np.zeros(3)) for part in parts),
         mass=mass,
         density=options.density,
+        friction=options.friction,
     )
     check_shape(shape, source.path)
     return shape
@@ -55,6 +53,14 @@ def read_shape(source: Source, options: ReadOptions | None = None) -> Shape:
 def read_source(path: str | Path, options: ReadOptions | None = None) -> list[Shape]:
     """Reads every object that `path` holds; the first that cannot be read raises AssetError."""
     return [read_shape(source, options) for source in find_sources(path)]
+
+
+def _provenance(source: Source, options: ReadOptions) -> Provenance:
+    """The source's own terms, but for those that the user states."""
+    own = source.provenance or Provenance(_public_name(source.path), "not stated")
+    return replace(
+        own, licence=options.licence or own.licence, attribution=options.attribution or own.attribution
+    )
 
 
 def _public_name(path: Path) -> str:

@@ -100,9 +100,13 @@ class _Reader:
         raise AssetError(f"{self.path}: geometry <{form.tag}>", "mesh, box, cylinder, sphere or capsule")
 
     def _mesh(self, form: Element) -> list[Piece]:
-        file = _find_mesh(self.path, form.get("filename", ""))
+        name = form.get("filename", "")
+        if (file := mesh_place(self.path, name)) is None:
+            raise AssetError(
+                f"{self.path} names mesh file {name!r}, which is not there", hint="restoring the file"
+            )
         if file not in self.files:
-            self.files[file] = read_mesh_file(file)[0]
+            self.files[file] = read_mesh_file(file)
         factors = np.diag(_floats(form.get("scale", "1 1 1"), 3))
         is_mirrored = np.linalg.det(factors) < 0
         out = []
@@ -124,8 +128,8 @@ class _Reader:
         return GREY
 
 
-def _find_mesh(urdf: Path, name: str) -> Path:
-    """The mesh file that a URDF names, with `package://` and `file://` looked up around the URDF."""
+def mesh_place(urdf: Path, name: str) -> Path | None:
+    """The file that a URDF names, None if it is not there; `package://` is looked up around the URDF."""
     plain = name.removeprefix("file://").removeprefix("package://").removeprefix("model://")
     tails = [plain]
     if name.startswith(("package://", "model://")):
@@ -134,7 +138,7 @@ def _find_mesh(urdf: Path, name: str) -> Path:
         for tail in tails:
             if tail and (root / tail).is_file():
                 return root / tail
-    raise AssetError(f"{urdf} names mesh file {name!r}, which is not there", hint="restoring the file")
+    return None
 
 
 def _link_poses(robot: Element, path: Path) -> dict[str, np.ndarray]:

@@ -6,7 +6,8 @@ import importlib.util
 from dataclasses import replace
 from pathlib import Path
 
-from cluttergen_jax.assets.readers.source import Source, find_sources
+from cluttergen_jax.assets.readers.source import Source
+from cluttergen_jax.assets.readers.tree import find_sources
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import MissingExtraError
 

@@ -73,7 +73,7 @@ def main():
     for name, before in start.items():
         after = object_pose(bodies[name], client)[0]
         moved = sum((a - b) ** 2 for a, b in zip(after, before, strict=True)) ** 0.5
-        print(f"{name}: moved {1000 * moved:.2f} mm")
+        print(f"{name}: moved {'< 0.001' if moved < 1e-6 else f'{1000 * moved:.3f}'} mm")
     pybullet.disconnect(client)
 
 

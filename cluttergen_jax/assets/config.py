@@ -1,0 +1,62 @@
+"""What can be asked of a decomposition, where nothing that decomposes is imported."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cluttergen_jax.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class DecompositionConfig:
+    """CoACD's parameters, and when it is not needed.
+
+    The default searches less than CoACD's own (threshold 0.05, nodes 20, iterations 150, depth 3,
+    resolution 2,000): on scanned mugs and cans the same deviation and openness with fewer parts, several
+    times faster. What it serves badly is done again with `finer`.
+
+    Attributes:
+      threshold: CoACD's concavity at which a part is convex enough.
+      max_parts: convex parts at most; more are merged.
+      resolution: samples by which concavity is measured.
+      nodes: cutting planes that the tree search considers at a time.
+      iterations: of the tree search.
+      depth: how many cuts it looks ahead.
+      seed: of CoACD's sampling.
+      simplify: how far the mesh may move to have fewer triangles, over its diagonal.
+      one_hull_volume: a solid that fills this share of its hull ...
+      one_hull_deviation: ... and is nowhere farther from it than this, over the diagonal, gets one hull.
+    """
+
+    threshold: float = 0.06
+    max_parts: int = 32
+    resolution: int = 1000
+    nodes: int = 6
+    iterations: int = 30
+    depth: int = 2
+    seed: int = 0
+    simplify: float = 0.004
+    one_hull_volume: float = 0.96
+    one_hull_deviation: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not 0.01 <= self.threshold <= 1:
+            raise ConfigError(f"threshold = {self.threshold}", "CoACD's range, 0.01 to 1")
+        if not 1 <= self.max_parts <= 32:
+            raise ConfigError(f"max_parts = {self.max_parts}", "1 to 32")
+
+    @property
+    def finer(self) -> DecompositionConfig:
+        """A slower search with a lower threshold, for objects that the first one served badly."""
+        return DecompositionConfig(
+            threshold=max(0.01, self.threshold / 2.5),
+            max_parts=self.max_parts,
+            resolution=2 * self.resolution,
+            nodes=3 * self.nodes,
+            iterations=4 * self.iterations,
+            depth=self.depth + 1,
+            seed=self.seed + 1,
+            simplify=self.simplify / 2,
+            one_hull_volume=1.0,
+            one_hull_deviation=self.one_hull_deviation / 2,
+        )

@@ -1,0 +1,57 @@
+"""Mesh files as trimesh takes them: text in UTF-8, whatever it was written in.
+
+Old exporters write comments and material names in Latin-1. trimesh guesses the encoding with a library that
+may be missing, from the first thousand bytes, and drops what it cannot decode, so that a material of the OBJ
+file may no longer be found in the MTL file.
+"""
+
+from __future__ import annotations
+
+import codecs
+import io
+from pathlib import Path
+from typing import Any
+
+from trimesh.resolvers import FilePathResolver
+
+_END_OF_HEADER = b"end_header"
+
+
+def opened(path: Path) -> dict[str, Any]:
+    """A mesh file as `trimesh.load_scene` takes it: `file_obj`, and `file_type` where that is no path."""
+    suffix = path.suffix.lower()
+    if suffix not in (".obj", ".ply", ".stl"):
+        return {"file_obj": str(path)}
+    data = path.read_bytes()
+    if suffix == ".ply":
+        head, end, body = data.partition(_END_OF_HEADER)
+        data = (utf8(head) if end else head) + end + body
+    elif suffix == ".obj" or not _is_binary_stl(data):
+        data = utf8(data)
+    return {"file_obj": io.BytesIO(data), "file_type": suffix[1:]}
+
+
+def utf8(data: bytes) -> bytes:
+    """Text in UTF-8: what is UTF-8 or UTF-16 stays as it is, all else is read as Windows-1252 or Latin-1."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", errors="replace").encode()
+    for encoding in ("utf-8-sig", "cp1252"):
+        try:
+            return data.decode(encoding).encode()
+        except UnicodeDecodeError:
+            continue
+    return data.decode("latin-1").encode()
+
+
+def _is_binary_stl(data: bytes) -> bool:
+    """By its length: the free header of a binary file may begin with the first word of text files."""
+    return len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
+
+
+class TextResolver(FilePathResolver):
+    """Finds what a mesh file names; material files come in UTF-8."""
+
+    def get(self, name: str) -> bytes:
+        """The content of the file that is called so."""
+        data: bytes = super().get(name)
+        return utf8(data) if name.strip().lower().endswith(".mtl") else data

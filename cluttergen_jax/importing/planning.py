@@ -1,0 +1,131 @@
+"""What an import will make: every object with its options and its name, and what is left out, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cluttergen_jax.assets.readers import Found, ReadOptions, Skipped, Source, survey, ycb_sources
+from cluttergen_jax.assets.readers.axes import AUTO, UpAxis, own_up
+from cluttergen_jax.assets.readers.source import named_apart
+from cluttergen_jax.errors import AssetError, ConfigError
+from cluttergen_jax.importing.settings import OF_READING, Settings, read_settings, settings_for
+
+YCB = "ycb"
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One object with everything that decides how it is read.
+
+    Attributes:
+      up: the vertical axis of its file, and who says so.
+      is_named: its name was chosen by the user, and stays.
+    """
+
+    source: Source
+    options: ReadOptions
+    up: UpAxis
+    is_named: bool = False
+
+
+@dataclass(frozen=True)
+class Failure:
+    """An object that could not be made, and why."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Objects of distinct names, files that are no objects, and what cannot be read."""
+
+    objects: tuple[Planned, ...]
+    skipped: tuple[Skipped, ...]
+    failures: tuple[Failure, ...]
+
+
+@dataclass(frozen=True)
+class _Group:
+    """What one of the sources holds, the folder that its settings speak of, and these."""
+
+    root: Path
+    found: Found
+    settings: Settings | None
+
+
+def plan_all(sources: Sequence[str | Path], options: ReadOptions, settings: Path | None = None) -> Plan:
+    """Looks through all sources; the word `ycb` stands for the YCB objects.
+
+    Args:
+      options: for every object, but for what its settings say.
+      settings: a settings file for all sources, in place of the one in each folder.
+
+    Raises:
+      ConfigError: settings are wrong, fit no object, or give one name to several.
+      MissingExtraError: `ycb` without the extra.
+    """
+    given = None if settings is None else read_settings(settings)
+    groups: list[_Group] = []
+    failures: list[Failure] = []
+    for each in sources:
+        try:
+            groups.append(_group(each, given))
+        except AssetError as error:
+            failures.append(Failure(str(each), str(error)))
+    if given is not None:
+        given.check_used([(group.root, group.found) for group in groups])
+    planned: list[Planned] = []
+    for group in groups:
+        for source in group.found.sources:
+            try:
+                planned.append(_planned(source, group, options))
+            except OSError as error:
+                failures.append(Failure(source.name, f"{source.path} cannot be read ({error.strerror})"))
+    skipped = tuple(each for group in groups for each in group.found.skipped)
+    return Plan(_named_apart(planned), skipped, tuple(failures))
+
+
+def _group(given: str | Path, settings: Settings | None) -> _Group:
+    path = Path(given)
+    if str(given) == YCB and not path.exists():
+        found = Found(tuple(ycb_sources()))
+        return _Group(found.sources[0].path.parent, found, settings)
+    found = survey(path)
+    root = path if path.is_dir() else path.parent
+    if settings is None and (settings := settings_for(root)) is not None and path.is_dir():
+        settings.check_used([(root, found)])
+    return _Group(root, found, settings)
+
+
+def _planned(source: Source, group: _Group, options: ReadOptions) -> Planned:
+    """A source with the options of the command line, but for what the settings say."""
+    values = {} if group.settings is None else group.settings.of(source, group.root)
+    reading = {key: value for key, value in values.items() if key in OF_READING}
+    own = replace(options, **reading)
+    if own.up == AUTO:
+        up = own_up(source.path, source.kind)
+    elif group.settings is not None and "up" in reading:
+        up = UpAxis(own.up, f"as {group.settings.path.name} says")
+    else:
+        up = UpAxis(own.up, "as --up says")
+    naming = {key: value for key, value in values.items() if key not in OF_READING}
+    return Planned(replace(source, **naming), own, up, "name" in naming)
+
+
+def _named_apart(planned: Sequence[Planned]) -> tuple[Planned, ...]:
+    """Distinct names; those that the user chose stay.
+
+    Raises:
+      ConfigError: the user chose one for several objects.
+    """
+    chosen = [each.source.name for each in planned if each.is_named]
+    if twice := sorted({name for name in chosen if chosen.count(name) > 1}):
+        raise ConfigError(
+            f"settings with name = {twice[0]!r} for {chosen.count(twice[0])} objects", "a name for one object"
+        )
+    order = sorted(range(len(planned)), key=lambda index: not planned[index].is_named)
+    names = dict(zip(order, named_apart([planned[index].source for index in order]), strict=True))
+    return tuple(replace(each, source=names[index]) for index, each in enumerate(planned))

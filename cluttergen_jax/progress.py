@@ -1,0 +1,132 @@
+"""While something long runs: how far it is, on a terminal and in a log, and an ear for Ctrl-C."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, wait
+from types import TracebackType
+from typing import Any, TextIO, TypeVar
+
+from tqdm import tqdm
+
+T = TypeVar("T")
+EVERY = 10.0
+"""Seconds between two lines in a log."""
+_LONGEST_WAIT = 0.2
+stop_asked = threading.Event()
+"""Set by the console script at Ctrl-C. An import may swallow a KeyboardInterrupt, which comes again then."""
+COMPILING = "compiling: about 20 s the first time"
+
+
+class Progress:
+    """Counts what is done: a bar on a terminal; elsewhere a line every ten seconds, and none before.
+
+    Args:
+      title: what is done, as in "drawing".
+      total: how much there is to do, in `unit`s; kept: how much of that was done before.
+      file: where it is shown, stderr if not given.
+      clock: seconds.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        total: int,
+        unit: str,
+        kept: int = 0,
+        file: TextIO | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.title, self.total, self.unit, self.kept, self.done = title, total, unit, kept, kept
+        self._file, self._clock = file or sys.stderr, clock
+        self._is_log = not self._file.isatty()
+        self._bar = tqdm(
+            total=total, initial=kept, desc=title, unit=unit, file=self._file, disable=self._is_log
+        )
+        self._started = self._told = clock()
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.close()
+        if self._is_log and error is None and self._told > self._started:
+            passed = time_text(self._clock() - self._started)
+            self.say(f"{self.title}: {self.done} of {self.total} {self.unit}s done in {passed}")
+
+    def update(self, number: int = 1, note: str = "") -> None:
+        """So many more are done; a note stands beside the bar."""
+        self.done += number
+        if note:
+            self._bar.set_postfix_str(note, refresh=False)
+        self._bar.update(number)
+        now = self._clock()
+        if self._is_log and now - self._told >= EVERY:
+            self._told = now
+            self.say(f"{self.title}: {self.done} of {self.total} {self.unit}s, {self._times(now)}")
+
+    def _times(self, now: float) -> str:
+        passed, made = now - self._started, self.done - self.kept
+        left = f", {time_text(passed / made * (self.total - self.done))} left" if made else ""
+        return f"{time_text(passed)} passed{left}"
+
+    def rename(self, title: str) -> None:
+        """From now on something else is done."""
+        self.title = title
+        self._bar.set_description(title, refresh=False)
+
+    def say(self, text: str) -> None:
+        """A line that stays."""
+        if self._is_log:
+            print(text, file=self._file, flush=True)
+        else:
+            self._bar.write(text, file=self._file)
+
+
+def tracked(items: Iterable[T], title: str, total: int, unit: str) -> Iterator[T]:
+    """The items, with progress."""
+    with Progress(title, total, unit) as progress:
+        for item in items:
+            yield item
+            progress.update()
+
+
+def time_text(seconds: float) -> str:
+    """A length of time for people."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def interruptible(function: Callable[..., T], *args: Any) -> T:
+    """The result of a call that would keep Ctrl-C waiting, such as a compilation.
+
+    It is made in a thread of its own while this one waits. Where Ctrl-C ends the wait the call is abandoned:
+    it goes on until the process ends, and nobody sees what becomes of it. Outside the main thread, where
+    Python answers no signals, it is an ordinary call.
+
+    Raises:
+      KeyboardInterrupt: Ctrl-C, now or before.
+    """
+    if stop_asked.is_set():
+        raise KeyboardInterrupt
+    if threading.current_thread() is not threading.main_thread():
+        return function(*args)
+    result: Future[T] = Future()
+
+    def work() -> None:
+        try:
+            result.set_result(function(*args))
+        except BaseException as error:
+            result.set_exception(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    while not result.done():
+        # A signal that comes just before the wait begins does not end it, so no wait is a long one.
+        wait([result], _LONGEST_WAIT)
+    return result.result()

@@ -1,0 +1,68 @@
+"""What can be asked of a picture and of a film, where nothing that draws is imported."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from cluttergen_jax.errors import ConfigError
+
+MAX_FRAMES = 5000
+_MOST_AZIMUTH = 3600
+
+
+@dataclass(frozen=True)
+class View:
+    """From which side a scene is seen.
+
+    Attributes:
+      azimuth: degrees; 0 looks along +x, 90 along +y.
+      elevation: degrees; -90 looks straight down.
+      field_of_view: degrees, vertical; small ones flatten perspective.
+      margin: share of the picture left free at each edge, in [0, 0.45].
+    """
+
+    azimuth: float = 125.0
+    elevation: float = -28.0
+    field_of_view: float = 30.0
+    margin: float = 0.06
+
+    def __post_init__(self) -> None:
+        if not abs(self.azimuth) <= _MOST_AZIMUTH:
+            raise ConfigError(
+                f"View.azimuth = {self.azimuth}", f"-{_MOST_AZIMUTH} to {_MOST_AZIMUTH} degrees"
+            )
+        if not -90.0 <= self.elevation <= 90.0:
+            raise ConfigError(f"View.elevation = {self.elevation}", "-90 to 90 degrees")
+        if not 1.0 <= self.field_of_view <= 120.0:
+            raise ConfigError(f"View.field_of_view = {self.field_of_view}", "1 to 120 degrees")
+        if not 0.0 <= self.margin <= 0.45:
+            raise ConfigError(f"View.margin = {self.margin}", "0 to 0.45")
+
+
+@dataclass(frozen=True)
+class FilmConfig:
+    """How fast a film runs.
+
+    Attributes:
+      fps: frames per second.
+      seconds: the longest that it takes; what would last longer is shown faster.
+      slowdown: how many times slower than in reality objects settle, where there is time.
+      lift: metres above its release from which an object is let down (for the eye: that was not simulated).
+      captions: write into the picture what is tried and how it ends.
+    """
+
+    fps: float = 20.0
+    seconds: float = 12.0
+    slowdown: float = 4.0
+    lift: float = 0.12
+    captions: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("fps", "seconds", "slowdown"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ConfigError(f"{name} = {getattr(self, name)}", "a finite number above zero")
+        if self.fps * self.seconds > MAX_FRAMES:
+            raise ConfigError(
+                f"a film of {self.fps * self.seconds:.0f} frames", f"{MAX_FRAMES} at most", "fewer --seconds"
+            )

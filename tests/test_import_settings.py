@@ -1,0 +1,211 @@
+"""Settings per object: what the command line and `objects.toml` say, where it ends up, slips of the pen."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.readers import ReadOptions, read_shape
+from cluttergen_jax.assets.readers.axes import AXES, turn_of
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.errors import AssetError, ConfigError
+from cluttergen_jax.importing import cache, run
+from cluttergen_jax.importing.planning import plan_all
+from cluttergen_jax.importing.run import ImportConfig, import_sources
+from cluttergen_jax.importing.worker import ObjectConfig
+
+SIZE = (0.03, 0.05, 0.07)
+QUICK = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path, monkeypatch):
+    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
+    # Jobs run in this process: spawning has its own tests, and costs seconds.
+    monkeypatch.setattr(run, "run_all", lambda do, jobs, _: ((i, do(job)) for i, job in enumerate(jobs)))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Boxes of 3, 5 and 7 cm along x, y, z as their files have it."""
+    folder = tmp_path / "things"
+    (folder / "cups").mkdir(parents=True)
+    for name in ("crate.obj", "slab.glb", "cups/small.stl", "cups/large.stl"):
+        trimesh.creation.box(SIZE).export(folder / name)
+    return folder
+
+
+def planned(folder, text="", options=None, settings=None):
+    (folder / "objects.toml").write_text(text)
+    return {each.source.name: each for each in plan_all([folder], options or ReadOptions(), settings).objects}
+
+
+def size_of(plan):
+    shape = read_shape(plan.source, plan.options)
+    return np.ptp(joined([piece.mesh for piece in shape.pieces]).bounds, axis=0).round(6).tolist()
+
+
+def test_the_axis_and_who_says_so(folder, tmp_path):
+    trimesh.creation.box(SIZE).export(folder / "cups" / "declared.dae")
+    declared = (folder / "cups" / "declared.dae").read_text()
+    (folder / "cups" / "side.dae").write_text(declared.replace("Y_UP", "X_UP"))
+    plans = planned(folder, '["cups/large.stl"]\nup = "y"\n')
+    told = {name: (plan.up.axis, plan.up.reason) for name, plan in plans.items()}
+    assert told == {
+        "crate": ("z", "by default: OBJ does not say"),
+        "slab": ("y", "GLTF's standard"),
+        "small": ("z", "by default: STL does not say"),
+        "large": ("y", "as objects.toml says"),
+        "declared": ("y", "the file's declaration"),
+        "side": ("x", "the file's declaration"),
+    }
+    assert size_of(plans["slab"]) == [0.03, 0.07, 0.05]
+    # What is declared to lie on its x axis was once read as if z were up.
+    assert size_of(plans["side"]) == [0.05, 0.07, 0.03]
+    by_flag = planned(folder, options=ReadOptions(up="z"))["slab"]
+    assert (by_flag.up.axis, by_flag.up.reason) == ("z", "as --up says")
+    assert size_of(by_flag) == [0.03, 0.05, 0.07]
+
+
+def test_up_becomes_z_and_front_becomes_x():
+    axes = {name: np.eye(3)["xyz".index(name[-1])] * (-1 if name[0] == "-" else 1) for name in AXES}
+    for up in AXES:
+        np.testing.assert_array_equal(turn_of(up) @ axes[up], [0, 0, 1])
+        for front in AXES:
+            if up[-1] == front[-1]:
+                with pytest.raises(ConfigError, match="right angle"):
+                    ReadOptions(up=up, front=front)
+                continue
+            turn = turn_of(up, front)
+            np.testing.assert_array_equal(turn @ axes[up], [0, 0, 1])
+            np.testing.assert_array_equal(turn @ axes[front], [1, 0, 0])
+            assert np.linalg.det(turn) == 1
+
+
+SETTINGS = """
+[default]
+licence = "CC BY 4.0"
+attribution = "the maker"
+
+["cups/*"]
+friction = 0.1
+mass = 0.05
+
+["large.stl"]
+mass = 0.2
+name = "big_cup"
+label = "a big cup"
+
+["slab.glb"]
+up = "z"
+front = "y"
+density = 1000
+license = "CC0-1.0"
+"""
+
+
+def test_settings_reach_the_object_and_the_cache(folder):
+    for name in ("crate.obj", "cups/small.stl"):
+        (folder / name).unlink()
+    (folder / "objects.toml").write_text(SETTINGS)
+    report = import_sources([folder], "mine", QUICK)
+    pool = find_pool("mine")
+    assert pool.names == ("slab", "big_cup")
+    big, slab = pool["big_cup"], pool["slab"]
+    assert (big.mass, big.friction, big.label) == (0.2, 0.1, "a big cup")
+    assert (big.provenance.licence, big.provenance.attribution) == ("CC BY 4.0", "the maker")
+    assert (slab.provenance.licence, slab.friction) == ("CC0-1.0", None)
+    assert slab.mass == pytest.approx(np.prod(SIZE) * 1000, rel=0.01)
+    np.testing.assert_allclose(2 * slab.half_extents, [0.05, 0.03, 0.07], atol=1e-5)
+    assert report.up_axes["slab"].reason == "as objects.toml says"
+    assert import_sources([folder], "mine", QUICK).num_cached == 2
+
+
+def test_a_setting_that_changes_makes_its_object_anew(folder):
+    first = keys(planned(folder, SETTINGS))
+    second = keys(planned(folder, SETTINGS.replace("mass = 0.2", "mass = 0.3")))
+    assert {name for name in first if first[name] != second[name]} == {"big_cup"}
+
+
+def keys(plans):
+    return {name: cache.cache_key(plan.source, ObjectConfig(plan.options)) for name, plan in plans.items()}
+
+
+def test_flags_hold_for_all_and_settings_for_one(folder, tmp_path):
+    elsewhere = tmp_path / "other.toml"
+    elsewhere.write_text('["crate.obj"]\nlicence = "MIT"\n')
+    options = ReadOptions(licence="CC0-1.0", friction=0.3)
+    plans = planned(folder, '["crate.obj"]\nmass = 1\n', options, elsewhere)
+    assert plans["crate"].options == ReadOptions(licence="MIT", friction=0.3)
+    assert plans["slab"].options == options
+    shape = read_shape(plans["slab"].source, options)
+    assert (shape.provenance.licence, shape.friction) == ("CC0-1.0", 0.3)
+
+
+def test_one_file_of_a_folder_has_its_settings_too(folder):
+    (folder / "objects.toml").write_text(SETTINGS)
+    (only,) = plan_all([folder / "slab.glb"], ReadOptions()).objects
+    assert (only.up.axis, only.options.density) == ("z", 1000)
+
+
+def test_one_body_of_an_mjcf_file(folder):
+    body = '<body name="{}"><geom type="box" size=".02 .02 .02"/></body>'
+    bodies = body.format("pan") + body.format("lid")
+    (folder / "kitchen.xml").write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    plans = planned(folder, '["kitchen.xml"]\nfriction = 0.2\n["kitchen.xml#pan"]\nname = "frying_pan"\n')
+    assert (plans["frying_pan"].options.friction, plans["lid"].options.friction) == (0.2, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('["crat.obj"]\nmass = 1\n', r"'crat.obj'\] fits no object \(did you mean 'crate.obj'\?\)"),
+        ('["crate.obj"]\nfricton = 1\n', r"'fricton' \(did you mean 'friction'\?\)"),
+        ("[crate.obj]\nmass = 1\n", "a pattern in quotes"),
+        ('["fox.fbx"]\nmass = 1\n', "it is skipped: FBX"),
+        ('["crate.obj"]\nmass = -1\n', "'crate.obj'.*mass = -1.*above zero"),
+        ('["crate.obj"]\nmass = "heavy"\n', "mass = 'heavy'"),
+        ('["crate.obj"]\nup = "w"\n', "up = 'w'.*-z"),
+        ('["crate.obj"]\nup = "y"\nfront = "-y"\n', "right angle"),
+        ('["crate.obj"]\nlicence = 3\n', "licence = 3"),
+        ('["crate.obj"]\nname = "My Crate"\n', "a-z, 0-9"),
+        ('[default]\nname = "crate"\n', "one object's name"),
+        ('["cups/*"]\nname = "cup"\n', "'cup' for 2 objects"),
+        ("mass = 1\n", "outside a table"),
+        ("[default\n", "not TOML"),
+    ],
+)
+def test_slips_of_the_pen(folder, text, message):
+    (folder / "fox.fbx").write_text("x")
+    with pytest.raises(ConfigError, match=message) as error:
+        planned(folder, text)
+    assert "objects.toml" in str(error.value) or "settings" in str(error.value)
+
+
+def test_a_settings_file_that_is_not_there(folder, tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read"):
+        planned(folder, settings=tmp_path / "none.toml")
+
+
+def test_the_command_says_axes_and_what_it_skipped(folder, capsys):
+    cups = folder / "cups"
+    (cups / "large.stl").unlink()
+    (cups / "fox.fbx").write_text("x")
+    line = ["import", str(cups), "--pool", "mine", "--trials", "8", "--jobs", "1", "--no-progress"]
+    assert main([*line, "--license", "CC0-1.0", "--friction", "0.2", "--up", "y"]) == 0
+    out = capsys.readouterr().out
+    assert "up is y (as --up says): small" in out
+    assert "FBX is not read; Blender and others can save it as GLB: cups/fox.fbx" in out
+    assert find_pool("mine").licence == "CC0-1.0"
+    assert find_pool("mine")["small"].friction == 0.2
+
+
+def test_a_table_takes_no_settings(folder, capsys):
+    assert main(["import", "--support", str(folder / "slab.glb"), "--friction", "0.2"]) == 2
+    assert "--friction with --support" in capsys.readouterr().err
+
+
+def test_nothing_there_is_still_an_asset_error(tmp_path):
+    with pytest.raises(AssetError, match="nothing to import"):
+        import_sources([], "mine", QUICK)

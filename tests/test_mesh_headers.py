@@ -1,0 +1,158 @@
+"""Files that are not UTF-8, and files whose headers announce more than they hold."""
+
+import json
+import struct
+import sys
+import tracemalloc
+
+import numpy as np
+import pytest
+import trimesh
+
+from cluttergen_jax.assets.readers import read_source
+from cluttergen_jax.assets.readers.text import utf8
+from cluttergen_jax.errors import AssetError
+
+OBJ = """# {comment}
+mtllib box.mtl
+v 0 0 0
+v 0.1 0 0
+v 0 0.1 0
+v 0 0 0.1
+usemtl Grün
+f 1 3 2
+f 1 2 4
+usemtl Weiß
+f 1 4 3
+f 2 3 4
+"""
+MTL = "# Größe in Metern\nnewmtl Grün\nKd 0.1 0.8 0.2\nnewmtl Weiß\nKd 0.9 0.9 0.95\n"
+
+
+@pytest.fixture
+def fresh(monkeypatch):
+    """A fresh installation, which lacks what trimesh guesses encodings with."""
+    monkeypatch.setitem(sys.modules, "charset_normalizer", None)
+
+
+@pytest.mark.parametrize("comment", ["Würfel", "x" * 2000 + " Würfel"])
+@pytest.mark.parametrize(
+    ("obj", "mtl"),
+    [("latin-1", "latin-1"), ("utf-8", "latin-1"), ("cp1252", "utf-8"), ("utf-8-sig", "utf-16")],
+)
+def test_materials_are_found_whatever_the_encoding(tmp_path, fresh, comment, obj, mtl):
+    (tmp_path / "box.obj").write_bytes(OBJ.format(comment=comment).encode(obj))
+    (tmp_path / "box.mtl").write_bytes(MTL.encode(mtl))
+    (shape,) = read_source(tmp_path / "box.obj")
+    colours = {piece.rgba[:3] for piece in shape.pieces}
+    np.testing.assert_allclose(sorted(colours), [(0.1, 0.8, 0.2), (0.9, 0.9, 0.95)], atol=0.005)
+
+
+def test_text_headers_of_other_formats(tmp_path, fresh):
+    box = trimesh.creation.box((0.05, 0.05, 0.05))
+    stl = box.export(file_type="stl_ascii").replace("solid ", "solid Würfel ", 1)
+    (tmp_path / "box.stl").write_bytes(stl.encode("latin-1"))
+    ply = box.export(file_type="ply", encoding="binary")
+    (tmp_path / "box.ply").write_bytes(ply.replace(b"\ncomment ", b"\ncomment W\xfcrfel ", 1))
+    for name in ("box.stl", "box.ply"):
+        (shape,) = read_source(tmp_path / name)
+        assert len(shape.pieces[0].mesh.faces) == 12
+
+
+def test_utf8_stays_as_it_is():
+    for text in ("Würfel\n", "立方体\n", "plain\n"):
+        assert utf8(text.encode()) == text.encode()
+    assert utf8(b"\x81\xfc") == "\x81ü".encode()
+
+
+def glb(change):
+    """A box as GLB whose header is changed by a function."""
+    data = trimesh.creation.box((0.05, 0.05, 0.05)).export(file_type="glb")
+    length = int.from_bytes(data[12:16], "little")
+    document = json.loads(data[20 : 20 + length])
+    change(document)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + length :]
+    return struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
+
+
+def many(document):
+    document["accessors"][0]["count"] = 3_000_000_000
+
+
+def many_zeros(document):
+    many(document)
+    del document["accessors"][0]["bufferView"]
+
+
+def sparse(document):
+    part = {"bufferView": 0, "componentType": 5125}
+    document["accessors"][0]["sparse"] = {
+        "count": 2_000_000_000,
+        "indices": part,
+        "values": {"bufferView": 0},
+    }
+
+
+def long_view(document):
+    document["bufferViews"][0]["byteLength"] = 3_000_000_000
+
+
+def long_buffer(document):
+    document["buffers"][0]["byteLength"] = 3_000_000_000
+
+
+def negative(document):
+    document["accessors"][0]["count"] = -1
+
+
+def no_number(document):
+    document["accessors"][0]["count"] = "many"
+
+
+def stl_of(triangles):
+    data = trimesh.creation.box((0.05, 0.05, 0.05)).export(file_type="stl")
+    return data[:80] + struct.pack("<I", triangles) + data[84:]
+
+
+def ply_of(encoding, rows):
+    data = trimesh.creation.box((0.05, 0.05, 0.05)).export(file_type="ply", encoding=encoding)
+    return data.replace(b"element face 12", f"element face {rows}".encode())
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("a.glb", glb(many), "accessor 0 of 3,000,000,000 elements needs"),
+        ("a.glb", glb(many_zeros), "accessor 0 of 3,000,000,000 elements"),
+        ("a.glb", glb(sparse), "sparse accessor 0"),
+        ("a.glb", glb(long_view), "view 0 of buffer 0"),
+        ("a.glb", glb(long_buffer), "buffer 0 needs 3,000,000,000 bytes"),
+        ("a.glb", glb(negative), "header is damaged"),
+        ("a.glb", glb(no_number), "header is damaged"),
+        ("a.glb", glb(lambda _: None)[:-50], "damaged"),
+        ("a.stl", stl_of(3_000_000_000), "3,000,000,000 triangles"),
+        ("a.stl", stl_of(11), "11 triangles"),
+        ("a.ply", ply_of("binary", 3_000_000_000), "header announces|promises"),
+        ("a.ply", ply_of("ascii", 3_000_000_000), "header announces|promises"),
+    ],
+)
+def test_more_than_there_is_is_refused_before_it_is_read(tmp_path, name, data, message):
+    path = tmp_path / name
+    path.write_bytes(data)
+    tracemalloc.start()
+    try:
+        with pytest.raises(AssetError, match=message):
+            read_source(path)
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("suffix", ["glb", "gltf", "stl", "ply"])
+def test_sound_files_pass(tmp_path, suffix):
+    path = tmp_path / f"ball.{suffix}"
+    trimesh.creation.icosphere(subdivisions=2, radius=0.05).export(path)
+    (shape,) = read_source(path)
+    assert len(shape.pieces[0].mesh.faces) == 320

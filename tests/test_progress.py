@@ -1,0 +1,117 @@
+"""What is said while something long runs, and how Ctrl-C is answered meanwhile."""
+
+import io
+import signal
+import threading
+
+import pytest
+
+from cluttergen_jax import progress
+from cluttergen_jax.evaluation.progress import Progress as SuiteProgress
+from cluttergen_jax.progress import Progress, interruptible, time_text, tracked
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+class Clock:
+    """Seconds that pass when told to."""
+
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def test_a_log_gets_a_line_every_ten_seconds_and_one_at_the_end():
+    log, clock = io.StringIO(), Clock()
+    with Progress("drawing", 4, "picture", file=log, clock=clock) as shown:
+        for _ in range(4):
+            clock.now += 6.0
+            shown.update(note="unseen in a log")
+    assert log.getvalue().splitlines() == [
+        "drawing: 2 of 4 pictures, 12 s passed, 12 s left",
+        "drawing: 4 of 4 pictures, 24 s passed, 0 s left",
+        "drawing: 4 of 4 pictures done in 24 s",
+    ]
+
+
+def test_what_was_done_before_is_counted_but_sets_no_pace():
+    log, clock = io.StringIO(), Clock()
+    with Progress("learning", 100, "step", kept=90, file=log, clock=clock) as shown:
+        clock.now += 20.0
+        shown.update(2)
+        clock.now += 1.0
+        shown.update(8)
+    assert log.getvalue().splitlines()[0] == "learning: 92 of 100 steps, 20 s passed, 80 s left"
+
+
+def test_quick_work_leaves_a_log_alone(capsys):
+    assert list(tracked([1, 2, 3], "drawing", 3, "picture")) == [1, 2, 3]
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_terminal_gets_a_bar():
+    terminal = Terminal()
+    with Progress("drawing", 2, "picture", file=terminal) as shown:
+        shown.say("a line that stays")
+        shown.update(2)
+    assert "100%" in terminal.getvalue()
+    assert "a line that stays\n" in terminal.getvalue()
+    assert "passed" not in terminal.getvalue()
+
+
+def test_lengths_of_time_are_for_people():
+    assert [time_text(each) for each in (5, 150, 9000)] == ["5 s", "2 min", "2.5 h"]
+
+
+def test_a_suite_that_is_taken_up_counts_what_is_kept():
+    log, clock = io.StringIO(), Clock()
+    suite = SuiteProgress(4000, rows=40, kept=10, kept_episodes=1000, file=log, clock=clock)
+    suite.begin("dining")
+    clock.now += 20.0
+    suite.add(50)
+    suite.add(50)
+    suite.finish("success 1.000")
+    assert log.getvalue().splitlines() == [
+        "[10 of 40 rows, 10 kept from before, time left unknown] dining: begins, compiling first",
+        "[10 of 40 rows, 10 kept from before, 20 min left] dining: 1050 of 4000 episodes",
+        "[11 of 40 rows, 10 kept from before, 10 min left] dining: success 1.000",
+    ]
+
+
+# Ctrl-C
+
+
+def test_ctrl_c_does_not_wait_for_a_long_call():
+    is_running, is_over = threading.Event(), threading.Event()
+
+    def long_call():
+        is_running.set()
+        is_over.wait()
+
+    def strike(thread):
+        is_running.wait()
+        signal.pthread_kill(thread.ident, signal.SIGINT)
+
+    striker = threading.Thread(target=strike, args=(threading.main_thread(),))
+    striker.start()
+    with pytest.raises(KeyboardInterrupt):
+        interruptible(long_call)
+    striker.join()
+    is_over.set()
+
+
+def test_an_interrupt_that_was_swallowed_is_raised_again(monkeypatch):
+    monkeypatch.setattr(progress, "stop_asked", threading.Event())
+    progress.stop_asked.set()
+    with pytest.raises(KeyboardInterrupt):
+        interruptible(divmod, 7, 2)
+
+
+def test_results_and_errors_come_through():
+    assert interruptible(divmod, 7, 2) == (3, 1)
+    with pytest.raises(ZeroDivisionError):
+        interruptible(divmod, 7, 0)

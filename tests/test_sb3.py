@@ -1,0 +1,56 @@
+"""Stable-Baselines3's PPO learns for more than a hundred steps."""
+
+import numpy as np
+import pytest
+
+import cluttergen_jax as cg
+
+pytest.importorskip("stable_baselines3", reason="needs the extra sb3")
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+
+
+@pytest.fixture(scope="module")
+def envs():
+    settings = {"pool": "dining", "support": "table-0.30x0.40", "num_objects": 2, "max_attempts": 2}
+    return cg.make_sb3_env(4, **settings, action="surface", history_stride=0)
+
+
+def test_its_checker_finds_nothing():
+    from stable_baselines3.common.env_checker import check_env
+
+    check_env(cg.make_gym_env(pool="dining", num_objects=2, history_stride=0))
+
+
+def test_ends_are_told_as_it_wants_them(envs):
+    envs.seed(0)
+    first = envs.reset()
+    rewards, ended = np.zeros(4), 0
+    for length in range(1, 5):
+        obs, reward, done, infos = envs.step(np.full((4, 3), -1.0))  # a corner: everything falls
+        rewards += reward
+        assert obs.shape == first.shape
+        for index in np.flatnonzero(done):
+            assert infos[index]["is_success"] is False
+            assert infos[index]["episode"] == {"r": pytest.approx(rewards[index]), "l": length}
+            assert infos[index]["terminal_observation"].shape == obs[index].shape
+            rewards[index] = 0
+            ended += 1
+        if done.all():
+            break
+    assert ended == 4
+    envs.seed(0)
+    np.testing.assert_array_equal(envs.reset(), first)
+
+
+def test_ppo_learns_for_a_hundred_steps(envs):
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.evaluation import evaluate_policy
+
+    model = PPO("MlpPolicy", envs, n_steps=16, batch_size=32, n_epochs=2, seed=0, device="cpu")
+    before = [value.detach().clone() for value in model.policy.parameters()]
+    model.learn(128)
+    assert model.num_timesteps >= 100
+    after = list(model.policy.parameters())
+    assert all(value.isfinite().all() for value in after)
+    assert all((one != two).any() for one, two in zip(before, after, strict=True))
+    assert np.isfinite(evaluate_policy(model, envs, n_eval_episodes=4, warn=False)[0])

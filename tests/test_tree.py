@@ -1,0 +1,154 @@
+"""What a folder holds: models and meshes side by side, nothing twice, nothing passed over without a word."""
+
+import os
+
+import pytest
+import trimesh
+
+from cluttergen_jax.assets.readers import find_sources, read_shape, survey
+from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing import cache
+from cluttergen_jax.importing.worker import ObjectConfig
+
+URDF = """<robot name="r"><link name="a"><visual><geometry><mesh filename="{}"/></geometry></visual></link>
+</robot>"""
+TOY = """<mujoco><compiler meshdir="parts"/><asset><mesh name="m" file="wheel.stl"/></asset>
+<worldbody><body name="toy"><freejoint/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
+
+
+def save_box(path, side=0.05):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    trimesh.creation.box((side, side, side)).export(path)
+
+
+def names(folder):
+    return sorted(source.name for source in find_sources(folder))
+
+
+def skipped(folder):
+    return {each.name.split("/", 1)[1]: each.reason for each in survey(folder).skipped}
+
+
+@pytest.fixture
+def mixed(tmp_path):
+    """Sixteen meshes, a sub-folder, a folder with a URDF, an MJCF file, and what is no object."""
+    folder = tmp_path / "mixed"
+    for index in range(16):
+        save_box(folder / f"thing_{index}.{('obj', 'stl', 'ply', 'glb')[index % 4]}")
+    save_box(folder / "more" / "can.stl")
+    save_box(folder / "lamp" / "shade.obj")
+    save_box(folder / "lamp" / "bulb.obj")
+    (folder / "lamp" / "lamp.urdf").write_text(URDF.format("package://lamp/shade.obj"))
+    save_box(folder / "parts" / "wheel.stl")
+    save_box(folder / "parts" / "axle.stl")
+    (folder / "toy.xml").write_text(TOY)
+    save_box(folder / "thing_0.stl")
+    save_box(folder / "toy.obj")
+    for name in ("fox.fbx", "notes.txt", "wood.png"):
+        (folder / name).write_text("x")
+    (folder / "package.xml").write_text("<package/>")
+    (folder / "cut.xml").write_text("<mujo")
+    return folder
+
+
+def test_models_and_meshes_side_by_side(mixed):
+    things = [f"thing_{index}" for index in range(16)]
+    assert names(mixed) == sorted([*things, "can", "lamp", "bulb", "toy", "axle"])
+    kinds = {source.name: source.kind for source in find_sources(mixed)}
+    assert (kinds["toy"], kinds["lamp"], kinds["bulb"]) == ("mjcf", "urdf", "mesh")
+
+
+def test_what_is_left_out_is_said_by_name(mixed):
+    told = skipped(mixed)
+    assert set(told) == {"fox.fbx", "notes.txt", "package.xml", "cut.xml", "thing_0.stl", "toy.obj"}
+    assert "FBX" in told["fox.fbx"]
+    assert told["notes.txt"] == "not a mesh format"
+    assert "<package>" in told["package.xml"]
+    assert "well-formed" in told["cut.xml"]
+    assert told["thing_0.stl"] == "the same object as thing_0.obj"
+    assert told["toy.obj"] == "the same object as toy.xml"
+
+
+def test_published_folders_stay_one_object_each(tmp_path):
+    for name in ("mug", "bowl"):
+        folder = tmp_path / name / "0"
+        save_box(folder / "textured.obj")
+        save_box(folder / "collision.obj")
+        save_box(folder / "textured_objs" / "new-1.obj")
+        save_box(folder / "textured_objs" / "original-7.obj")
+        (folder / "mobility.urdf").write_text(URDF.format("textured_objs/new-1.obj"))
+        (folder / "label.json").write_text("{}")
+    assert names(tmp_path) == ["bowl", "mug"]
+    told = skipped(tmp_path / "mug")
+    assert set(told) == {"0/textured.obj", "0/collision.obj", "0/textured_objs/original-7.obj"}
+    assert all("a piece of mobility.urdf" in reason for reason in told.values())
+
+
+def test_numbers_are_names_of_different_objects(tmp_path):
+    for index in range(3):
+        save_box(tmp_path / "cups" / f"{index}.obj")
+    assert names(tmp_path) == ["cups", "cups-2", "cups-3"]
+
+
+def test_included_files_are_part_of_what_includes_them(tmp_path):
+    folder = tmp_path / "kitchen"
+    (folder / "bodies").mkdir(parents=True)
+    body = '<body name="{}"><freejoint/><geom size=".02 .02 .02" type="box"/></body>'
+    body = f"<mujocoinclude>{body}</mujocoinclude>"
+    for name in ("pan", "lid"):
+        (folder / "bodies" / f"{name}.xml").write_text(body.format(name))
+    include = '<include file="bodies/pan.xml"/><include file="bodies/lid.xml"/>'
+    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{include}</worldbody></mujoco>")
+    sources = find_sources(folder)
+    assert [source.name for source in sources] == ["pan", "lid"]
+    assert skipped(folder) == dict.fromkeys(("bodies/lid.xml", "bodies/pan.xml"), "included by scene.xml")
+    assert [read_shape(source).name for source in sources] == ["pan", "lid"]
+    before = cache.cache_key(sources[0], ObjectConfig())
+    (folder / "bodies" / "pan.xml").write_text(body.format("pan").replace(".02 ", ".03 "))
+    assert cache.cache_key(sources[0], ObjectConfig()) != before
+
+
+def test_a_file_that_includes_itself_ends(tmp_path):
+    (tmp_path / "a.xml").write_text('<mujoco><include file="a.xml"/><worldbody><body/></worldbody></mujoco>')
+    assert names(tmp_path) == ["a"]
+
+
+def test_an_object_depends_on_its_own_files_alone(mixed):
+    (toy,) = (source for source in find_sources(mixed) if source.name == "toy")
+    before = cache.cache_key(toy, ObjectConfig())
+    save_box(mixed / "another.obj")
+    assert cache.cache_key(toy, ObjectConfig()) == before
+    save_box(mixed / "parts" / "wheel.stl", 0.06)
+    assert cache.cache_key(toy, ObjectConfig()) != before
+
+
+def test_each_real_folder_is_entered_once(tmp_path):
+    folder = tmp_path / "linked"
+    save_box(folder / "inner" / "cube.obj")
+    # Two links to the folder itself make 2^40 paths, until the system refuses.
+    os.symlink(".", folder / "self")
+    os.symlink(".", folder / "again")
+    os.symlink("..", folder / "inner" / "up")
+    os.symlink("../..", folder / "inner" / "out")
+    os.symlink("inner", folder / "another")
+    os.symlink("nowhere", folder / "broken")
+    os.symlink("round", folder / "round")
+    assert names(folder) == ["cube"]
+    told = skipped(folder)
+    assert set(told) == {"self", "again", "inner/up", "inner/out", "another", "broken", "round"}
+    assert told["another"] == "a link to a folder that is imported already: linked/inner"
+    assert "holds this one" in told["inner/out"]
+    assert told["broken"] == told["round"] == "a link that leads nowhere"
+
+
+def test_a_link_to_elsewhere_is_followed(tmp_path):
+    save_box(tmp_path / "elsewhere" / "cube.obj")
+    (tmp_path / "here").mkdir()
+    os.symlink("../elsewhere", tmp_path / "here" / "link")
+    assert names(tmp_path / "here") == ["cube"]
+
+
+def test_a_folder_without_objects_names_what_it_has(tmp_path):
+    (tmp_path / "fox.fbx").write_text("x")
+    with pytest.raises(AssetError, match=r"fox\.fbx"):
+        find_sources(tmp_path)
