@@ -1,6 +1,7 @@
 """Bodies: mass against hand arithmetic, parts against the mesh, frames that rest, cavities that stay open."""
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -68,6 +69,17 @@ def test_a_soup_is_rebuilt_on_its_own_surface():
     assert solid.volume == pytest.approx(4 / 3 * np.pi * 0.05**3, rel=0.06)
     radius = np.linalg.norm(solid.mesh.vertices, axis=1)
     assert np.percentile(np.abs(radius - 0.05), 95) < 0.001
+
+
+@pytest.mark.slow
+def test_a_dense_solid_is_thinned_within_a_hair():
+    ball = trimesh.creation.icosphere(7, 0.05)
+    solid = solid_of([Mesh(ball.vertices, ball.faces)])
+    assert len(solid.mesh.faces) < 100_000
+    assert solid.is_exact
+    radius = np.linalg.norm(solid.mesh.vertices, axis=1)
+    np.testing.assert_allclose(radius, 0.05, atol=2e-4 * solid.diagonal)
+    assert solid.volume == pytest.approx(ball.volume, rel=1e-3)
 
 
 def test_nothing_with_a_volume_is_refused():
@@ -158,6 +170,17 @@ def test_thin_things_are_not_flattened_away():
     np.testing.assert_array_equal(flattened([sheet])[0], sheet)
 
 
+def test_points_are_made_sound_in_memory_that_grows_with_their_number():
+    points = np.random.default_rng(0).normal(size=(4000, 3))
+    tracemalloc.start()
+    sound_points(points)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # A matrix of 4,000 x 4,000 would be 128 MB.
+    assert peak < 20e6
+    assert len(sound_points(np.zeros((1, 3)))) == 8
+
+
 def test_flat_points_get_a_thickness():
     square = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0.0]])
     assert hull_of(square) is None
@@ -180,6 +203,15 @@ def test_faces_along_which_parts_touch_do_not_count():
     whole = solid_of([slab((0.06, 0.03, 0.03))])
     halves = [slab((0.0299, 0.03, 0.03), (side * 0.03, 0, 0)).vertices for side in (-1, 1)]
     assert deviation(halves, whole) < 0.01
+
+
+def test_inner_faces_of_a_box_and_its_lid_do_not_count():
+    box, lid = slab((0.05, 0.04, 0.03)), slab((0.05, 0.04, 0.008), (0, 0, 0.038 + 1e-7))
+    solid = solid_of([box, lid])
+    assert solid.is_exact
+    assert deviation([box.vertices, lid.vertices], solid) < 0.015
+    # The lid's own thickness still counts where the parts lack it.
+    assert deviation([box.vertices], solid) == pytest.approx(0.016 / solid.diagonal, rel=0.1)
 
 
 def test_a_filled_cavity_is_a_deviation():

@@ -1,6 +1,7 @@
 """Readers: every format tells the same object, whatever its unit, axis, joints or scale."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -164,7 +165,7 @@ def test_mjcf_geoms_are_convex_parts(tmp_path):
     assert len(shape.pieces) == 1
     assert shape.pieces[0].rgba == (0.0, 1.0, 0.0, 1.0)
     assert len(shape.parts) == 2
-    assert shape.mass == pytest.approx(0.4)
+    assert shape.stated.body.mass == pytest.approx(0.4)
     path.write_text(MJCF.format(more='<body><geom type="capsule" size=".01 .02"/></body>'))
     names = [shape.name for shape in read_source(path)]
     assert names == ["cup", "things-1"]
@@ -190,6 +191,42 @@ def test_broken_files_are_named(tmp_path, name, text, message):
     with pytest.raises(AssetError, match=message) as error:
         read_source(path)
     assert name in str(error.value)
+
+
+def exported(suffix, **options):
+    return trimesh.Trimesh.export(trimesh.creation.box(SIZE), file_type=suffix, **options)
+
+
+def obj_with(line):
+    return (exported("obj") + f"\n{line}\n").encode()
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("a.obj", obj_with("f 1 2 99"), "line 24 has a face with vertex 99, of 8 vertices"),
+        ("a.obj", obj_with("f -1 -2 -99"), "line 24 has a face with vertex -99, of 8 vertices"),
+        ("a.obj", obj_with("f 0 1 2"), "line 24 has a face with vertex 0"),
+        ("a.obj", obj_with("f a b c"), "line 24 has a face with vertex 'a'"),
+        ("a.obj", obj_with("f 1 2 99999999999999999999"), "line 24 has a face with vertex 9999"),
+        ("a.obj", obj_with("v nan 0 0\nf 1 2 9"), "vertices that are not finite"),
+        ("a.obj", b"", "is empty"),
+        ("a.stl", exported("stl")[:-30], "12 triangles needs 684 bytes"),
+        ("a.stl", exported("stl_ascii").encode()[:-60], "its last triangle has no end"),
+        ("a.ply", exported("ply", encoding="ascii")[:-20], "promises 20 vertices and faces, it has 18"),
+        ("a.ply", exported("ply")[:-30], "cannot be read"),
+        ("a.ply", exported("ply")[:100], "damaged, cut short or of another format"),
+        ("a.glb", exported("glb")[:-50], "is damaged"),
+        ("a.dae", exported("dae")[:900], "cannot be read"),
+        ("a.dae", b"<COLLADA/>", "damaged, cut short or of another format"),
+    ],
+)
+def test_damage_is_told_in_words(tmp_path, name, data, message):
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(AssetError, match=message) as error:
+        read_source(tmp_path / name)
+    assert str(tmp_path / name) in str(error.value)
+    assert re.search(r"\wError:", str(error.value)) is None
 
 
 def test_nothing_to_read(tmp_path):

@@ -9,6 +9,8 @@ from shapely.ops import unary_union
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
 from cluttergen_jax.assets.overhead import look_down
+from cluttergen_jax.assets.readers import primitives
+from cluttergen_jax.assets.readers.convex import signed_volume
 from cluttergen_jax.assets.rectangles import cover, largest_rectangle
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.support_import import support_from_mesh
@@ -139,3 +141,10 @@ def test_looking_down_sees_the_height_of_a_slope_and_of_the_highest():
     np.testing.assert_allclose(view.height, np.broadcast_to((0.3 + 0.1 * x)[:, None], view.height.shape))
     assert not view.is_level.any()
     assert look_down(low, np.array([-1.0, -1.0]), np.array([1.0, 1.0]), np.array([20, 20])).is_level.all()
+
+
+def test_an_inverted_table_is_drawn_the_right_way_round():
+    table = primitives.box(np.array([0.4, 0.3, 0.35]))
+    inverted = Piece(Mesh(table.vertices, table.faces[:, ::-1]))
+    support = support_from_mesh(Shape("table", "table", (inverted,), SOURCE))
+    assert signed_volume(support.pieces[0].mesh) == pytest.approx(0.8 * 0.6 * 0.7)

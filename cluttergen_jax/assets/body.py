@@ -11,6 +11,7 @@ from cluttergen_jax.assets.cloud import surface_cloud
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose
 from cluttergen_jax.assets.deviation import deviation
+from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.hollow import MAX_FILL, Hollow, find_hollow, holds_ball, known_hollow
 from cluttergen_jax.assets.inertia import MassProperties, mass_properties
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
@@ -19,11 +20,14 @@ from cluttergen_jax.assets.pieces import drawn
 from cluttergen_jax.assets.rest import resting_poses, settled_turn, tilt_of
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.solid import Solid, solid_of
+from cluttergen_jax.assets.stated_mass import believed
 from cluttergen_jax.errors import AssetError, ConfigError
 
 MAX_DEVIATION = 0.05
 MAX_TILT = np.radians(15)
 _FLAT = np.radians(0.5)
+# Scans are drawn with fewer triangles than they have; below this share it is said.
+_MUCH_FEWER = 0.5
 _FEWER_CORNERS = (8, 6, 5, 4)
 _NOWHERE = Provenance("draft", "none")
 
@@ -100,6 +104,9 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
     config = config or BodyConfig()
     solid = solid_of([piece.mesh for piece in shape.pieces])
     mass = mass_properties(solid.mesh, shape.density, shape.mass)
+    if shape.mass is None and shape.stated is not None:
+        mass, refusal = believed(shape.stated, solid.mesh, mass, shape.density)
+        shape = replace(shape, notes=(*shape.notes, *([refusal] if refusal else ())))
     best: _Candidate | None = None
     for raw in _proposals(shape, solid, config):
         candidate = _candidate(raw, shape, solid, mass, config)
@@ -208,7 +215,12 @@ def _asset(
     shift = -(vertices.min(0) + vertices.max(0)) / 2
     rotation = best.rotation
     moved = mass.moved(rotation, shift)
-    pieces = (Piece(p.mesh.transformed(rotation, shift), p.rgba) for p in drawn(shape.pieces))
+    surfaces = drawn(shape.pieces)
+    num_drawn = sum(len(piece.mesh.faces) for piece in surfaces)
+    notes = shape.notes
+    if num_drawn < _MUCH_FEWER * len(solid.surface.faces):
+        notes = (*notes, f"drawn with {num_drawn:,} of its {len(solid.surface.faces):,} triangles")
+    pieces = (Piece(p.mesh.transformed(rotation, shift), p.rgba) for p in faced(surfaces, solid))
     cloud = surface_cloud(solid, config.seed) @ rotation.T + shift
     asset = replace(
         _draft([points + shift for points in best.parts], moved),
@@ -224,6 +236,7 @@ def _asset(
             holds_ball=best.holds,
         ),
         flags=tuple(_faults(best, config)),
+        notes=notes,
         friction=shape.friction,
     )
     return replace(asset, resting=resting_poses(asset, config.seed))

@@ -66,6 +66,7 @@ class ObjectAsset:
       tier: "standard" or "light".
       quality: what was measured.
       flags: why a user should think twice, in words; empty for a sound body.
+      notes: what was decided on the user's behalf, in words: no fault, but worth knowing.
       friction: sliding coefficient of its own (`mjcf.own_contact`); None for the contact's.
     """
 
@@ -82,6 +83,7 @@ class ObjectAsset:
     tier: str = "standard"
     quality: Quality = field(default_factory=Quality)
     flags: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     friction: float | None = None
 
     @property

@@ -116,22 +116,27 @@ def _rounded(values: np.ndarray, digits: int) -> Any:
 def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
     # Absent where an object has none, so that objects keep the digest that they had before there was any.
     friction = {} if asset.friction is None else {"friction": float(asset.friction)}
-    return friction | {
-        "format": FORMAT,
-        "name": asset.name,
-        "label": asset.label,
-        "tier": asset.tier,
-        "mass": float(asset.mass),
-        "center_of_mass": _rounded(asset.center_of_mass, 7),
-        "inertia": [[float(f"{value:.6e}") for value in row] for row in np.asarray(asset.inertia)],
-        "parts": [_rounded(part.vertices, 7) for part in asset.parts],
-        "rgba": [list(map(float, piece.rgba)) for piece in asset.pieces],
-        "resting": [asdict(pose) for pose in asset.resting],
-        "provenance": asdict(asset.provenance),
-        "quality": asdict(asset.quality),
-        "flags": list(asset.flags),
-        "files": digests,
-    }
+    notes = {"notes": list(asset.notes)} if asset.notes else {}
+    return (
+        friction
+        | notes
+        | {
+            "format": FORMAT,
+            "name": asset.name,
+            "label": asset.label,
+            "tier": asset.tier,
+            "mass": float(asset.mass),
+            "center_of_mass": _rounded(asset.center_of_mass, 7),
+            "inertia": [[float(f"{value:.6e}") for value in row] for row in np.asarray(asset.inertia)],
+            "parts": [_rounded(part.vertices, 7) for part in asset.parts],
+            "rgba": [list(map(float, piece.rgba)) for piece in asset.pieces],
+            "resting": [asdict(pose) for pose in asset.resting],
+            "provenance": asdict(asset.provenance),
+            "quality": asdict(asset.quality),
+            "flags": list(asset.flags),
+            "files": digests,
+        }
+    )
 
 
 def _asset(record: dict[str, Any], blobs: dict[str, bytes]) -> ObjectAsset:
@@ -160,6 +165,7 @@ def _asset(record: dict[str, Any], blobs: dict[str, bytes]) -> ObjectAsset:
         tier=record["tier"],
         quality=Quality(**record["quality"]),
         flags=tuple(record["flags"]),
+        notes=tuple(record.get("notes", ())),
         friction=_friction(record.get("friction")),
     )
 

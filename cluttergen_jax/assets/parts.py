@@ -38,7 +38,8 @@ def sound_points(points: np.ndarray) -> np.ndarray:
     """The hull's vertices; points in a plane or nearly so are given a thickness of 0.4 mm first."""
     points = np.unique(np.round(points, 7), axis=0)
     center = points.mean(0)
-    _, _, axes = np.linalg.svd(points - center, full_matrices=True)
+    # Fewer than three points have fewer than three axes of their own; of many, the full left factor is N x N.
+    _, _, axes = np.linalg.svd(points - center, full_matrices=len(points) < 3)
     spread = np.ptp((points - center) @ axes.T, axis=0)
     for axis, width in zip(axes, spread, strict=True):
         if width < _MIN_THICKNESS:

@@ -16,7 +16,10 @@ _COLOUR_STEPS = 32
 
 
 def drawn(pieces: Sequence[Piece], max_triangles: int = MAX_TRIANGLES) -> tuple[Piece, ...]:
-    """Pieces of like colour joined and welded, simplified to about `max_triangles` in all."""
+    """Pieces of like colour joined and welded, simplified to about `max_triangles` in all.
+
+    Sheets are given their second side later, which can double their number.
+    """
     groups: dict[tuple[int, ...], list[Piece]] = {}
     for piece in pieces:
         groups.setdefault(tuple(round(c * _COLOUR_STEPS) for c in piece.rgba), []).append(piece)

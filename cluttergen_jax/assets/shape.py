@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from cluttergen_jax.assets.mesh import Mesh
+
+if TYPE_CHECKING:
+    # Of use to importers alone, and slow to load.
+    from cluttergen_jax.assets.stated_mass import StatedMass
 
 
 @dataclass(frozen=True)
@@ -52,9 +57,11 @@ class Shape:
       pieces: the coloured surfaces. Watertight where the author can promise it.
       parts: the author's own convex parts, at most 32 vertices each; None means they have to be found.
       cavity: given where the object is hollow and known to be.
-      mass: kilograms, or None to take it from `density`.
-      density: kg/m^3 of the solid material, used if `mass` is None.
+      mass: kilograms, or None to take it from `stated` or `density`.
+      density: kg/m^3 of the solid material, used if the mass is not known otherwise.
+      stated: mass and inertia as the object's own file has them, not yet believed.
       friction: sliding coefficient wherever the object touches something; None for the contact's.
+      notes: what its reader decided on the user's behalf, in words.
     """
 
     name: str
@@ -65,5 +72,6 @@ class Shape:
     cavity: Cavity | None = None
     mass: float | None = None
     density: float = 500.0
+    stated: StatedMass | None = None
     friction: float | None = None
-    notes: tuple[str, ...] = field(default_factory=tuple)
+    notes: tuple[str, ...] = ()

@@ -13,6 +13,7 @@ import trimesh
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
+from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.overhead import Overhead, level_faces, look_down
 from cluttergen_jax.assets.rectangles import Span, cover, largest_rectangle
@@ -65,7 +66,9 @@ def support_from_mesh(shape: Shape) -> SupportAsset:
         top=top,
         region=Rectangle(region.center[:2], region.half_extents[:2], yaw),
         provenance=shape.provenance,
-        pieces=tuple(Piece(piece.mesh.transformed(np.eye(3), shift), piece.rgba) for piece in shape.pieces),
+        pieces=faced(
+            [Piece(piece.mesh.transformed(np.eye(3), shift), piece.rgba) for piece in shape.pieces], None
+        ),
     )
 
 

@@ -10,11 +10,12 @@ _HEADER = ("object", "parts", "vertices", "mass kg", "deviation", "cavity", "bal
 
 
 def pool_table(objects: Sequence[ObjectAsset]) -> str:
-    """One line per object, then the flags in words, then the counts that the project's bars are about."""
+    """One line per object, then flags (!) and notes (-) in words, then the counts of the project's bars."""
     rows = [_HEADER, *(_row(asset) for asset in objects)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADER))]
     lines = ["  ".join(_aligned(row, widths)).rstrip() for row in rows]
     lines += [f"  ! {asset.name}: {flag}" for asset in objects for flag in asset.flags]
+    lines += [f"  - {asset.name}: {note}" for asset in objects for note in asset.notes]
     return "\n".join([*lines, _summary(objects)])
 
 

@@ -61,5 +61,4 @@ def toaster(rng: Rng = None) -> Shape:
         ),
         cavity=Cavity(to_mesh(box((long, wide, deep), (0.0, -middle), floor)), (0.0, -middle, height)),
         mass=vary(rng, 1.70, 0.15),
-        notes=("The cavity is one of its two slots.",),
     )

@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.readers.damage import check_whole, unreadable
 from cluttergen_jax.assets.readers.sizes import check_sizes
 from cluttergen_jax.assets.readers.text import TextResolver, opened
 from cluttergen_jax.assets.shape import Piece
@@ -30,10 +31,11 @@ def read_mesh_file(path: Path) -> list[Piece]:
     if not path.is_file():
         raise AssetError(f"mesh file {path} is missing", hint="restoring the file or its name")
     check_sizes(path)
+    check_whole(path)
     try:
         scene = trimesh.load_scene(**opened(path), resolver=TextResolver(str(path)), process=False)
     except Exception as error:  # trimesh's loaders raise whatever their parsers do.
-        raise AssetError(f"{path} cannot be read as a mesh: {type(error).__name__}: {error}") from error
+        raise unreadable(path, error) from error
     is_linear = path.suffix.lower() in (".glb", ".gltf")
     pieces = []
     for node in sorted(scene.graph.nodes_geometry):

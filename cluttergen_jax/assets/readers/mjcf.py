@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
+from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers import primitives
 from cluttergen_jax.assets.readers.convex import MAX_PARTS
+from cluttergen_jax.assets.readers.model import Model, frozen, frozen_note
 from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.stated_mass import combined
 from cluttergen_jax.errors import AssetError
 
 _GEOM = mujoco.mjtGeom
+_JOINT = mujoco.mjtJoint
+_MOVABLE = {_JOINT.mjJNT_HINGE: "hinge", _JOINT.mjJNT_SLIDE: "slide", _JOINT.mjJNT_BALL: "ball"}
 
 
-def read_mjcf(path: Path, body: str = "") -> tuple[list[Piece], tuple[Mesh, ...] | None, float]:
+def read_mjcf(path: Path, body: str = "") -> Model:
     """One body with all that hangs on it, at the model's reference configuration.
 
     Pieces are the geoms that collide with nothing, or all of them where every geom collides. Parts are
@@ -27,7 +33,7 @@ def read_mjcf(path: Path, body: str = "") -> tuple[list[Piece], tuple[Mesh, ...]
       body: the body's name, or "#N" for the N-th body of the world, or "" for the only one.
 
     Returns:
-      pieces, parts (None if more than 32), and the mass in kilograms.
+      The model; its parts are None if there are more than 32, its mass is what MuJoCo makes of the file.
 
     Raises:
       AssetError: MuJoCo cannot compile the file (its own message is kept), or the body has no geoms.
@@ -43,8 +49,29 @@ def read_mjcf(path: Path, body: str = "") -> tuple[list[Piece], tuple[Mesh, ...]
     visual = [i for i in solid if not is_colliding[i]] or solid
     pieces = [Piece(geom_mesh(model, data, i), geom_colour(model, i)) for i in visual]
     parts = tuple(Mesh.points(geom_mesh(model, data, i, 16).vertices) for i in solid if is_colliding[i])
-    mass = float(model.body_subtreemass[root]) if root else float(model.body_mass.sum())
-    return pieces, parts if 0 < len(parts) <= MAX_PARTS else None, mass
+    bodies = [i for i in range(model.nbody) if _hangs_on(model, i, root)]
+    return Model(
+        pieces=pieces,
+        parts=parts if 0 < len(parts) <= MAX_PARTS else None,
+        stated=combined([_body_mass(model, data, i) for i in bodies]),
+        notes=frozen_note(_frozen_joints(model, bodies)),
+    )
+
+
+def _frozen_joints(model: mujoco.MjModel, bodies: list[int]) -> Iterator[str]:
+    for joint in range(model.njnt):
+        kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
+        if kind in _MOVABLE and int(model.jnt_bodyid[joint]) in bodies:
+            is_ball = kind == _JOINT.mjJNT_BALL
+            value = 0.0 if is_ball else float(model.qpos0[model.jnt_qposadr[joint]])
+            yield frozen(model.joint(joint).name, _MOVABLE[kind], value, kind != _JOINT.mjJNT_SLIDE)
+
+
+def _body_mass(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> MassProperties:
+    """One body's own mass in the world frame of the reference configuration."""
+    axes = data.ximat[body].reshape(3, 3)
+    inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+    return MassProperties(float(model.body_mass[body]), data.xipos[body].copy(), inertia)
 
 
 def compiled(path: Path) -> mujoco.MjModel:
@@ -77,7 +104,10 @@ def _root(model: mujoco.MjModel, path: Path, body: str) -> int:
 
 
 def _belongs(model: mujoco.MjModel, geom: int, root: int) -> bool:
-    body = int(model.geom_bodyid[geom])
+    return _hangs_on(model, int(model.geom_bodyid[geom]), root)
+
+
+def _hangs_on(model: mujoco.MjModel, body: int, root: int) -> bool:
     while body not in (root, 0):
         body = int(model.body_parentid[body])
     return body == root

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers.axes import AUTO, own_up, turn_of
 from cluttergen_jax.assets.readers.check import check_shape
 from cluttergen_jax.assets.readers.mesh_file import read_mesh_file
 from cluttergen_jax.assets.readers.mjcf import read_mjcf
+from cluttergen_jax.assets.readers.model import Model
 from cluttergen_jax.assets.readers.source import ReadOptions, Source
 from cluttergen_jax.assets.readers.tree import find_sources
 from cluttergen_jax.assets.readers.urdf import read_urdf
@@ -25,29 +25,41 @@ def read_shape(source: Source, options: ReadOptions | None = None) -> Shape:
       AssetError: a file is missing or unreadable (the message names it), or the size is impossible.
     """
     options = options or ReadOptions()
-    parts: tuple[Mesh, ...] | None = None
-    mass = options.mass
-    if source.kind == "urdf":
-        pieces, parts = read_urdf(source.path)
-    elif source.kind == "mjcf":
-        pieces, parts, own_mass = read_mjcf(source.path, source.body)
-        mass = mass or own_mass * options.scale**3
-    else:
-        pieces = read_mesh_file(source.path)
+    model, mass_scale = _model(source, options)
     up = own_up(source.path, source.kind).axis if options.up == AUTO else options.up
-    turn = turn_of(up, options.front) * options.scale
+    rotation = turn_of(up, options.front)
+    turn = rotation * options.scale
+    notes = model.notes
+    if source.kind != "mesh" and model.stated is None and options.mass is None:
+        notes = (*notes, f"its file states no mass: it is its volume times {options.density:g} kg/m^3")
     shape = Shape(
         name=source.name,
         label=source.label,
-        pieces=tuple(Piece(piece.mesh.transformed(turn, np.zeros(3)), piece.rgba) for piece in pieces),
+        pieces=tuple(Piece(piece.mesh.transformed(turn, np.zeros(3)), piece.rgba) for piece in model.pieces),
         provenance=_provenance(source, options),
-        parts=None if parts is None else tuple(part.transformed(turn, np.zeros(3)) for part in parts),
-        mass=mass,
+        parts=None
+        if model.parts is None
+        else tuple(part.transformed(turn, np.zeros(3)) for part in model.parts),
+        mass=options.mass,
         density=options.density,
+        stated=None if model.stated is None else model.stated.scaled(rotation, options.scale, mass_scale),
         friction=options.friction,
+        notes=notes,
     )
     check_shape(shape, source.path)
     return shape
+
+
+def _model(source: Source, options: ReadOptions) -> tuple[Model, float]:
+    """What the file holds, and the factor on its masses.
+
+    In URDF a mass is written as it is; most of MJCF's are a density times a volume, which keeps its density.
+    """
+    if source.kind == "urdf":
+        return read_urdf(source.path), 1.0
+    if source.kind == "mjcf":
+        return read_mjcf(source.path, source.body), options.scale**3
+    return Model(read_mesh_file(source.path), None, None), 1.0
 
 
 def read_source(path: str | Path, options: ReadOptions | None = None) -> list[Shape]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -11,22 +12,26 @@ from xml.etree import ElementTree
 import numpy as np
 import trimesh
 
+from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers import primitives
 from cluttergen_jax.assets.readers.convex import convex_parts
 from cluttergen_jax.assets.readers.mesh_file import GREY, read_mesh_file
+from cluttergen_jax.assets.readers.model import Model, frozen, frozen_note
 from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.stated_mass import combined
 from cluttergen_jax.errors import AssetError
 
 Element = ElementTree.Element
+_MOVABLE = ("revolute", "prismatic", "continuous", "floating", "planar")
 
 
-def read_urdf(path: Path) -> tuple[list[Piece], tuple[Mesh, ...] | None]:
-    """The model as one rigid thing: its pieces, and its collision meshes if all of them are convex parts.
+def read_urdf(path: Path) -> Model:
+    """The model as one rigid thing; its parts are its collision meshes if all of them are convex.
 
     Pieces are the visuals, or the collision elements where there are none. `globalScaling` in a
     `label.json` beside the file scales everything; its `ori_rpy` repeats origins that the URDF already
-    has and is not applied. Masses and inertias are not read: in published sets they are placeholders.
+    has and is not applied. Masses are kilograms whatever the scale.
 
     Raises:
       AssetError: the file, or one that it names, is missing or cannot be understood; the message names it.
@@ -50,7 +55,54 @@ def read_urdf(path: Path) -> tuple[list[Piece], tuple[Mesh, ...] | None]:
     )
     if not visuals and not collisions:
         raise AssetError(f"{path} has neither visual nor collision geometry")
-    return visuals or collisions, convex_parts([piece.mesh for piece in collisions])
+    masses = {
+        link.get("name", ""): mass
+        for link in robot.findall("link")
+        if (mass := _link_mass(link, poses[link.get("name", "")])) is not None
+    }
+    stated = combined(list(masses.values()))
+    return Model(
+        pieces=visuals or collisions,
+        parts=convex_parts([piece.mesh for piece in collisions]),
+        stated=None if stated is None else stated.scaled(np.eye(3), scale),
+        notes=tuple(_notes(robot, masses)),
+    )
+
+
+def _notes(robot: Element, masses: dict[str, MassProperties]) -> Iterator[str]:
+    movable = [joint for joint in robot.findall("joint") if joint.get("type") in _MOVABLE]
+    yield from frozen_note(
+        frozen(joint.get("name", ""), kind, _joint_value(joint), is_turn=kind != "prismatic")
+        for joint in movable
+        if (kind := joint.get("type", ""))
+    )
+    solid = [link.get("name", "") for link in robot.findall("link") if link.find("visual") is not None]
+    without = [name for name in solid if name not in masses]
+    if masses and without:
+        yield f"its file states no mass for {', '.join(map(repr, without))}"
+
+
+def _link_mass(link: Element, pose: np.ndarray) -> MassProperties | None:
+    """A link's mass and inertia in the root link's frame; what cannot be read is NaN, to be refused later."""
+    inertial = link.find("inertial")
+    mass = None if inertial is None else inertial.find("mass")
+    if inertial is None or mass is None:
+        return None
+    given = inertial.find("inertia")
+    inertia = np.zeros((3, 3))
+    if given is not None:
+        for row, column in zip(*np.triu_indices(3), strict=True):
+            inertia[row, column] = inertia[column, row] = _lenient(given, f"i{'xyz'[row]}{'xyz'[column]}")
+    pose = pose @ _origin(inertial)
+    body = MassProperties(_lenient(mass, "value"), np.zeros(3), inertia)
+    return body.moved(pose[:3, :3], pose[:3, 3])
+
+
+def _lenient(element: Element, name: str) -> float:
+    try:
+        return float(element.get(name, "nan"))
+    except ValueError:
+        return math.nan
 
 
 def _global_scaling(path: Path) -> float:
@@ -171,11 +223,16 @@ def _link_of(joint: Element, tag: str, path: Path) -> str:
     return link.get("link", "")
 
 
-def _joint_motion(joint: Element) -> np.ndarray:
+def _joint_value(joint: Element) -> float:
+    """Where a joint is frozen, radians or metres: at its lower limit, if it has one."""
     limit = joint.find("limit")
     value = _number(limit, "lower", "0") if limit is not None else 0.0
-    kind = joint.get("type")
-    if kind not in ("revolute", "prismatic") or not math.isfinite(value):
+    return value if joint.get("type") in ("revolute", "prismatic") and math.isfinite(value) else 0.0
+
+
+def _joint_motion(joint: Element) -> np.ndarray:
+    kind, value = joint.get("type"), _joint_value(joint)
+    if kind not in ("revolute", "prismatic"):
         return np.eye(4)
     axis_element = joint.find("axis")
     axis = _floats(axis_element.get("xyz") if axis_element is not None else "1 0 0", 3)

@@ -1,0 +1,41 @@
+"""What a URDF or MJCF file says of an object: more than its surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.stated_mass import StatedMass
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A model of several links or bodies as one rigid thing, all its joints frozen.
+
+    Attributes:
+      pieces: the surfaces that are shown.
+      parts: convex collision parts, or None if the file has none that can be used.
+      stated: mass and inertia, or None if the file has none.
+      notes: what was decided about the model, in words.
+    """
+
+    pieces: list[Piece]
+    parts: tuple[Mesh, ...] | None
+    stated: StatedMass | None
+    notes: tuple[str, ...] = ()
+
+
+def frozen_note(joints: Iterable[str]) -> tuple[str, ...]:
+    """One note on all movable joints, each told by `frozen`; none where there is none."""
+    told = ", ".join(joints)
+    return (f"frozen joints: {told}",) if told else ()
+
+
+def frozen(name: str, kind: str, value: float, is_turn: bool) -> str:
+    """A movable joint in words; `value` in radians or metres."""
+    place = f"{np.degrees(value) + 0.0:.3g} degrees" if is_turn else f"{value + 0.0:.3g} m"
+    return f"{name!r} ({kind}) at {place}"

@@ -1,0 +1,136 @@
+"""Mass and inertia as an object's own file states them, and whether they can be believed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cluttergen_jax.assets.inertia import MassProperties
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.parts import hull_of
+
+MIN_DENSITY, MAX_DENSITY = 20.0, 20_000.0
+# How far the principal moments may be from those of the same mass spread evenly.
+_MAX_RATIO = 4.0
+# A body whose moments differ by less than this may well have one moment about every axis.
+_ROUND = 1.25
+_CLOSE = 0.05
+_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class StatedMass:
+    """What a URDF or MJCF file says of one rigid body, all its links taken together.
+
+    Attributes:
+      body: in the shape's authored frame.
+      is_even: whether every link has the same moment about every axis, as exporters write that do not know.
+      is_round: whether every link's mass is a power of ten.
+    """
+
+    body: MassProperties
+    is_even: bool
+    is_round: bool
+
+    def scaled(self, turn: np.ndarray, lengths: float, mass: float = 1.0) -> StatedMass:
+        """The same in another frame and unit: turned, with lengths and the mass times a factor each."""
+        body = MassProperties(
+            self.body.mass * mass, self.body.center * lengths, self.body.inertia * (mass * lengths**2)
+        )
+        return replace(self, body=body.moved(turn, np.zeros(3)))
+
+
+def combined(bodies: Sequence[MassProperties]) -> StatedMass | None:
+    """Rigidly joined bodies as one, all in one frame; None where they weigh nothing."""
+    bodies = [body for body in bodies if body.mass != 0]
+    mass = sum(body.mass for body in bodies)
+    if not mass:
+        return None
+    center = sum((body.mass * body.center for body in bodies), np.zeros(3)) / mass
+    inertia = np.zeros((3, 3))
+    for body in bodies:
+        offset = body.center - center
+        inertia += body.inertia + body.mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    return StatedMass(
+        MassProperties(mass, center, inertia),
+        is_even=all(_is_even(body.inertia) for body in bodies),
+        is_round=all(_is_power_of_ten(body.mass) for body in bodies),
+    )
+
+
+def believed(
+    stated: StatedMass, solid: Mesh, uniform: MassProperties, density: float
+) -> tuple[MassProperties, str]:
+    """What to take for an object: as stated where that is plausible, else spread evenly over its volume.
+
+    Args:
+      stated: in the solid's frame.
+      solid: closed, oriented outwards.
+      uniform: the solid filled with `density`, kg/m^3.
+
+    Returns:
+      The mass properties, and in words what was not taken and why; empty if nothing was refused.
+    """
+    mass = stated.body.mass
+    share = mass / uniform.mass
+    even = MassProperties(mass, uniform.center, uniform.inertia * share)
+    if reason := _why_no_mass(stated, density * share, even):
+        return uniform, (
+            f"its stated mass of {mass:.3g} kg is not taken: {reason}; "
+            f"{uniform.mass:.3g} kg by volume and density instead"
+        )
+    if reason := _why_no_inertia(stated, solid, even):
+        return even, (
+            f"its stated mass of {mass:.3g} kg is taken, but not its inertia: {reason}; "
+            "the mass is spread evenly over its volume instead"
+        )
+    return stated.body, ""
+
+
+def _why_no_mass(stated: StatedMass, density: float, even: MassProperties) -> str:
+    if not (np.isfinite(density) and density > 0):
+        return "it is not a positive number"
+    if not MIN_DENSITY <= density <= MAX_DENSITY:
+        return f"over its volume that is {density:,.0f} kg/m^3, not {MIN_DENSITY:g} to {MAX_DENSITY:,.0f}"
+    if stated.is_round and stated.is_even and not _is_close(stated, even):
+        return "a round number, with the same moment of inertia about every axis, is a placeholder"
+    return ""
+
+
+def _why_no_inertia(stated: StatedMass, solid: Mesh, even: MassProperties) -> str:
+    if not (np.isfinite(stated.body.inertia).all() and np.isfinite(stated.body.center).all()):
+        return "it is not made of finite numbers"
+    if not stated.body.inertia.any():
+        return "none is given"
+    moments, expected = (np.linalg.eigvalsh(each.inertia) for each in (stated.body, even))
+    if moments[0] <= 0 or moments[2] > (1 + 1e-4) * (moments[0] + moments[1]):
+        return "no body has such moments"
+    ratio = moments / expected
+    if ratio.max() > _MAX_RATIO or ratio.min() < 1 / _MAX_RATIO:
+        worst = float(ratio[np.abs(np.log(ratio)).argmax()])
+        return f"a moment is {worst:.3g} times that of a body of this size"
+    if stated.is_even and expected[2] > _ROUND * expected[0]:
+        return "it is the same about every axis, though the object is not round"
+    hull = hull_of(solid.vertices)
+    reach = 0.01 * float(np.linalg.norm(np.ptp(solid.vertices, axis=0)))
+    if hull is not None and (hull.equations @ np.append(stated.body.center, 1.0)).max() > reach:
+        return "its centre of mass lies outside the object"
+    return ""
+
+
+def _is_close(stated: StatedMass, even: MassProperties) -> bool:
+    """Whether the stated inertia has plainly been computed: that of a ball or a cube is even, too."""
+    size = float(np.abs(even.inertia).max())
+    return bool(np.abs(stated.body.inertia - even.inertia).max() < _CLOSE * size)
+
+
+def _is_even(inertia: np.ndarray) -> bool:
+    size = float(np.abs(inertia).max())
+    return size > 0 and bool(np.abs(inertia - inertia[0, 0] * np.eye(3)).max() <= _TOLERANCE * size)
+
+
+def _is_power_of_ten(mass: float) -> bool:
+    digits = np.log10(mass) if mass > 0 else 0.5
+    return bool(abs(digits - np.round(digits)) < _TOLERANCE)

@@ -1,0 +1,50 @@
+"""A scan of more than a million triangles: imported whole, in little memory."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+
+from cluttergen_jax.assets.pieces import MAX_TRIANGLES
+from cluttergen_jax.assets.pool import find_pool
+
+pytestmark = pytest.mark.slow
+
+MAX_KILOBYTES = 4 << 20
+
+
+def scan(is_open):
+    """A bumpy ball of 10 cm with a flat bottom, which is open if asked for, and noise of 20 micrometres."""
+    ball = trimesh.creation.icosphere(subdivisions=8)
+    x, y, z = ball.vertices.T
+    radius = 0.06 * (1 + 0.25 * np.sin(5 * x) * np.cos(4 * y) + 0.1 * z)
+    radius += np.random.default_rng(0).normal(0, 2e-5, len(radius))
+    vertices = ball.vertices * radius[:, None]
+    vertices[:, 2] = vertices[:, 2].clip(-0.045)
+    is_kept = vertices[ball.faces, 2].max(1) > -0.045
+    return trimesh.Trimesh(vertices, ball.faces[is_kept] if is_open else ball.faces, process=False)
+
+
+@pytest.mark.parametrize("is_open", [False, True])
+@pytest.mark.timeout(1200)
+def test_a_million_triangles_take_less_than_four_gigabytes(tmp_path, monkeypatch, is_open):
+    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
+    mesh = scan(is_open)
+    assert len(mesh.faces) > 1_000_000
+    mesh.export(tmp_path / "stone.ply")
+    command = [sys.executable, "-m", "cluttergen_jax", "import", str(tmp_path / "stone.ply")]
+    process = subprocess.Popen([*command, "--pool", "mine", "--jobs", "1", "--no-progress"])
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0
+    # The largest of the command and its workers.
+    assert used.ru_maxrss < MAX_KILOBYTES
+    (stone,) = find_pool("mine").objects
+    assert stone.quality.solo_rate >= 0.99
+    assert stone.quality.deviation < 0.05
+    num_faces = sum(len(piece.mesh.faces) for piece in stone.pieces)
+    assert num_faces <= MAX_TRIANGLES
+    assert any(f"of its {len(mesh.faces):,} triangles" in note for note in stone.notes)
