@@ -153,8 +153,9 @@ def survival(result: Result) -> list[Table]:
     )
     notes = (
         "stands: nothing moved over 5 mm or turned over 5 degrees",
-        "`policy` on 0.40 x 0.50 m: it puts centres of mass within 3 mm of the table's edge, and what balances "
-        "there tips in another engine; with a support margin asked for, more of its scenes stand in both",
+        "`policy` on 0.40 x 0.50 m: it puts centres of mass within 3 mm of the table's edge, and what "
+        "balances there tips in another engine; with a support margin asked for, "
+        "more of its scenes stand in both",
     )
     return [Table(result["title"], columns, rows, notes)]
 
