@@ -12,6 +12,7 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.shading import linear, shaded
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.bank.reference import parse_reference
@@ -20,9 +21,8 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.cli.parse import parse_numbers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.export import FORMATS, export_scenes
-from cluttergen_jax.export.frames import euler_of, linear, principal_of
+from cluttergen_jax.export.frames import euler_of, principal_of
 from cluttergen_jax.export.placement import scene_bounds
-from cluttergen_jax.export.shading import shaded
 from cluttergen_jax.physics.rotation import rotate
 from cluttergen_jax.scene import Origin, Scene
 from tests.shapes import slab
@@ -352,7 +352,7 @@ def test_principal_frames_and_angles_turn_back():
 
 def test_shading_keeps_the_surface_and_its_edges():
     box = slab((0.1, 0.2, 0.3))
-    vertices, normals, faces = shaded(box)
+    vertices, normals, faces, _ = shaded(box)
     # A box has a normal for each face at each corner, and the normals are the faces' own.
     assert len(vertices) == 24
     np.testing.assert_allclose(np.abs(normals).max(1), 1.0, atol=1e-6)
@@ -360,6 +360,6 @@ def test_shading_keeps_the_surface_and_its_edges():
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert (np.einsum("fi,fci->fc", facing, normals[faces]) > 0).all()
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
-    points, smooth, triangles = shaded(Mesh(ball.vertices, ball.faces))
+    points, smooth, triangles, _ = shaded(Mesh(ball.vertices, ball.faces))
     assert (len(points), len(triangles)) == (len(ball.vertices), len(ball.faces))
     np.testing.assert_allclose(smooth, points / 0.1, atol=0.02)

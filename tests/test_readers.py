@@ -10,7 +10,8 @@ import trimesh
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.readers import ReadOptions, find_sources, read_shape, read_source, ycb_sources
 from cluttergen_jax.assets.readers.convex import signed_volume
-from cluttergen_jax.assets.readers.mesh_file import GREY, cleaned
+from cluttergen_jax.assets.readers.materials import GREY
+from cluttergen_jax.assets.readers.mesh_file import cleaned
 from cluttergen_jax.errors import AssetError
 
 SIZE = np.array([0.06, 0.04, 0.11])

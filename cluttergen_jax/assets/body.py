@@ -18,7 +18,7 @@ from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, Resti
 from cluttergen_jax.assets.parts import MAX_BASE_CORNERS, as_meshes, finished, hull_of
 from cluttergen_jax.assets.pieces import drawn
 from cluttergen_jax.assets.rest import resting_poses, settled_turn, tilt_of
-from cluttergen_jax.assets.shape import Piece, Provenance, Shape
+from cluttergen_jax.assets.shape import Provenance, Shape
 from cluttergen_jax.assets.solid import Solid, solid_of
 from cluttergen_jax.assets.stated_mass import believed
 from cluttergen_jax.errors import AssetError, ConfigError
@@ -220,7 +220,7 @@ def _asset(
     notes = shape.notes
     if num_drawn < _MUCH_FEWER * len(solid.surface.faces):
         notes = (*notes, f"drawn with {num_drawn:,} of its {len(solid.surface.faces):,} triangles")
-    pieces = (Piece(p.mesh.transformed(rotation, shift), p.rgba) for p in faced(surfaces, solid))
+    pieces = (piece.transformed(rotation, shift) for piece in faced(surfaces, solid))
     cloud = surface_cloud(solid, config.seed) @ rotation.T + shift
     asset = replace(
         _draft([points + shift for points in best.parts], moved),

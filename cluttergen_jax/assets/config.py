@@ -1,10 +1,13 @@
-"""What can be asked of a decomposition, where nothing that decomposes is imported."""
+"""What can be asked of an import, where nothing that imports is loaded."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from cluttergen_jax.errors import ConfigError
+
+MAX_TEXTURE = 1024
+"""Pixels a side that an imported image has at most, unless asked."""
 
 
 @dataclass(frozen=True)

@@ -218,6 +218,6 @@ def _two_sided(piece: Piece, is_sheet: np.ndarray) -> Piece:
     normals = normals[copied] / np.maximum(np.linalg.norm(normals[copied], axis=1), 1e-30)[:, None]
     behind = mesh.vertices[copied] - _THICKNESS * normals
     back = len(mesh.vertices) + corners.reshape(-1, 3)[:, ::-1]
-    return replace(
-        piece, mesh=Mesh(np.concatenate([mesh.vertices, behind]), np.concatenate([mesh.faces, back]))
-    )
+    whole = Mesh(np.concatenate([mesh.vertices, behind]), np.concatenate([mesh.faces, back]))
+    uv = None if piece.uv is None else np.concatenate([piece.uv, piece.uv[copied]])
+    return replace(piece, mesh=whole, uv=uv)

@@ -9,12 +9,16 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.shading import shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.config import ContactConfig
 
 VISUAL_GROUP = 2
 COLLISION_GROUP = 3
+SPECULAR, SHININESS = 0.25, 0.35
+"""Of matte surfaces."""
 MAX_FRICTION = 10.0
 """Sliding coefficients of objects from here on are all alike to MuJoCo's choice between two of them."""
 _HIGHEST_PRIORITY = 100_000
@@ -63,11 +67,24 @@ def _yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
     return (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
 
 
+def set_surface(mesh: mujoco.MjsMesh, piece: Piece) -> None:
+    """Gives a mesh the triangles of a piece, and normals and texture coordinates if it has an image."""
+    vertices, faces = piece.mesh.vertices, piece.mesh.faces
+    if piece.uv is not None:
+        # MuJoCo's own normals would show each seam of the image as an edge.
+        vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
+        assert uv is not None
+        mesh.usernormal = normals.ravel()
+        # Its v runs down the image.
+        mesh.usertexcoord = (uv * [1, -1] + [0, 1]).astype(np.float32).ravel()
+    mesh.uservert = vertices.astype(np.float32).ravel()
+    mesh.userface = faces.astype(np.int32).ravel()
+
+
 def _add_visuals(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pieces: tuple[Piece, ...]) -> None:
     for index, piece in enumerate(pieces):
         mesh = spec.add_mesh(name=f"{name}/visual-{index}")
-        mesh.uservert = piece.mesh.vertices.astype(np.float32).ravel()
-        mesh.userface = piece.mesh.faces.ravel()
+        set_surface(mesh, piece)
         # A shell's volume is never singular, and a visual mesh carries no mass here.
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         body.add_geom(
@@ -75,11 +92,33 @@ def _add_visuals(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pieces: t
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=mesh.name,
             rgba=piece.rgba,
+            material=add_texture(spec, piece.texture),
             contype=0,
             conaffinity=0,
             group=VISUAL_GROUP,
             mass=0,
         )
+
+
+def add_texture(spec: mujoco.MjSpec, texture: Texture | None, folder: str = "") -> str:
+    """Adds an image and a material that shows it, once; the material's name, empty if there is no image.
+
+    The image is a file among `spec.assets`: whoever saves the spec as XML saves these beside it.
+
+    Args:
+      folder: where the file will lie, relative to the XML, such as `../textures/`.
+    """
+    if texture is None:
+        return ""
+    name = texture.file_name.removesuffix(".png")
+    if spec.texture(name) is None:
+        image = spec.add_texture(
+            name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=folder + texture.file_name
+        )
+        spec.assets = {**spec.assets, folder + texture.file_name: texture.data}
+        material = spec.add_material(name=name, specular=SPECULAR, shininess=SHININESS)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = image.name
+    return name
 
 
 def add_object(spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bool = False) -> mujoco.MjsBody:

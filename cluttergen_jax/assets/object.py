@@ -8,6 +8,7 @@ import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.assets.texture import Texture
 
 CLOUD_SIZE = 1024
 MAX_PART_VERTICES = 32
@@ -56,7 +57,7 @@ class ObjectAsset:
     Attributes:
       name: unique in its pool, `[a-z0-9_-]+`.
       label: what people call it.
-      pieces: coloured visual surfaces, object frame, metres.
+      pieces: visual surfaces, coloured or textured, object frame, metres.
       parts: convex collision parts, object frame, metres, at most 32 vertices each.
       mass: kilograms.
       center_of_mass: f64[3], object frame.
@@ -85,6 +86,11 @@ class ObjectAsset:
     flags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     friction: float | None = None
+
+    @property
+    def textures(self) -> tuple[Texture, ...]:
+        """The images of its surfaces, each once."""
+        return tuple(dict.fromkeys(piece.texture for piece in self.pieces if piece.texture is not None))
 
     @property
     def half_extents(self) -> np.ndarray:

@@ -1,12 +1,14 @@
 """One object on disk: a folder of plain files, no pickle.
 
     object.json    everything but the surfaces and the cloud; collision parts inline, rounded to 0.1 um
-    visual-N.obj   one coloured piece, vertices and triangles only
+    visual-N.obj   one piece: vertices and triangles, and texture coordinates where it has an image
+    texture-DIGEST.png  the images; in a bank they lie together in a folder of their own
     cloud.npy      f32[1024, 3]
     object.xml     the object alone as MJCF, which opens in plain MuJoCo; written for others, never read
     ATTRIBUTION.txt  where the object's licence asks for one
 
-`object.json` holds the digest of each surface and cloud file and of itself, so damage is noticed and named.
+`object.json` holds the digest of each surface, image and cloud file and of itself, so damage is noticed and
+named.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import io
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -27,51 +29,84 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
 from cluttergen_jax.assets.object_xml import object_xml
 from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.assets.surface_files import parse_surface, surface_text
+from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError, PoolError
-from cluttergen_jax.files import inside
+from cluttergen_jax.files import inside, write_atomically
 
 FORMAT = 1
 NAME_PATTERN = re.compile(r"[a-z0-9_-]+")
 _FILE = re.compile(r"[a-z0-9_-]+\.[a-z]+")
+SHARED_IMAGES = "../../textures/"
+"""Where the images of an object lie in a bank or an export, relative to the object's folder."""
 _CLOUD = "cloud.npy"
 _RECORD = "object.json"
 
 
-def object_files(asset: ObjectAsset) -> dict[str, bytes]:
+def object_files(asset: ObjectAsset, images: str = "") -> dict[str, bytes]:
     """The files of an object's folder by name. Equal assets give equal bytes, before and after disk.
+
+    Args:
+      images: where the images will lie, relative to the folder; the folder itself if empty.
 
     Raises:
       AssetError: the name is not `[a-z0-9_-]+`.
     """
     if not NAME_PATTERN.fullmatch(asset.name):
         raise AssetError(f"an object called {asset.name!r}", "names of a-z, 0-9, '_' and '-'")
-    files = {f"visual-{i}.obj": _obj_bytes(piece.mesh) for i, piece in enumerate(asset.pieces)}
-    files[_CLOUD] = _npy_bytes(asset.cloud)
+    files = _surfaces(asset)
     record = _record(asset, {name: _digest(data) for name, data in files.items()})
     record["hash"] = _digest(_canonical(record))
     files[_RECORD] = (json.dumps(record, separators=(",", ":")) + "\n").encode()
     if asset.provenance.attribution:
         files["ATTRIBUTION.txt"] = (asset.provenance.attribution + "\n").encode()
-    files["object.xml"] = object_xml(asset, tuple(f"visual-{i}.obj" for i in range(len(asset.pieces))), files)
+    files["object.xml"] = object_xml(
+        asset, tuple(f"visual-{i}.obj" for i in range(len(asset.pieces))), files, images
+    )
     return files
 
 
 def object_hash(asset: ObjectAsset) -> str:
     """Hex digest of everything that `write_object` would store."""
-    files = {f"visual-{i}.obj": _obj_bytes(piece.mesh) for i, piece in enumerate(asset.pieces)}
-    files[_CLOUD] = _npy_bytes(asset.cloud)
+    files = _surfaces(asset)
     return _digest(_canonical(_record(asset, {name: _digest(data) for name, data in files.items()})))
 
 
-def write_object(folder: Path, asset: ObjectAsset) -> None:
-    """Writes the object's files into `folder`, which is made if need be."""
+def _surfaces(asset: ObjectAsset) -> dict[str, bytes]:
+    """The files whose digests are in the record."""
+    files = {f"visual-{i}.obj": surface_text(piece, 5).encode() for i, piece in enumerate(asset.pieces)}
+    files[_CLOUD] = _npy_bytes(asset.cloud)
+    return files | {each.file_name: each.data for each in asset.textures}
+
+
+def write_object(folder: Path, asset: ObjectAsset, images: Path | None = None) -> None:
+    """Writes the object's files into `folder`, which is made if need be.
+
+    Args:
+      images: the folder that objects keep their images in together, two floors up from where `folder` will be
+        and called `textures`; None keeps them in `folder`.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    for name, data in object_files(asset).items():
-        (folder / name).write_bytes(data)
+    for name, data in object_files(asset, "" if images is None else SHARED_IMAGES).items():
+        if images is None or not name.endswith(".png"):
+            (folder / name).write_bytes(data)
+    if images is not None:
+        write_images(images, asset.textures)
 
 
-def read_object(folder: Path) -> ObjectAsset:
+def write_images(folder: Path, textures: Iterable[Texture]) -> None:
+    """Writes images into a folder that objects share; one that is there already stays."""
+    for each in textures:
+        path = folder / each.file_name
+        if not (path.is_file() and path.read_bytes() == each.data):
+            write_atomically(path, each.data)
+
+
+def read_object(folder: Path, images: Path | None = None) -> ObjectAsset:
     """Reads what `write_object` wrote.
+
+    Args:
+      images: the folder of its images, if that is another.
 
     Raises:
       PoolError: a file is missing, damaged or of another format, or the object's name is none; the message
@@ -88,9 +123,10 @@ def read_object(folder: Path) -> ObjectAsset:
     if not isinstance(digests, dict) or not all(_FILE.fullmatch(name) for name in digests):
         raise PoolError(f"{folder / _RECORD} is damaged: its list of files is none", hint=_REWRITE)
     for name, digest in digests.items():
-        blobs[name] = _read_bytes(inside(folder, name))
+        path = inside(images if images is not None and name.endswith(".png") else folder, name)
+        blobs[name] = _read_bytes(path)
         if _digest(blobs[name]) != digest:
-            raise PoolError(f"{folder / name} does not match its digest in {_RECORD}", hint=_REWRITE)
+            raise PoolError(f"{path} does not match its digest in {_RECORD}", hint=_REWRITE)
     try:
         return _asset(record, blobs)
     except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -114,12 +150,15 @@ def _rounded(values: np.ndarray, digits: int) -> Any:
 
 
 def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
-    # Absent where an object has none, so that objects keep the digest that they had before there was any.
+    files = [None if piece.texture is None else piece.texture.file_name for piece in asset.pieces]
+    # Absent where an object has none, so that objects keep the digest that they had before there were any.
+    textures = {"textures": files} if any(files) else {}
     friction = {} if asset.friction is None else {"friction": float(asset.friction)}
     notes = {"notes": list(asset.notes)} if asset.notes else {}
     return (
         friction
         | notes
+        | textures
         | {
             "format": FORMAT,
             "name": asset.name,
@@ -140,10 +179,13 @@ def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
 
 
 def _asset(record: dict[str, Any], blobs: dict[str, bytes]) -> ObjectAsset:
-    pieces = tuple(
-        Piece(_parse_obj(blobs[f"visual-{i}.obj"]), (float(r), float(g), float(b), float(a)))
-        for i, (r, g, b, a) in enumerate(record["rgba"])
-    )
+    files = record.get("textures", [None] * len(record["rgba"]))
+    textures = {name: Texture(blobs[name]) for name in files if name is not None}
+    pieces = []
+    for i, (rgba, name) in enumerate(zip(record["rgba"], files, strict=True)):
+        mesh, uv = parse_surface(blobs[f"visual-{i}.obj"].decode("ascii"))
+        r, g, b, a = map(float, rgba)
+        pieces.append(Piece(mesh, (r, g, b, a), uv, None if name is None else textures[name]))
     cloud = np.load(io.BytesIO(blobs[_CLOUD]), allow_pickle=False)
     if cloud.shape != (CLOUD_SIZE, 3):
         raise ValueError(f"a cloud of shape {cloud.shape}")
@@ -154,7 +196,7 @@ def _asset(record: dict[str, Any], blobs: dict[str, bytes]) -> ObjectAsset:
     return ObjectAsset(
         name=record["name"],
         label=record["label"],
-        pieces=pieces,
+        pieces=tuple(pieces),
         parts=tuple(Mesh.points(np.array(part, np.float64)) for part in record["parts"]),
         mass=record["mass"],
         center_of_mass=np.array(record["center_of_mass"], np.float64),
@@ -203,18 +245,3 @@ def _npy_bytes(cloud: np.ndarray) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, np.ascontiguousarray(cloud, np.float32), allow_pickle=False)
     return buffer.getvalue()
-
-
-def _obj_bytes(mesh: Mesh) -> bytes:
-    """A compact OBJ: five significant digits, no finer than a micrometre."""
-    rounded = np.round(mesh.vertices, 6) + 0.0
-    lines = [f"v {x:.5g} {y:.5g} {z:.5g}" for x, y, z in rounded.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
-    return ("\n".join(lines) + "\n").encode()
-
-
-def _parse_obj(data: bytes) -> Mesh:
-    rows = [line.split() for line in data.decode("ascii").splitlines()]
-    vertices = np.array([row[1:4] for row in rows if row and row[0] == "v"], np.float64)
-    faces = np.array([row[1:4] for row in rows if row and row[0] == "f"], np.int32) - 1
-    return Mesh(vertices, faces)

@@ -6,18 +6,21 @@ from collections.abc import Mapping
 
 import mujoco
 
-from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_object, new_spec
+from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_object, add_texture, new_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 
 
-def object_xml(asset: ObjectAsset, surfaces: tuple[str, ...], files: Mapping[str, bytes]) -> bytes:
+def object_xml(
+    asset: ObjectAsset, surfaces: tuple[str, ...], files: Mapping[str, bytes], images: str = ""
+) -> bytes:
     """MJCF text of a free body called after the object, with default contact parameters.
 
     Args:
       asset: the object.
       surfaces: the name of each piece's OBJ file, relative to where the text will be saved.
       files: their contents, by name.
+      images: where the images of the surfaces will lie, relative to the text; beside it if empty.
     """
     spec = new_spec(StabilityConfig().timestep, ContactConfig())
     spec.modelname = asset.name
@@ -30,11 +33,12 @@ def object_xml(asset: ObjectAsset, surfaces: tuple[str, ...], files: Mapping[str
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=mesh.name,
             rgba=piece.rgba,
+            material=add_texture(spec, piece.texture, images),
             contype=0,
             conaffinity=0,
             group=VISUAL_GROUP,
             mass=0,
         )
-    spec.assets = {name: files[name] for name in surfaces}
+    spec.assets = {**spec.assets, **{name: files[name] for name in surfaces}}
     spec.compile()
     return spec.to_xml().encode()

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 
 _DENSE = 8
@@ -44,16 +45,16 @@ def cloud_colours(asset: ObjectAsset) -> np.ndarray:
     if not asset.pieces:
         return np.full((len(asset.cloud), 3), 180, np.uint8)
     rng = np.random.default_rng(0)
-    spots, owner = [], []
+    spots, shades = [], []
     areas = [_areas(piece.mesh.vertices, piece.mesh.faces) for piece in asset.pieces]
     total = sum(area.sum() for area in areas) or 1.0
-    for number, (piece, area) in enumerate(zip(asset.pieces, areas, strict=True)):
+    for piece, area in zip(asset.pieces, areas, strict=True):
         count = int(np.ceil(_DENSE * len(asset.cloud) * area.sum() / total)) if area.sum() > 0 else 0
-        spots.append(_surface_points(piece.mesh.vertices, piece.mesh.faces, area, count, rng))
-        owner.append(np.full(count, number))
+        points, shade = _surface_points(piece, area, count, rng)
+        spots.append(points)
+        shades.append(shade)
     nearest = cKDTree(np.concatenate(spots)).query(asset.cloud)[1]
-    rgb = np.array([piece.rgba[:3] for piece in asset.pieces])
-    return np.round(255 * np.clip(rgb[np.concatenate(owner)[nearest]], 0, 1)).astype(np.uint8)
+    return np.round(255 * np.clip(np.concatenate(shades)[nearest], 0, 1)).astype(np.uint8)
 
 
 def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -62,16 +63,24 @@ def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _surface_points(
-    vertices: np.ndarray, faces: np.ndarray, areas: np.ndarray, count: int, rng: np.random.Generator
-) -> np.ndarray:
-    """f64[count, 3], even over the area."""
+    piece: Piece, areas: np.ndarray, count: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """f64[count, 3], even over the area, and f64[count, 3], the colours there, each in [0, 1]."""
     if count == 0:
-        return np.zeros((0, 3))
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    vertices, faces = piece.mesh.vertices, piece.mesh.faces
     face = faces[rng.choice(len(faces), count, p=areas / areas.sum())]
     u, v = rng.random((2, count, 1))
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    a, b, c = (vertices[face[:, k]] for k in range(3))
-    return a + u * (b - a) + v * (c - a)
+
+    def between(values: np.ndarray) -> np.ndarray:
+        a, b, c = (values[face[:, k]] for k in range(3))
+        return a + u * (b - a) + v * (c - a)
+
+    shade = np.tile(np.array(piece.rgba[:3]), (count, 1))
+    if piece.uv is not None and piece.texture is not None:
+        shade *= piece.texture.at(between(piece.uv))
+    return between(vertices), shade
 
 
 def scene_points(objects: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None) -> Cloud:
@@ -82,7 +91,7 @@ def scene_points(objects: Sequence[ObjectAsset], poses: np.ndarray, support: Sup
     points, colours, labels = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)], [np.zeros(0, np.int32)]
     if support is not None:
         top = top_points(support)
-        rgba = support.pieces[0].rgba if support.pieces else support.boxes[0].rgba
+        rgba = support.pieces[0].mean_rgba if support.pieces else support.boxes[0].rgba
         points.append(top)
         colours.append(np.tile(np.round(255 * np.array(rgba[:3])).astype(np.uint8), (len(top), 1)))
         labels.append(np.full(len(top), 1, np.int32))

@@ -2,27 +2,56 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.texture import Texture
 
 if TYPE_CHECKING:
     # Of use to importers alone, and slow to load.
     from cluttergen_jax.assets.stated_mass import StatedMass
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Piece:
-    """One coloured surface of an object.
+    """One surface of an object, of one colour or with an image on it.
 
     Attributes:
       mesh: in the shape's authored frame, z up, metres.
-      rgba: each in [0, 1], sRGB as shown.
+      rgba: each in [0, 1], sRGB as shown. With a texture, what its colours are multiplied by.
+      uv: f32[V, 2], for each vertex its place in the image, (0, 0) being the lower left corner; the image is
+        repeated beyond [0, 1]. A vertex on a seam of the image comes once for each side.
+      texture: the image. Either both `uv` and `texture` are given, or neither.
     """
 
     mesh: Mesh
     rgba: tuple[float, float, float, float] = (0.7, 0.7, 0.7, 1.0)
+    uv: np.ndarray | None = None
+    texture: Texture | None = None
+
+    def __post_init__(self) -> None:
+        if (self.uv is None) != (self.texture is None):
+            raise ValueError("a piece with a texture but no uv, or the other way round")
+        if self.uv is not None:
+            uv = np.asarray(self.uv, np.float32)
+            if uv.shape != (len(self.mesh.vertices), 2) or not np.isfinite(uv).all():
+                raise ValueError(f"uv {uv.shape} of {len(self.mesh.vertices)} vertices, or not finite")
+            object.__setattr__(self, "uv", uv)
+
+    def transformed(self, rotation: np.ndarray, translation: np.ndarray) -> Piece:
+        """The piece with its mesh transformed: see `Mesh.transformed`."""
+        return replace(self, mesh=self.mesh.transformed(rotation, translation))
+
+    @property
+    def mean_rgba(self) -> tuple[float, float, float, float]:
+        """One colour for the whole: `rgba`, times the mean of the image over the vertices if there is one."""
+        if self.uv is None or self.texture is None:
+            return self.rgba
+        r, g, b = (self.texture.at(self.uv).mean(0) * self.rgba[:3]).tolist()
+        return (r, g, b, self.rgba[3])
 
 
 @dataclass(frozen=True)

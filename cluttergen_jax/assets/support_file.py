@@ -15,15 +15,17 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import embedded_root, user_root
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
+from cluttergen_jax.assets.surface_files import parse_surface, surface_text
+from cluttergen_jax.assets.texture import Texture, texture_name
 from cluttergen_jax.errors import PoolError, closest
 from cluttergen_jax.files import folder_whole, inside
 
 FORMAT = 1
 _RECORD = "support.json"
+_DIGITS = 7
 _CUBOID = re.compile(r"table-(\d*\.?\d+(?:x\d*\.?\d+){1,2})")
 _NAME = re.compile(r"[a-z0-9_-]+")
 _REWRITE = "writing the support again"
@@ -43,7 +45,9 @@ def write_support(folder: str | Path, support: SupportAsset, *, overwrite: bool 
     with folder_whole(folder) as fresh:
         fresh.mkdir()
         for index, piece in enumerate(support.pieces):
-            (fresh / f"visual-{index}.obj").write_text(_obj_text(piece.mesh), encoding="ascii")
+            (fresh / f"visual-{index}.obj").write_text(surface_text(piece, _DIGITS), encoding="ascii")
+            if piece.texture is not None:
+                (fresh / piece.texture.file_name).write_bytes(piece.texture.data)
         (fresh / _RECORD).write_text(json.dumps(_record(support), indent=1) + "\n", encoding="utf-8")
     return folder
 
@@ -72,7 +76,10 @@ def read_support(folder: str | Path) -> SupportAsset:
 
 def support_hash(support: SupportAsset) -> str:
     """Hex digest of everything that `write_support` would store: the same before and after disk."""
-    texts = [json.dumps(_record(support), sort_keys=True), *(_obj_text(p.mesh) for p in support.pieces)]
+    texts = [
+        json.dumps(_record(support), sort_keys=True),
+        *(surface_text(p, _DIGITS) for p in support.pieces),
+    ]
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
@@ -158,7 +165,12 @@ def _record(support: SupportAsset) -> dict[str, Any]:
         "region": _rounded(asdict(support.region)),
         "boxes": [_rounded(asdict(box)) for box in support.boxes],
         "pieces": [
-            {"file": f"visual-{index}.obj", "rgba": _rounded(piece.rgba)}
+            {
+                "file": f"visual-{index}.obj",
+                "rgba": _rounded(piece.rgba),
+                # A digest, so that the record tells one image from another.
+                **({} if piece.texture is None else {"texture": piece.texture.digest}),
+            }
             for index, piece in enumerate(support.pieces)
         ],
         "provenance": asdict(support.provenance),
@@ -185,13 +197,7 @@ def _support(record: dict[str, Any], folder: Path) -> SupportAsset:
     )
     if not boxes:
         raise ValueError("a support without boxes")
-    pieces = tuple(
-        Piece(
-            _parse_obj(inside(folder, piece["file"]).read_text(encoding="ascii")),
-            _floats(piece["rgba"], 4),
-        )
-        for piece in record["pieces"]
-    )
+    pieces = tuple(_piece(piece, folder) for piece in record["pieces"])
     return SupportAsset(
         name=record["name"],
         label=record["label"],
@@ -205,16 +211,13 @@ def _support(record: dict[str, Any], folder: Path) -> SupportAsset:
     )
 
 
-def _obj_text(mesh: Mesh) -> str:
-    lines = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in (np.round(mesh.vertices, 6) + 0.0).tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
-    return "\n".join(lines) + "\n"
-
-
-def _parse_obj(text: str) -> Mesh:
-    rows = [line.split() for line in text.splitlines()]
-    vertices = np.array([row[1:4] for row in rows if row and row[0] == "v"], np.float64)
-    faces = np.array([row[1:4] for row in rows if row and row[0] == "f"], np.int32) - 1
-    if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError("a surface whose triangles name vertices that it does not have")
-    return Mesh(vertices, faces)
+def _piece(record: dict[str, Any], folder: Path) -> Piece:
+    mesh, uv = parse_surface(inside(folder, record["file"]).read_text(encoding="ascii"))
+    texture = None
+    if digest := record.get("texture"):
+        if not re.fullmatch(r"[0-9a-f]{64}", digest):
+            raise ValueError(f"{digest!r} where the digest of an image belongs")
+        texture = Texture(inside(folder, texture_name(digest)).read_bytes())
+        if texture.digest != digest:
+            raise ValueError(f"{texture_name(digest)} is not the image that it was")
+    return Piece(mesh, _floats(record["rgba"], 4), uv, texture)

@@ -17,7 +17,7 @@ from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.overhead import Overhead, level_faces, look_down
 from cluttergen_jax.assets.rectangles import Span, cover, largest_rectangle
-from cluttergen_jax.assets.shape import Piece, Shape
+from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
 
@@ -66,9 +66,7 @@ def support_from_mesh(shape: Shape) -> SupportAsset:
         top=top,
         region=Rectangle(region.center[:2], region.half_extents[:2], yaw),
         provenance=shape.provenance,
-        pieces=faced(
-            [Piece(piece.mesh.transformed(np.eye(3), shift), piece.rgba) for piece in shape.pieces], None
-        ),
+        pieces=faced([piece.transformed(np.eye(3), shift) for piece in shape.pieces], None),
     )
 
 

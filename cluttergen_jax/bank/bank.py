@@ -3,6 +3,7 @@
     bank.json               how it was made; what makes another run the same bank; digests of its files
     scenes-000000.parquet   block 0: scenes 0 to 255, a row each, failures included; and bank.json once more
     assets/objects/NAME/    each object once; assets/support/ the table
+    assets/textures/        the objects' images, each once
     scenes/000000.xml .png  successful scenes as MJCF, meshes by relative path, and their pictures
 
 A block is written as a whole or not at all, so an interrupted bank is continued where it stopped
@@ -115,7 +116,8 @@ class Bank:
           UnsafePathError: the name is none, or a file is a link that leads out of the bank.
         """
         with _mended_by_generate():
-            asset = read_object(inside(self.path, f"assets/objects/{name}"))
+            images = inside(self.path, "assets/textures")
+            asset = read_object(inside(self.path, f"assets/objects/{name}"), images)
         if asset.name != name:
             raise BankError(f"{self.path}: asset {name!r} calls itself {asset.name!r}", hint=_AGAIN)
         self._check_asset(name, object_hash(asset), self._hashes["objects"].get(name))

@@ -135,7 +135,7 @@ def _files() -> str:
         "",
         "- `bank.json`: how the bank was made: every setting, versions, digests of the files.",
         "- `scenes-*.parquet`: 256 scenes each, a row per scene, failures included.",
-        "- `assets/`: every object once (surface, convex collision parts, mass, inertia), and the support.",
+        "- `assets/`: every object once (surfaces, images, convex parts, mass, inertia), and the support.",
         "- `scenes/`: if present, an MJCF file (and a picture) for each scene that stands; poses are in "
         "the bodies and in the keyframe `scene`.",
         "",

@@ -168,12 +168,11 @@ class BankWriter:
         """Writes what is missing, damaged, or of no known digest; `self._files` then tells what is there."""
         hashes = self._record["assets"]
         for name, asset in objects.items():
-            folder = f"assets/objects/{name}"
-            if not (
-                self._is_as_written(folder) and _hash_of_object(self.path / folder) == hashes["objects"][name]
-            ):
+            folder, images = f"assets/objects/{name}", inside(self.path, "assets/textures")
+            is_as_written = self._is_as_written(folder)
+            if not (is_as_written and _hash_of_object(self.path / folder, images) == hashes["objects"][name]):
                 with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
-                    _write_object(asset, fresh)
+                    _write_object(asset, fresh, images)
         folder = "assets/support"
         if not (self._is_as_written(folder) and _hash_of_support(self.path / folder) == hashes["support"]):
             with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
@@ -239,9 +238,9 @@ def _changed(ours: dict[str, Any], theirs: dict[str, Any]) -> list[str]:
     return names
 
 
-def _write_object(asset: ObjectAsset, folder: Path) -> None:
+def _write_object(asset: ObjectAsset, folder: Path, images: Path) -> None:
     write_parts(folder, asset)
-    write_object(folder, asset)
+    write_object(folder, asset, images)
 
 
 def _is_scene(path: Path, name: str) -> bool:
@@ -249,10 +248,10 @@ def _is_scene(path: Path, name: str) -> bool:
     return name.startswith("scenes/") and inside(path, name).is_file()
 
 
-def _hash_of_object(folder: Path) -> str:
+def _hash_of_object(folder: Path, images: Path) -> str:
     """The digest of the bank's own object; empty if there is none or it is damaged."""
     try:
-        return object_hash(read_object(folder))
+        return object_hash(read_object(folder, images))
     except ClutterGenError:
         return ""
 

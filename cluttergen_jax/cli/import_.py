@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from cluttergen_jax.assets.config import DecompositionConfig
+from cluttergen_jax.assets.config import MAX_TEXTURE, DecompositionConfig
 from cluttergen_jax.cli.parse import refuse_given
 from cluttergen_jax.errors import ConfigError
 
@@ -40,6 +40,7 @@ class Import:
       front: the files' axis that becomes the objects' +x; auto is x, or -y where x is up.
       density: kg/m^3, where the mass is not known.
       mass: kilograms for every object, such as the paper's 0.1.
+      max_texture: pixels a side that an image may have; larger ones are shrunk.
       decomposition: CoACD's parameters.
       trials: placements by which solo stability is measured.
       jobs: worker processes; 0 takes one for each core.
@@ -62,6 +63,7 @@ class Import:
     front: Axis = "auto"
     density: float = 500.0
     mass: float | None = None
+    max_texture: int = MAX_TEXTURE
     decomposition: DecompositionConfig = field(default_factory=DecompositionConfig)
     trials: int = 256
     jobs: int = 0
@@ -89,6 +91,7 @@ class Import:
             friction=self.friction,
             licence=self.licence,
             attribution=self.attribution,
+            max_texture=self.max_texture,
         )
         if self.support is not None:
             refuse_given(self, _OF_OBJECTS, "with --support", "leaving it out: a table is not an object")

@@ -1,4 +1,4 @@
-"""Frames, inertia and colours in the forms that other programs ask for."""
+"""Frames and inertia in the forms that other programs ask for."""
 
 from __future__ import annotations
 
@@ -48,16 +48,6 @@ def euler_of(quaternion: np.ndarray) -> np.ndarray:
 def yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
     """The quaternion wxyz of a turn about z, radians."""
     return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
-
-
-def linear(rgba: Sequence[float]) -> tuple[float, float, float, float]:
-    """An sRGB colour as shown, in the linear values that glTF and USD store; alpha as it is."""
-    red, green, blue, alpha = (float(value) for value in rgba)
-    return (*(_decoded(value) for value in (red, green, blue)), alpha)  # type: ignore[return-value]
-
-
-def _decoded(value: float) -> float:
-    return value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4
 
 
 def text(values: Sequence[float] | np.ndarray) -> str:

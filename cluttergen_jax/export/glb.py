@@ -1,4 +1,4 @@
-"""glTF 2.0, binary: one file per scene that holds everything, for viewers.
+"""glTF 2.0, binary: one file per scene that holds everything, images included, for viewers.
 
 glTF has y up: the node `world` turns the scene, below it everything is in the scene's own frame, z up. The
 default scene shows the surfaces; a second one, `collision`, shows the convex parts. Mass, centre of mass,
@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.part_files import hull_of
+from cluttergen_jax.assets.shading import box_mesh, linear, shaded
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.export.frames import linear
+from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.export.meshes import drawn_pieces
-from cluttergen_jax.export.shading import box_mesh, shaded
 from cluttergen_jax.scene import Camera, Scene
 
 _ARRAY, _ELEMENT = 34962, 34963
@@ -42,7 +41,8 @@ class _Builder:
         self._doc: dict[str, list[Any]] = {
             key: [] for key in ("accessors", "bufferViews", "materials", "meshes", "nodes")
         }
-        self._materials: dict[tuple[float, ...], int] = {}
+        self._materials: dict[tuple[Any, ...], int] = {}
+        self._images: dict[Texture, int] = {}
 
     def of(self, scene: Scene) -> bytes:
         supports = scene.support.pieces or tuple(
@@ -91,41 +91,67 @@ class _Builder:
         return self._add("nodes", {**node, "translation": camera.position.tolist(), "rotation": [x, y, z, w]})
 
     def _mesh(self, name: str, pieces: Any) -> int:
-        primitives = [self._primitive(piece.mesh, piece.rgba) for piece in pieces]
+        primitives = [self._primitive(piece) for piece in pieces]
         return self._add("meshes", {"name": name, "primitives": primitives})
 
-    def _primitive(self, mesh: Mesh, rgba: tuple[float, ...]) -> dict[str, Any]:
-        vertices, normals, faces = shaded(mesh)
+    def _primitive(self, piece: Piece) -> dict[str, Any]:
+        vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
         bounds = {"min": vertices.min(0).tolist(), "max": vertices.max(0).tolist()}
+        attributes = {
+            "POSITION": self._accessor(vertices, "VEC3", _FLOAT, _ARRAY, **bounds),
+            "NORMAL": self._accessor(normals, "VEC3", _FLOAT, _ARRAY),
+        }
+        if uv is not None:
+            # glTF's v runs down the image.
+            attributes["TEXCOORD_0"] = self._accessor(uv * [1, -1] + [0, 1], "VEC2", _FLOAT, _ARRAY)
         return {
-            "attributes": {
-                "POSITION": self._accessor(vertices, "VEC3", _FLOAT, _ARRAY, **bounds),
-                "NORMAL": self._accessor(normals, "VEC3", _FLOAT, _ARRAY),
-            },
+            "attributes": attributes,
             "indices": self._accessor(faces.ravel(), "SCALAR", _UNSIGNED, _ELEMENT),
-            "material": self._material(rgba),
+            "material": self._material(piece),
         }
 
     def _accessor(self, values: np.ndarray, kind: str, component: int, target: int, **more: Any) -> int:
         data = values.astype("<u4" if component == _UNSIGNED else "<f4").tobytes()
-        view = {"buffer": 0, "byteOffset": len(self._blob), "byteLength": len(data), "target": target}
-        self._blob += data
-        index = self._add("bufferViews", view)
+        index = self._view(data, target=target)
         return self._add(
             "accessors",
             {"bufferView": index, "componentType": component, "count": len(values), "type": kind, **more},
         )
 
-    def _material(self, rgba: tuple[float, ...]) -> int:
-        if rgba not in self._materials:
-            colour = {"baseColorFactor": linear(rgba), "metallicFactor": 0.0, "roughnessFactor": 0.65}
+    def _view(self, data: bytes, **more: Any) -> int:
+        view = {"buffer": 0, "byteOffset": len(self._blob), "byteLength": len(data), **more}
+        # What comes next begins at a multiple of four bytes.
+        self._blob += data + b"\0" * (-len(data) % 4)
+        return self._add("bufferViews", view)
+
+    def _material(self, piece: Piece) -> int:
+        rgba, key = piece.rgba, (piece.rgba, piece.texture)
+        if key not in self._materials:
+            colour: dict[str, Any] = {
+                "baseColorFactor": linear(rgba),
+                "metallicFactor": 0.0,
+                "roughnessFactor": 0.65,
+            }
+            if piece.texture is not None:
+                colour["baseColorTexture"] = {"index": self._image(piece.texture)}
             material: dict[str, Any] = {"pbrMetallicRoughness": colour, "doubleSided": True}
             if rgba[3] < 1:
                 material["alphaMode"] = "BLEND"
-            self._materials[rgba] = self._add("materials", material)
-        return self._materials[rgba]
+            self._materials[key] = self._add("materials", material)
+        return self._materials[key]
+
+    def _image(self, texture: Texture) -> int:
+        if texture not in self._images:
+            image = {
+                "mimeType": "image/png",
+                "name": texture.file_name,
+                "bufferView": self._view(texture.data),
+            }
+            self._images[texture] = self._add("textures", {"source": self._add("images", image)})
+        return self._images[texture]
 
     def _add(self, key: str, value: dict[str, Any]) -> int:
+        # glTF allows no empty lists: one that nothing is added to is left out.
         self._doc.setdefault(key, []).append(value)
         return len(self._doc[key]) - 1
 

@@ -9,7 +9,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.export.frames import principal_of, yaw_quaternion
-from cluttergen_jax.export.meshes import drawn_pieces, visual_name
+from cluttergen_jax.export.meshes import drawn_pieces, object_image, support_image, visual_name
 from cluttergen_jax.export.placement import placement_json
 from cluttergen_jax.scene import Scene
 
@@ -37,7 +37,7 @@ def _body(asset: ObjectAsset) -> dict[str, Any]:
         "principal_moments": principal.moments.tolist(),
         "parts": [part_name(index) for index in range(len(asset.parts))],
         "visuals": [
-            {"file": visual_name(index), "rgba": list(piece.rgba)}
+            {"file": visual_name(index), "rgba": list(piece.rgba), "image": object_image(piece)}
             for index, piece in enumerate(drawn_pieces(asset))
         ],
     }
@@ -56,7 +56,7 @@ def _support(support: SupportAsset) -> dict[str, Any]:
             for box in support.boxes
         ],
         "visuals": [
-            {"file": visual_name(index), "rgba": list(piece.rgba)}
+            {"file": visual_name(index), "rgba": list(piece.rgba), "image": support_image(piece)}
             for index, piece in enumerate(support.pieces)
         ],
     }

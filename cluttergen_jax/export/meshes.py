@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.part_files import hull_of, obj_text, write_parts
+from cluttergen_jax.assets.object_files import SHARED_IMAGES, write_images
+from cluttergen_jax.assets.part_files import hull_of, write_parts
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.surface_files import shaded_text
 
 
 def object_folder(name: str) -> str:
@@ -28,18 +30,52 @@ def drawn_pieces(asset: ObjectAsset) -> tuple[Piece, ...]:
     return asset.pieces or tuple(Piece(hull_of(part)) for part in asset.parts)
 
 
+def object_image(piece: Piece) -> str | None:
+    """Where the image of an object's surface lies, relative to the object's folder; None if it has none."""
+    return None if piece.texture is None else SHARED_IMAGES + piece.texture.file_name
+
+
+def support_image(piece: Piece) -> str | None:
+    """The same of a support's surface: its images lie in its own folder."""
+    return None if piece.texture is None else piece.texture.file_name
+
+
+def write_object_images(folder: Path, asset: ObjectAsset) -> None:
+    """Writes the images of an asset whose folder is `folder` to where all objects keep theirs, each once."""
+    write_images(folder.parent.parent / "textures", asset.textures)
+
+
+def write_support_images(folder: Path, support: SupportAsset) -> None:
+    """Writes the images of the support whose folder is `folder`."""
+    write_images(folder, (piece.texture for piece in support.pieces if piece.texture is not None))
+
+
 def write_object_meshes(folder: Path, asset: ObjectAsset) -> None:
-    """Writes every part and every surface of an asset as OBJ."""
+    """Writes every part of an asset as OBJ, and every surface, with its material and image if it has one."""
     write_parts(folder, asset)
-    _write_pieces(folder, drawn_pieces(asset))
+    for index, piece in enumerate(drawn_pieces(asset)):
+        _write_piece(folder, index, piece, object_image(piece))
+    write_object_images(folder, asset)
 
 
 def write_support_meshes(folder: Path, support: SupportAsset) -> None:
-    """Writes the support's surfaces, if it has any, as OBJ."""
+    """Writes the support's surfaces, if it has any, as OBJ, with materials and images as those of objects."""
     folder.mkdir(parents=True, exist_ok=True)
-    _write_pieces(folder, support.pieces)
+    for index, piece in enumerate(support.pieces):
+        _write_piece(folder, index, piece, support_image(piece))
+    write_support_images(folder, support)
 
 
-def _write_pieces(folder: Path, pieces: tuple[Piece, ...]) -> None:
-    for index, piece in enumerate(pieces):
-        (folder / visual_name(index)).write_text(obj_text(piece.mesh), encoding="ascii")
+def _write_piece(folder: Path, index: int, piece: Piece, image: str | None) -> None:
+    # Normals because Drake draws no OBJ without them.
+    path = folder / visual_name(index)
+    if image is None:
+        path.write_text(shaded_text(piece), encoding="ascii")
+        return
+    library, name = path.with_suffix(".mtl"), f"image-{index}"
+    path.write_text(shaded_text(piece, (library.name, name)), encoding="ascii")
+    colour = " ".join(f"{value:.6g}" for value in piece.rgba[:3])
+    library.write_text(
+        f"newmtl {name}\nKa {colour}\nKd {colour}\nKs 0 0 0\nd {piece.rgba[3]:.6g}\nmap_Kd {image}\n",
+        encoding="ascii",
+    )

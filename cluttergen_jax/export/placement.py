@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from cluttergen_jax.assets.shading import box_mesh
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, object_folder
-from cluttergen_jax.export.shading import box_mesh
 from cluttergen_jax.physics.rotation import rotate
 from cluttergen_jax.scene import Scene
 

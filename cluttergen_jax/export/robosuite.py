@@ -11,7 +11,7 @@ from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.export.frames import text, yaw_quaternion
-from cluttergen_jax.export.meshes import drawn_pieces, visual_name
+from cluttergen_jax.export.meshes import drawn_pieces, object_image, support_image, visual_name
 
 _COLLIDES, _DRAWN = "0", "1"
 """robosuite's geom groups."""
@@ -40,7 +40,7 @@ def object_xml(asset: ObjectAsset, contact: ContactConfig) -> bytes:
             rgba="0 0 0 0",
         )
     for index, piece in enumerate(drawn_pieces(asset)):
-        _add_visual(assets, body, index, piece.rgba)
+        _add_visual(assets, body, index, piece.rgba, object_image(piece))
     _add_sites(shell, -asset.half_extents[2], asset.half_extents)
     return _bytes(root)
 
@@ -59,7 +59,7 @@ def support_xml(support: SupportAsset, contact: ContactConfig) -> bytes:
         if not support.pieces:
             ET.SubElement(body, "geom", place | _unseen(box.rgba))
     for index, piece in enumerate(support.pieces):
-        _add_visual(assets, body, index, piece.rgba)
+        _add_visual(assets, body, index, piece.rgba, support_image(piece))
     _add_sites(shell, 0.0, np.array([*support.region.half_extents, support.top]))
     return _bytes(root)
 
@@ -85,10 +85,17 @@ def _unseen(rgba: tuple[float, ...]) -> dict[str, str]:
     return {"contype": "0", "conaffinity": "0", "group": _DRAWN, "mass": "0", "rgba": text(rgba)}
 
 
-def _add_visual(assets: ET.Element, body: ET.Element, index: int, rgba: tuple[float, ...]) -> None:
+def _add_visual(
+    assets: ET.Element, body: ET.Element, index: int, rgba: tuple[float, ...], image: str | None
+) -> None:
     name = f"visual-{index}"
     ET.SubElement(assets, "mesh", name=name, file=visual_name(index), inertia="shell")
-    ET.SubElement(body, "geom", _unseen(rgba), type="mesh", mesh=name)
+    geom = ET.SubElement(body, "geom", _unseen(rgba), type="mesh", mesh=name)
+    if image is not None:
+        texture = f"image-{index}"
+        ET.SubElement(assets, "texture", name=texture, type="2d", file=image)
+        ET.SubElement(assets, "material", name=name, texture=texture, specular="0.25", shininess="0.35")
+        geom.set("material", name)
 
 
 def _add_sites(shell: ET.Element, bottom: float, reach: np.ndarray) -> None:

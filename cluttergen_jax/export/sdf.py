@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.part_files import part_name
+from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.export.frames import text, yaw_quaternion
@@ -70,7 +71,7 @@ def _add_support(world: ET.Element, support: SupportAsset, contact: ContactConfi
     _leaf(model, "static", "true")
     link = ET.SubElement(model, "link", name="body")
     for index, piece in enumerate(support.pieces):
-        _add_visual(link, index, f"{SUPPORT_FOLDER}/{visual_name(index)}", piece.rgba)
+        _add_visual(link, index, SUPPORT_FOLDER, piece)
     for index, box in enumerate(support.boxes):
         kinds = ["collision"] if support.pieces else ["collision", "visual"]
         for kind in kinds:
@@ -98,7 +99,7 @@ def _add_object(
         _leaf(inertia, f"i{'xyz'[row]}{'xyz'[column]}", text([asset.inertia[row][column]]))
     folder = object_folder(asset.name)
     for index, piece in enumerate(drawn_pieces(asset)):
-        _add_visual(link, index, f"{folder}/{visual_name(index)}", piece.rgba)
+        _add_visual(link, index, folder, piece)
     for index in range(len(asset.parts)):
         collision = ET.SubElement(link, "collision", name=f"part-{index}")
         mesh = _add_mesh(collision, f"{folder}/{part_name(index)}")
@@ -133,10 +134,14 @@ def _add_mesh(parent: ET.Element, file: str) -> ET.Element:
     return mesh
 
 
-def _add_visual(link: ET.Element, index: int, file: str, rgba: tuple[float, ...]) -> None:
+def _add_visual(link: ET.Element, index: int, folder: str, piece: Piece) -> None:
     visual = ET.SubElement(link, "visual", name=f"visual-{index}")
-    _add_mesh(visual, file)
-    _add_colour(visual, rgba)
+    _add_mesh(visual, f"{folder}/{visual_name(index)}")
+    if piece.texture is None:
+        _add_colour(visual, piece.rgba)
+    elif piece.rgba[3] < 1:
+        # The OBJ's own material names the image; one given here would stand in its place.
+        _leaf(visual, "transparency", text([1 - piece.rgba[3]]))
 
 
 def _add_colour(visual: ET.Element, rgba: tuple[float, ...]) -> None:

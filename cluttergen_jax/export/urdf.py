@@ -17,7 +17,7 @@ from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.export.frames import euler_of, principal_of, text
-from cluttergen_jax.export.meshes import drawn_pieces, visual_name
+from cluttergen_jax.export.meshes import drawn_pieces, object_image, support_image, visual_name
 
 
 def object_urdf(asset: ObjectAsset, contact: ContactConfig) -> bytes:
@@ -30,7 +30,7 @@ def object_urdf(asset: ObjectAsset, contact: ContactConfig) -> bytes:
     ixx, iyy, izz = (text([moment]) for moment in principal.moments)
     ET.SubElement(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
     for index, piece in enumerate(drawn_pieces(asset)):
-        _add_visual(link, index, piece.rgba, visual_name(index))
+        _add_visual(link, index, piece.rgba, object_image(piece))
     for index in range(len(asset.parts)):
         collision = ET.SubElement(link, "collision", name=f"part-{index}")
         ET.SubElement(ET.SubElement(collision, "geometry"), "mesh", filename=part_name(index))
@@ -44,7 +44,7 @@ def support_urdf(support: SupportAsset, contact: ContactConfig) -> bytes:
     ET.SubElement(inertial, "mass", value="0")
     ET.SubElement(inertial, "inertia", ixx="0", iyy="0", izz="0", ixy="0", ixz="0", iyz="0")
     for index, piece in enumerate(support.pieces):
-        _add_visual(link, index, piece.rgba, visual_name(index))
+        _add_visual(link, index, piece.rgba, support_image(piece))
     for index, box in enumerate(support.boxes):
         size = text(2 * np.array(box.half_extents))
         kinds = ["collision"] if support.pieces else ["collision", "visual"]
@@ -69,14 +69,19 @@ def _robot(name: str, contact: ContactConfig) -> tuple[ET.Element, ET.Element]:
     return root, link
 
 
-def _add_visual(link: ET.Element, index: int, rgba: tuple[float, ...], file: str) -> None:
+def _add_visual(link: ET.Element, index: int, rgba: tuple[float, ...], image: str | None) -> None:
     visual = ET.SubElement(link, "visual", name=f"visual-{index}")
-    ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=file)
-    _add_colour(visual, f"visual-{index}", rgba)
+    ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=visual_name(index))
+    material = _add_colour(visual, f"visual-{index}", rgba)
+    if image is not None:
+        # The OBJ's own material says the same to readers that look there.
+        ET.SubElement(material, "texture", filename=image)
 
 
-def _add_colour(visual: ET.Element, name: str, rgba: tuple[float, ...]) -> None:
-    ET.SubElement(ET.SubElement(visual, "material", name=name), "color", rgba=text(rgba))
+def _add_colour(visual: ET.Element, name: str, rgba: tuple[float, ...]) -> ET.Element:
+    material = ET.SubElement(visual, "material", name=name)
+    ET.SubElement(material, "color", rgba=text(rgba))
+    return material
 
 
 def _bytes(root: ET.Element) -> bytes:

@@ -7,7 +7,7 @@ their convex hull, bound to a physics material. This needs the optional extra `u
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -15,13 +15,21 @@ import numpy as np
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.part_files import hull_of
+from cluttergen_jax.assets.shading import linear, shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
-from cluttergen_jax.export.frames import linear, principal_of, yaw_quaternion
-from cluttergen_jax.export.meshes import SUPPORT_FOLDER, drawn_pieces, object_folder
-from cluttergen_jax.export.shading import shaded
+from cluttergen_jax.export.frames import principal_of, yaw_quaternion
+from cluttergen_jax.export.meshes import (
+    SUPPORT_FOLDER,
+    drawn_pieces,
+    object_folder,
+    object_image,
+    support_image,
+    write_object_images,
+    write_support_images,
+)
 from cluttergen_jax.scene import Camera, Scene
 
 try:
@@ -30,6 +38,8 @@ except ImportError:  # pragma: no cover - depends on what is installed
     Usd = None
 
 _FOCAL_LENGTH = 24.0
+_UV = "st"
+"""USD's usual name of texture coordinates."""
 
 
 def require_usd() -> None:
@@ -50,7 +60,9 @@ def write_object_usd(folder: Path, asset: ObjectAsset, contact: ContactConfig) -
     mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*principal.moments.tolist()))
     mass.CreatePrincipalAxesAttr(Gf.Quatf(*principal.turn.tolist()))
     _note(prim, asset.label, asset.provenance)
-    _add_visuals(stage, drawn_pieces(asset))
+    pieces = drawn_pieces(asset)
+    _add_visuals(stage, pieces, [object_image(piece) for piece in pieces])
+    write_object_images(folder, asset)
     material = _add_contact(stage, contact)
     for index, part in enumerate(asset.parts):
         mesh = _add_mesh(stage, f"{_collisions(stage)}/part_{index:02d}", hull_of(part))
@@ -63,7 +75,8 @@ def write_support_usd(folder: Path, support: SupportAsset, contact: ContactConfi
     """Writes `support.usda`: static colliders in the world frame, and surfaces where there are any."""
     stage, root = _asset_stage(folder / "support.usda", "support")
     _note(root.GetPrim(), support.label, support.provenance)
-    _add_visuals(stage, support.pieces)
+    _add_visuals(stage, support.pieces, [support_image(piece) for piece in support.pieces])
+    write_support_images(folder, support)
     material = _add_contact(stage, contact)
     parent = _collisions(stage) if support.pieces else f"{_root(stage)}/boxes"
     for index, box in enumerate(support.boxes):
@@ -165,31 +178,37 @@ def _place(xformable: Any, position: np.ndarray, quaternion: np.ndarray) -> None
     xformable.AddOrientOp(double).Set(Gf.Quatd(*quaternion.tolist()))
 
 
-def _add_visuals(stage: Any, pieces: Sequence[Piece]) -> None:
-    for index, piece in enumerate(pieces):
-        mesh = _add_mesh(stage, f"{_root(stage)}/visuals/piece_{index:02d}", piece.mesh)
-        mesh.CreateDisplayColorAttr([Gf.Vec3f(*linear(piece.rgba)[:3])])
+def _add_visuals(stage: Any, pieces: Sequence[Piece], images: Sequence[str | None]) -> None:
+    for index, (piece, image) in enumerate(zip(pieces, images, strict=True)):
+        mesh = _add_mesh(stage, f"{_root(stage)}/visuals/piece_{index:02d}", piece.mesh, piece.uv)
+        mesh.CreateDisplayColorAttr([Gf.Vec3f(*linear(piece.mean_rgba)[:3])])
         mesh.CreateDisplayOpacityAttr([piece.rgba[3]])
-        _bind(mesh.GetPrim(), _colour(stage, piece.rgba))
+        _bind(mesh.GetPrim(), _colour(stage, piece.rgba, image))
 
 
-def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
-    vertices, normals, faces = shaded(mesh)
+def _add_mesh(stage: Any, path: str, mesh: Mesh, uv: np.ndarray | None = None) -> Any:
+    vertices, normals, faces, places = shaded(mesh, uv)
     result = UsdGeom.Mesh.Define(stage, path)
     result.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(vertices))
     result.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
     result.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.ravel().astype(np.int32)))
     result.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals))
     result.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    if places is not None:
+        kind = Sdf.ValueTypeNames.TexCoord2fArray
+        primvar = UsdGeom.PrimvarsAPI(result).CreatePrimvar(_UV, kind, UsdGeom.Tokens.vertex)
+        primvar.Set(Vt.Vec2fArray.FromNumpy(places))
     result.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     result.CreateDoubleSidedAttr(True)
     result.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([vertices.min(0), vertices.max(0)])))
     return result
 
 
-def _colour(stage: Any, rgba: tuple[float, ...]) -> Any:
-    """A matte material of this colour, made once."""
+def _colour(stage: Any, rgba: tuple[float, ...], image: str | None = None) -> Any:
+    """A matte material of this colour, times the image if there is one; made once."""
     name = "colour_" + "_".join(f"{round(255 * value):03d}" for value in rgba)
+    if image is not None:
+        name += "_" + Tf.MakeValidIdentifier(PurePosixPath(image).stem)
     path = f"{_root(stage)}/materials/{name}"
     if existing := UsdShade.Material.Get(stage, path):
         return existing
@@ -198,12 +217,34 @@ def _colour(stage: Any, rgba: tuple[float, ...]) -> Any:
     shader = UsdShade.Shader.Define(stage, f"{path}/surface")
     shader.CreateIdAttr("UsdPreviewSurface")
     red, green, blue, alpha = linear(rgba)
-    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(Gf.Vec3f(red, green, blue))
+    diffuse = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    if image is None:
+        diffuse.Set(Gf.Vec3f(red, green, blue))
+    else:
+        diffuse.ConnectToSource(_image(stage, path, image, (red, green, blue)).ConnectableAPI(), "rgb")
     shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(alpha)
     shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.65)
     shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
     material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
     return material
+
+
+def _image(stage: Any, path: str, image: str, factor: tuple[float, float, float]) -> Any:
+    """The shader that reads an image, multiplied by a linear colour."""
+    reader = UsdShade.Shader.Define(stage, f"{path}/uv")
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set(_UV)
+    reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    texture = UsdShade.Shader.Define(stage, f"{path}/image")
+    texture.CreateIdAttr("UsdUVTexture")
+    texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(image))
+    texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+    for side in ("wrapS", "wrapT"):
+        texture.CreateInput(side, Sdf.ValueTypeNames.Token).Set("repeat")
+    texture.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*factor, 1.0))
+    texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+    texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
+    return texture
 
 
 def _bind(prim: Any, material: Any) -> None:

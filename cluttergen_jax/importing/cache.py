@@ -17,12 +17,14 @@ import cluttergen_jax
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.assets.readers import Source
+from cluttergen_jax.assets.readers.companions import companions
 from cluttergen_jax.assets.readers.references import ModelFile, model_file
 from cluttergen_jax.errors import ClutterGenError
 
 # Code that decides what a body is; a change in any of it makes every cached body stale.
 _CODE = ("assets", "importing", "physics", "config.py", "types.py")
-_LIBRARIES = ("mujoco", "coacd", "manifold3d", "trimesh", "numpy", "scipy", "fast-simplification")
+_LIBRARIES = ("mujoco", "coacd", "manifold3d", "trimesh", "numpy", "scipy", "fast-simplification", "pillow")
+
 # Beside a mesh file, what may give it its colours.
 _COMPANIONS = (".mtl", ".png", ".jpg", ".jpeg", ".bin")
 
@@ -58,6 +60,7 @@ def source_digest(source: Source) -> str:
     files = {source.path.resolve()}
     if source.kind != "mesh" and isinstance(model := model_file(source.path), ModelFile):
         files |= model.files | model.includes | {source.path.parent.resolve() / "label.json"}
+    files |= {each.resolve() for file in files if file.is_file() for each in companions(file)}
     for folder in {file.parent for file in files}:
         files |= {each for each in folder.iterdir() if each.suffix.lower() in _COMPANIONS}
     home = source.path.parent.resolve()

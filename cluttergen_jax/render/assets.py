@@ -8,8 +8,16 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_object, add_support, new_spec
+from cluttergen_jax.assets.mjcf import (
+    VISUAL_GROUP,
+    add_object,
+    add_support,
+    add_texture,
+    new_spec,
+    set_surface,
+)
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
@@ -24,22 +32,21 @@ def _empty() -> mujoco.MjSpec:
     return new_spec(StabilityConfig().timestep, ContactConfig())
 
 
-def _add_surface(
-    spec: mujoco.MjSpec, name: str, mesh: Mesh, rgba: tuple[float, ...], offset: np.ndarray
-) -> None:
+def _add_surface(spec: mujoco.MjSpec, name: str, piece: Piece, offset: np.ndarray) -> None:
     surface = spec.add_mesh(name=name)
-    surface.uservert = mesh.vertices.astype(np.float32).ravel()
-    if len(mesh.faces):
-        surface.userface = mesh.faces.ravel()
+    if len(piece.mesh.faces):
+        set_surface(surface, piece)
         surface.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     else:
+        surface.uservert = piece.mesh.vertices.astype(np.float32).ravel()
         surface.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
     spec.worldbody.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_MESH,
         meshname=name,
         pos=offset,
-        rgba=rgba,
+        rgba=piece.rgba,
+        material=add_texture(spec, piece.texture),
         contype=0,
         conaffinity=0,
         group=VISUAL_GROUP,
@@ -58,9 +65,10 @@ def render_object(
     shift = right * 1.12 * float(np.abs(right) @ half)
     lift = np.array([0.0, 0.0, half[2]])
     for index, piece in enumerate(asset.pieces):
-        _add_surface(spec, f"piece-{index}", piece.mesh, piece.rgba, lift - shift)
+        _add_surface(spec, f"piece-{index}", piece, lift - shift)
     for index, part in enumerate(asset.parts):
-        _add_surface(spec, f"part-{index}", Mesh.points(part.vertices), distinct_colour(index), lift + shift)
+        hull = Piece(Mesh.points(part.vertices), distinct_colour(index))
+        _add_surface(spec, f"part-{index}", hull, lift + shift)
     return render_model(dress(spec).compile(), camera=view, width=width, height=height, samples=samples)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import VISUAL_GROUP
+from cluttergen_jax.assets.mjcf import SHININESS, SPECULAR, VISUAL_GROUP
 
 KEY_LIGHT = "dress/key"
 SKY_LIGHT = "dress/sky"
@@ -68,7 +68,7 @@ def _add_lights(spec: mujoco.MjSpec) -> None:
 
 def _add_materials(spec: mujoco.MjSpec) -> None:
     """Gives a matte surface to every drawn geom that has none; its colour stays its own."""
-    spec.add_material(name=_MATTE, specular=0.25, shininess=0.35)
+    spec.add_material(name=_MATTE, specular=SPECULAR, shininess=SHININESS)
     for geom in spec.geoms:
         if geom.material == "":
             # A geom whose colour is MuJoCo's default would take the material's white.

@@ -46,6 +46,7 @@ def to_mjspec(scene: Scene, prefix: str = "", *, support: bool = True) -> mujoco
 
     Poses stand in each body's pos and quat and in the keyframe `prefix + "scene"`; time step, solver and
     contact parameters are those with which the scene was checked. Surfaces are drawn, parts collide.
+    Images are files among `spec.assets`: whoever saves the specification as XML saves these beside it.
 
     Args:
       support: leave the support away if the user's own model has it.

@@ -13,9 +13,10 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP, own_contact
+from cluttergen_jax.assets.mjcf import COLLISION_GROUP, SHININESS, SPECULAR, VISUAL_GROUP, own_contact
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.part_files import part_name
+from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.scene.cameras import Camera
@@ -44,7 +45,9 @@ def scene_xml(
       cameras: around the support.
     """
     root = ET.Element("mujoco", model="cluttergen scene")
-    ET.SubElement(root, "compiler", angle="radian", meshdir=assets_path)
+    compiler = ET.SubElement(root, "compiler", angle="radian", meshdir=assets_path)
+    if any(piece.texture for pieces in (support.pieces, *(o.pieces for o in objects)) for piece in pieces):
+        compiler.set("texturedir", assets_path)
     _add_options(root, stability, contact)
     _add_visual(root)
     assets, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
@@ -56,7 +59,7 @@ def scene_xml(
         if asset.name not in stored:
             stored.add(asset.name)
             _add_meshes(assets, asset)
-        _add_body(world, name, asset, pose, contact)
+        _add_body(assets, world, name, asset, pose, contact)
     for each in cameras:
         pose = {"pos": _text(each.position), "quat": _text(each.quaternion)}
         ET.SubElement(world, "camera", pose, name=each.name, fovy=_text([each.fovy]))
@@ -137,7 +140,7 @@ def _add_support(assets: ET.Element, world: ET.Element, support: SupportAsset) -
     for index, piece in enumerate(support.pieces):
         mesh = f"support/visual-{index}"
         ET.SubElement(assets, "mesh", name=mesh, file=f"{mesh}.obj", inertia="shell")
-        ET.SubElement(body, "geom", _UNSEEN, type="mesh", mesh=mesh, rgba=_text(piece.rgba))
+        _add_visual_geom(assets, body, mesh, piece, "support/")
 
 
 def _add_meshes(assets: ET.Element, asset: ObjectAsset) -> None:
@@ -150,7 +153,12 @@ def _add_meshes(assets: ET.Element, asset: ObjectAsset) -> None:
 
 
 def _add_body(
-    world: ET.Element, name: str, asset: ObjectAsset, pose: np.ndarray, contact: ContactConfig
+    assets: ET.Element,
+    world: ET.Element,
+    name: str,
+    asset: ObjectAsset,
+    pose: np.ndarray,
+    contact: ContactConfig,
 ) -> None:
     body = ET.SubElement(world, "body", name=name, pos=_text(pose[:3]), quat=_text(pose[3:]))
     ET.SubElement(body, "freejoint", name=name)
@@ -171,6 +179,17 @@ def _add_body(
             body, "geom", own, type="mesh", mesh=f"{asset.name}/part-{index}", group=str(COLLISION_GROUP)
         )
     for index, piece in enumerate(asset.pieces):
-        ET.SubElement(
-            body, "geom", _UNSEEN, type="mesh", mesh=f"{asset.name}/visual-{index}", rgba=_text(piece.rgba)
-        )
+        _add_visual_geom(assets, body, f"{asset.name}/visual-{index}", piece, "textures/")
+
+
+def _add_visual_geom(assets: ET.Element, body: ET.Element, mesh: str, piece: Piece, images: str) -> None:
+    geom = ET.SubElement(body, "geom", _UNSEEN, type="mesh", mesh=mesh, rgba=_text(piece.rgba))
+    if piece.texture is None:
+        return
+    name = piece.texture.file_name.removesuffix(".png")
+    geom.set("material", name)
+    if assets.find(f"material[@name='{name}']") is None:
+        file = images + piece.texture.file_name
+        ET.SubElement(assets, "texture", name=name, type="2d", file=file)
+        shine = {"specular": str(SPECULAR), "shininess": str(SHININESS)}
+        ET.SubElement(assets, "material", shine, name=name, texture=name)

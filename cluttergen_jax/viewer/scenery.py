@@ -12,6 +12,8 @@ from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.part_files import hull_of
 from cluttergen_jax.assets.scene_cloud import cloud_colours, top_points
+from cluttergen_jax.assets.shading import linear, shaded
+from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.placement.recording import Attempt, Recording
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     import viser
 
 RED = (214, 30, 36)
+_GHOST = (RED[0] / 255, RED[1] / 255, RED[2] / 255, 0.45)
 _BLUE, _ORANGE = (40, 110, 220), (245, 130, 20)
 _CREASE = np.radians(40)
 _LIFT = 0.0015
@@ -148,7 +151,7 @@ class Scenery:
             )
         )
         for index, piece in enumerate(support.pieces):
-            self._fixed.append(_surface(self.server, f"/support/{index}", piece.mesh, piece.rgba))
+            self._fixed.append(_surface(self.server, f"/support/{index}", piece))
         for index, box in enumerate(() if support.pieces else support.boxes):
             self._fixed.append(
                 scene.add_box(
@@ -183,8 +186,7 @@ class _ObjectNodes:
         root = f"/objects/{index}"
         self.frame = server.scene.add_frame(root, show_axes=False)
         self.surfaces = [
-            _surface(server, f"{root}/visual-{k}", piece.mesh, piece.rgba)
-            for k, piece in enumerate(asset.pieces)
+            _surface(server, f"{root}/visual-{k}", piece) for k, piece in enumerate(asset.pieces)
         ]
         self.hulls = [
             _hull(server, f"{root}/hull-{k}", part, _hue(index * 7 + k)) for k, part in enumerate(asset.parts)
@@ -219,7 +221,7 @@ class _Ghost:
         self.attempt = attempt
         self.frame = server.scene.add_frame(root, show_axes=False)
         whole = joined([piece.mesh for piece in asset.pieces] or [hull_of(part) for part in asset.parts])
-        _surface(server, f"{root}/visual", whole, (*(c / 255 for c in RED), 0.45))
+        _surface(server, f"{root}/visual", Piece(whole, _GHOST))
         points = attempt.trajectory[:, :3].astype(np.float32)
         segments = np.stack([points[:-1], points[1:]], axis=1)
         self.trail = server.scene.add_line_segments(f"/trail/{number}", segments, RED, thickness=0.003)
@@ -241,9 +243,12 @@ def _pose_at(attempt: Attempt, progress: float) -> np.ndarray:
     return attempt.trajectory[round(progress * attempt.num_steps), :7]
 
 
-def _surface(server: viser.ViserServer, name: str, mesh: Mesh, rgba: tuple[float, ...]) -> Any:
+def _surface(server: viser.ViserServer, name: str, piece: Piece) -> Any:
     """A mesh that is smooth where it bends gently and sharp at its edges."""
-    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
+    if piece.texture is not None:
+        return server.scene.add_mesh_trimesh(name, textured_mesh(piece))
+    rgba = piece.rgba
+    surface = trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces, process=True)
     surface = trimesh.graph.smooth_shade(surface, angle=_CREASE)
     return server.scene.add_mesh_simple(
         name,
@@ -253,6 +258,22 @@ def _surface(server: viser.ViserServer, name: str, mesh: Mesh, rgba: tuple[float
         opacity=None if rgba[3] >= 1 else float(rgba[3]),
         side="double",
     )
+
+
+def textured_mesh(piece: Piece) -> trimesh.Trimesh:
+    """A piece that has an image as trimesh keeps one, seen from both sides."""
+    assert piece.texture is not None
+    vertices, normals, faces, uv = shaded(piece.mesh, piece.uv, _CREASE)
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=piece.texture.image,
+        baseColorFactor=np.round(255 * np.array(linear(piece.rgba))).astype(np.uint8),
+        metallicFactor=0.0,
+        roughnessFactor=0.65,
+        doubleSided=True,
+        alphaMode="OPAQUE" if piece.rgba[3] >= 1 else "BLEND",
+    )
+    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    return trimesh.Trimesh(vertices, faces, vertex_normals=normals, visual=visual, process=False)
 
 
 def _hull(server: viser.ViserServer, name: str, part: Mesh, colour: tuple[int, int, int]) -> Any:

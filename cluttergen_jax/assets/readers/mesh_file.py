@@ -3,27 +3,44 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import trimesh
 
+from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.readers.companions import Companions
 from cluttergen_jax.assets.readers.damage import check_whole, unreadable
+from cluttergen_jax.assets.readers.materials import Dresser, gltf_notes
 from cluttergen_jax.assets.readers.sizes import check_sizes
-from cluttergen_jax.assets.readers.text import TextResolver, opened
+from cluttergen_jax.assets.readers.text import opened
 from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
 
-GREY = (0.7, 0.7, 0.7, 1.0)
-_STAND_IN = 2
+
+class MeshFile(NamedTuple):
+    """What a mesh file holds.
+
+    Attributes:
+      pieces: its surfaces, in the file's own unit and frame.
+      notes: what could not be kept of its materials, in words.
+    """
+
+    pieces: list[Piece]
+    notes: tuple[str, ...]
 
 
-def read_mesh_file(path: Path) -> list[Piece]:
-    """The file's surfaces in its own unit and frame, each with one colour.
+def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None) -> MeshFile:
+    """The file's surfaces in its own unit and frame, each with one colour or with its image.
 
     Every geometry of a scene graph is placed where its nodes put it. The colour is the material's, or the
-    mean over texture or vertex colours. A DAE file's declared unit is applied.
+    mean over vertex colours. A DAE file's declared unit is applied.
+
+    Args:
+      max_side: pixels; larger images are shrunk.
+      image: for surfaces that have texture coordinates but no image of their own.
 
     Raises:
       AssetError: the file is missing, announces more than it holds, or cannot be understood.
@@ -32,12 +49,14 @@ def read_mesh_file(path: Path) -> list[Piece]:
         raise AssetError(f"mesh file {path} is missing", hint="restoring the file or its name")
     check_sizes(path)
     check_whole(path)
+    beside = Companions(path)
     try:
-        scene = trimesh.load_scene(**opened(path), resolver=TextResolver(str(path)), process=False)
+        scene = trimesh.load_scene(**opened(path), resolver=beside, process=False)
     except Exception as error:  # trimesh's loaders raise whatever their parsers do.
         raise unreadable(path, error) from error
-    is_linear = path.suffix.lower() in (".glb", ".gltf")
-    pieces = []
+    is_gltf = path.suffix.lower() in (".glb", ".gltf")
+    dresser = Dresser(is_gltf, max_side, image)
+    pieces, materials = [], []
     for node in sorted(scene.graph.nodes_geometry):
         transform, name = scene.graph[node]
         geometry = scene.geometry[name]
@@ -45,10 +64,12 @@ def read_mesh_file(path: Path) -> list[Piece]:
             mesh = _sound(geometry, path).transformed(transform[:3, :3], transform[:3, 3])
             if np.linalg.det(transform[:3, :3]) < 0:
                 mesh = Mesh(mesh.vertices, mesh.faces[:, ::-1])
-            pieces.append(Piece(mesh, mean_colour(geometry.visual, is_linear)))
+            pieces.append(dresser.piece(mesh, geometry.visual))
+            materials.append(getattr(geometry.visual, "material", None))
     if not pieces:
         raise AssetError(f"{path} holds no triangles", "a surface mesh, not points or curves")
-    return pieces
+    notes = [*beside.notes, *(gltf_notes(path, materials) if is_gltf else ()), *dresser.notes]
+    return MeshFile(pieces, tuple(dict.fromkeys(notes)))
 
 
 def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:
@@ -59,35 +80,6 @@ def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise AssetError(f"{path} is damaged: its triangles name vertices that it does not have")
     return Mesh(vertices, faces)
-
-
-def mean_colour(visual: Any, is_linear: bool = False) -> tuple[float, float, float, float]:
-    """One sRGB colour for a trimesh visual; grey where it has none."""
-    try:
-        if visual.kind == "texture":
-            colours = _texture_colours(visual, is_linear)
-        elif visual.defined:
-            colours = np.atleast_2d(visual.face_colors) / 255.0
-        else:
-            return GREY
-    except Exception:  # A broken texture must not cost the object.
-        return GREY
-    r, g, b, a = np.asarray(colours, np.float64).reshape(-1, 4).mean(0).clip(0, 1)
-    return (round(float(r), 4), round(float(g), 4), round(float(b), 4), round(float(max(a, 0.2)), 4))
-
-
-def _texture_colours(visual: Any, is_linear: bool) -> np.ndarray:
-    material = visual.material
-    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-    if image is not None and max(image.size) <= _STAND_IN:
-        # What trimesh puts where a material or its texture is missing.
-        return np.array(GREY)
-    if image is not None and visual.uv is not None:
-        return trimesh.visual.color.uv_to_color(visual.uv, image) / 255.0
-    main = np.asarray(material.main_color, np.float64) / 255.0
-    if is_linear:
-        main[:3] = np.where(main[:3] <= 0.0031308, 12.92 * main[:3], 1.055 * main[:3] ** (1 / 2.4) - 0.055)
-    return main
 
 
 def cleaned(mesh: Mesh, is_closed: bool = False) -> Mesh:

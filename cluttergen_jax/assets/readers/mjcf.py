@@ -7,7 +7,9 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from PIL import Image
 
+from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers import primitives
@@ -15,6 +17,7 @@ from cluttergen_jax.assets.readers.convex import MAX_PARTS
 from cluttergen_jax.assets.readers.model import Model, frozen, frozen_note
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.stated_mass import combined
+from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
 
 _GEOM = mujoco.mjtGeom
@@ -22,7 +25,7 @@ _JOINT = mujoco.mjtJoint
 _MOVABLE = {_JOINT.mjJNT_HINGE: "hinge", _JOINT.mjJNT_SLIDE: "slide", _JOINT.mjJNT_BALL: "ball"}
 
 
-def read_mjcf(path: Path, body: str = "") -> Model:
+def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
     """One body with all that hangs on it, at the model's reference configuration.
 
     Pieces are the geoms that collide with nothing, or all of them where every geom collides. Parts are
@@ -31,6 +34,7 @@ def read_mjcf(path: Path, body: str = "") -> Model:
     Args:
       path: the MJCF file.
       body: the body's name, or "#N" for the N-th body of the world, or "" for the only one.
+      max_side: pixels; larger images are shrunk.
 
     Returns:
       The model; its parts are None if there are more than 32, its mass is what MuJoCo makes of the file.
@@ -47,7 +51,7 @@ def read_mjcf(path: Path, body: str = "") -> Model:
         raise AssetError(f"{path}: body {body or root!r} has no geoms that are solid")
     is_colliding = {i: bool(model.geom_contype[i] or model.geom_conaffinity[i]) for i in solid}
     visual = [i for i in solid if not is_colliding[i]] or solid
-    pieces = [Piece(geom_mesh(model, data, i), geom_colour(model, i)) for i in visual]
+    pieces = [geom_piece(model, data, i, max_side) for i in visual]
     parts = tuple(Mesh.points(geom_mesh(model, data, i, 16).vertices) for i in solid if is_colliding[i])
     bodies = [i for i in range(model.nbody) if _hangs_on(model, i, root)]
     return Model(
@@ -116,6 +120,38 @@ def _hangs_on(model: mujoco.MjModel, body: int, root: int) -> bool:
 def is_solid(model: mujoco.MjModel, geom: int) -> bool:
     """Whether a geom has an inside that a mesh can show: all but planes, height fields and SDFs."""
     return model.geom_type[geom] not in (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_HFIELD, _GEOM.mjGEOM_SDF)
+
+
+def geom_piece(model: mujoco.MjModel, data: mujoco.MjData, geom: int, max_side: int = MAX_TEXTURE) -> Piece:
+    """The geom's surface in the world frame, with its colour, and its image if it is a mesh with one.
+
+    Images that MuJoCo lays around a shape by itself (cube maps, no texture coordinates) are left out.
+    """
+    colour = geom_colour(model, geom)
+    texture, mesh = _texture(model, geom, max_side), int(model.geom_dataid[geom])
+    is_mesh = model.geom_type[geom] == _GEOM.mjGEOM_MESH
+    if texture is None or not is_mesh or model.mesh_texcoordnum[mesh] == 0:
+        return Piece(geom_mesh(model, data, geom), colour)
+    whole = geom_mesh(model, data, geom)
+    first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    start, number = model.mesh_texcoordadr[mesh], model.mesh_texcoordnum[mesh]
+    uv = model.mesh_texcoord[start : start + number] * [1, -1] + [0, 1]
+    # A vertex may have another place in the image in each triangle: each triangle gets vertices of its own.
+    corners = Mesh(whole.vertices[whole.faces.ravel()], np.arange(3 * count))
+    return Piece(corners, colour, uv[model.mesh_facetexcoord[first : first + count].ravel()], texture)
+
+
+def _texture(model: mujoco.MjModel, geom: int, max_side: int) -> Texture | None:
+    material = int(model.geom_matid[geom])
+    index = model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB] if material >= 0 else -1
+    if index < 0 or model.tex_type[index] != mujoco.mjtTexture.mjTEXTURE_2D or model.tex_nchannel[index] < 3:
+        return None
+    height, width, channels = (
+        int(of[index]) for of in (model.tex_height, model.tex_width, model.tex_nchannel)
+    )
+    start = int(model.tex_adr[index])
+    pixels = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
+    return Texture.of(Image.fromarray(np.ascontiguousarray(pixels[..., :3])), max_side)
 
 
 def geom_colour(model: mujoco.MjModel, geom: int) -> tuple[float, float, float, float]:

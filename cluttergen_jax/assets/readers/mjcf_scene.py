@@ -15,8 +15,8 @@ import trimesh
 from cluttergen_jax.assets.cloud import farthest_first
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, RestingPose
-from cluttergen_jax.assets.readers.mjcf import compiled, geom_colour, geom_mesh, is_solid
-from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.assets.readers.mjcf import compiled, geom_mesh, geom_piece, is_solid
+from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
 
@@ -65,7 +65,7 @@ def _object(model: mujoco.MjModel, data: mujoco.MjData, body: int, provenance: P
     if not geoms:
         raise AssetError(f"body {name} has no solid geoms")
     local = {i: geom_mesh(model, data, i).transformed(turn.T, -turn.T @ origin) for i in geoms}
-    pieces = tuple(Piece(local[i], geom_colour(model, i)) for i in seen)
+    pieces = tuple(geom_piece(model, data, i).transformed(turn.T, -turn.T @ origin) for i in seen)
     inertial = np.zeros(9)
     mujoco.mju_quat2Mat(inertial, model.body_iquat[body])
     axes = inertial.reshape(3, 3)
@@ -110,7 +110,7 @@ def _support(
     ]
     touches = [i for i in fixed if model.geom_contype[i] or model.geom_conaffinity[i]]
     seen = [i for i in fixed if i not in touches] or fixed
-    pieces = tuple(Piece(geom_mesh(model, data, i), geom_colour(model, i)) for i in seen)
+    pieces = tuple(geom_piece(model, data, i) for i in seen)
     standing = np.concatenate([_world_vertices(*each) for each in zip(objects, poses, strict=True)])
     top = float(standing[:, 2].min())
     flat = [piece.mesh.vertices for piece in pieces] or [standing]

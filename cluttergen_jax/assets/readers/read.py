@@ -15,7 +15,8 @@ from cluttergen_jax.assets.readers.model import Model
 from cluttergen_jax.assets.readers.source import ReadOptions, Source
 from cluttergen_jax.assets.readers.tree import find_sources
 from cluttergen_jax.assets.readers.urdf import read_urdf
-from cluttergen_jax.assets.shape import Piece, Provenance, Shape
+from cluttergen_jax.assets.readers.ycb_scans import ycb_provenance
+from cluttergen_jax.assets.shape import Provenance, Shape
 
 
 def read_shape(source: Source, options: ReadOptions | None = None) -> Shape:
@@ -35,7 +36,7 @@ def read_shape(source: Source, options: ReadOptions | None = None) -> Shape:
     shape = Shape(
         name=source.name,
         label=source.label,
-        pieces=tuple(Piece(piece.mesh.transformed(turn, np.zeros(3)), piece.rgba) for piece in model.pieces),
+        pieces=tuple(piece.transformed(turn, np.zeros(3)) for piece in model.pieces),
         provenance=_provenance(source, options),
         parts=None
         if model.parts is None
@@ -56,10 +57,11 @@ def _model(source: Source, options: ReadOptions) -> tuple[Model, float]:
     In URDF a mass is written as it is; most of MJCF's are a density times a volume, which keeps its density.
     """
     if source.kind == "urdf":
-        return read_urdf(source.path), 1.0
+        return read_urdf(source.path, options.max_texture), 1.0
     if source.kind == "mjcf":
-        return read_mjcf(source.path, source.body), options.scale**3
-    return Model(read_mesh_file(source.path), None, None), 1.0
+        return read_mjcf(source.path, source.body, options.max_texture), options.scale**3
+    pieces, notes = read_mesh_file(source.path, options.max_texture)
+    return Model(pieces, None, None, notes), 1.0
 
 
 def read_source(path: str | Path, options: ReadOptions | None = None) -> list[Shape]:
@@ -69,7 +71,8 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> list[Sh
 
 def _provenance(source: Source, options: ReadOptions) -> Provenance:
     """The source's own terms, but for those that the user states."""
-    own = source.provenance or Provenance(_public_name(source.path), "not stated")
+    known = source.provenance or ycb_provenance(source.path)
+    own = known or Provenance(_public_name(source.path), "not stated")
     return replace(
         own, licence=options.licence or own.licence, attribution=options.attribution or own.attribution
     )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 
+from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.readers.axes import check_axes
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.config import check_positive
@@ -15,7 +16,7 @@ from cluttergen_jax.config import check_positive
 # File and folder names that say nothing about the object.
 GENERIC = (
     r"mobility|model|models|object|mesh|meshes|textured|nontextured|textured_objs|visual|collision"
-    r"|scene|base|main|urdf|mjcf|google_\d+k|assets|untitled"
+    r"|scene|base|main|urdf|mjcf|google_\d+k|textured_simple(_reordered)?|assets|untitled"
 )
 _SAYS_NOTHING = re.compile(r"\d{1,2}|" + GENERIC)
 
@@ -34,6 +35,7 @@ class ReadOptions:
       mass: kilograms for every object, instead of volume times density.
       friction: sliding coefficient of the object; None leaves it to the contact's.
       licence, attribution: on which terms the object may be passed on; empty where the source says it.
+      max_texture: pixels a side that an image may have; larger ones are shrunk.
     """
 
     scale: float = 1.0
@@ -44,9 +46,10 @@ class ReadOptions:
     friction: float | None = None
     licence: str = ""
     attribution: str = ""
+    max_texture: int = MAX_TEXTURE
 
     def __post_init__(self) -> None:
-        check_positive(self, "scale", "density")
+        check_positive(self, "scale", "density", "max_texture")
         for name in ("mass", "friction"):
             if getattr(self, name) is not None:
                 check_positive(self, name)

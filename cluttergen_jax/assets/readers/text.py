@@ -12,8 +12,6 @@ import io
 from pathlib import Path
 from typing import Any
 
-from trimesh.resolvers import FilePathResolver
-
 _END_OF_HEADER = b"end_header"
 
 
@@ -46,12 +44,3 @@ def utf8(data: bytes) -> bytes:
 def _is_binary_stl(data: bytes) -> bool:
     """By its length: the free header of a binary file may begin with the first word of text files."""
     return len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
-
-
-class TextResolver(FilePathResolver):
-    """Finds what a mesh file names; material files come in UTF-8."""
-
-    def get(self, name: str) -> bytes:
-        """The content of the file that is called so."""
-        data: bytes = super().get(name)
-        return utf8(data) if name.strip().lower().endswith(".mtl") else data

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from cluttergen_jax.assets.readers.references import ModelFile, model_file
 from cluttergen_jax.assets.readers.source import GENERIC, Source, make_source, named_apart
+from cluttergen_jax.assets.readers.ycb_scans import best_scans
 from cluttergen_jax.errors import AssetError
 
 # In order of preference where a folder offers one object in several formats.
@@ -68,8 +69,10 @@ def survey(path: str | Path) -> Found:
     if path.is_dir():
         tree = _Tree(path)
         tree.enter_all()
-        sources = named_apart(list(tree.sources()))
-        found = Found(tuple(sources), tuple(tree.skipped))
+        sources, others = best_scans(list(tree.sources()))
+        for scan, best in others.items():
+            tree.skip(scan, f"another scan of the object in {best.parent.name}")
+        found = Found(tuple(named_apart(sources)), tuple(tree.skipped))
     else:
         found = Found(tuple(named_apart(list(_from_file(path)))))
     if not found.sources:
@@ -127,9 +130,9 @@ class _Tree:
             link = links.pop(0)
             real = link.resolve()
             if real in above:
-                self._skip(link, "a link to a folder that holds this one")
+                self.skip(link, "a link to a folder that holds this one")
             elif real in seen:
-                self._skip(link, f"a link to a folder that is imported already: {self._name(seen[real])}")
+                self.skip(link, f"a link to a folder that is imported already: {self._name(seen[real])}")
             else:
                 self._enter(link, seen, links)
 
@@ -138,7 +141,7 @@ class _Tree:
         try:
             children = sorted(each for each in folder.iterdir() if not each.name.startswith("."))
         except OSError as error:
-            self._skip(folder, f"cannot be opened ({error.strerror})")
+            self.skip(folder, f"cannot be opened ({error.strerror})")
             return
         self.files[folder] = [each for each in children if each.is_file()]
         for each in children:
@@ -147,7 +150,7 @@ class _Tree:
             elif each.is_dir():
                 self._enter(each, seen, links)
             elif not each.is_file():
-                self._skip(each, "a link that leads nowhere" if each.is_symlink() else "not a file")
+                self.skip(each, "a link that leads nowhere" if each.is_symlink() else "not a file")
 
     def sources(self) -> Iterator[Source]:
         """What is imported; the rest is added to `skipped`."""
@@ -174,11 +177,11 @@ class _Tree:
         suffix = file.suffix.lower()
         if isinstance(model, str):
             part_of = owner.get(file.resolve())
-            self._skip(file, f"included by {part_of.path.name}" if part_of else model)
+            self.skip(file, f"included by {part_of.path.name}" if part_of else model)
         elif _OTHER_FORMATS.fullmatch(suffix):
-            self._skip(file, f"{suffix[1:].upper()} is not read; Blender and others can save it as GLB")
+            self.skip(file, f"{suffix[1:].upper()} is not read; Blender and others can save it as GLB")
         elif not (model or suffix in (*MESH_SUFFIXES, *_COMPANIONS) or file.name in _NOTES):
-            self._skip(file, "not a mesh format")
+            self.skip(file, "not a mesh format")
 
     def _models(self, here: list[ModelFile | str], owner: dict[Path, ModelFile]) -> Iterator[Source]:
         first: dict[str, Path] = {}
@@ -188,9 +191,9 @@ class _Tree:
             part_of = owner.get(model.path.resolve())
             twin = first.setdefault(model.path.stem, model.path)
             if part_of is not None and part_of is not model:
-                self._skip(model.path, f"included by {part_of.path.name}")
+                self.skip(model.path, f"included by {part_of.path.name}")
             elif twin is not model.path and len(model.bodies) < 2:
-                self._skip(model.path, f"the same object as {twin.name}")
+                self.skip(model.path, f"the same object as {twin.name}")
             else:
                 yield from _sources_of(model)
 
@@ -211,18 +214,18 @@ class _Tree:
                 continue
             says_nothing = _STANDS_IN.fullmatch(mesh.stem.lower()) is not None
             if near is not None and (reason := _why_a_piece(mesh, near)):
-                self._skip(mesh, reason)
+                self.skip(mesh, reason)
                 continue
             key = "" if says_nothing else mesh.stem
             twin = best.setdefault(key, mesh)
             if twin is mesh:
                 chosen.append(mesh)
             else:
-                self._skip(mesh, f"the same object as {twin.name}")
+                self.skip(mesh, f"the same object as {twin.name}")
         for mesh in sorted(chosen):
             yield make_source(mesh, "mesh")
 
-    def _skip(self, path: Path, reason: str) -> None:
+    def skip(self, path: Path, reason: str) -> None:
         self.skipped.append(Skipped(self._name(path), reason))
 
     def _name(self, path: Path) -> str:

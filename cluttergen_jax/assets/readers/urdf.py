@@ -5,33 +5,40 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import trimesh
+from PIL import Image
 
+from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers import primitives
 from cluttergen_jax.assets.readers.convex import convex_parts
-from cluttergen_jax.assets.readers.mesh_file import GREY, read_mesh_file
+from cluttergen_jax.assets.readers.materials import GREY
+from cluttergen_jax.assets.readers.mesh_file import read_mesh_file
 from cluttergen_jax.assets.readers.model import Model, frozen, frozen_note
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.stated_mass import combined
+from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
 
 Element = ElementTree.Element
 _MOVABLE = ("revolute", "prismatic", "continuous", "floating", "planar")
 
 
-def read_urdf(path: Path) -> Model:
+def read_urdf(path: Path, max_side: int = MAX_TEXTURE) -> Model:
     """The model as one rigid thing; its parts are its collision meshes if all of them are convex.
 
     Pieces are the visuals, or the collision elements where there are none. `globalScaling` in a
     `label.json` beside the file scales everything; its `ori_rpy` repeats origins that the URDF already
     has and is not applied. Masses are kilograms whatever the scale.
+
+    Args:
+      max_side: pixels; larger images are shrunk.
 
     Raises:
       AssetError: the file, or one that it names, is missing or cannot be understood; the message names it.
@@ -43,7 +50,7 @@ def read_urdf(path: Path) -> Model:
     poses = _link_poses(robot, path)
     materials = {each.get("name", ""): each for each in robot.findall("material")}
     scale = _global_scaling(path)
-    reader = _Reader(path, materials, {})
+    reader = _Reader(path, materials, max_side, {}, [])
     visuals, collisions = (
         [
             piece
@@ -65,7 +72,7 @@ def read_urdf(path: Path) -> Model:
         pieces=visuals or collisions,
         parts=convex_parts([piece.mesh for piece in collisions]),
         stated=None if stated is None else stated.scaled(np.eye(3), scale),
-        notes=tuple(_notes(robot, masses)),
+        notes=tuple(dict.fromkeys([*_notes(robot, masses), *reader.notes])),
     )
 
 
@@ -124,24 +131,31 @@ class _Reader:
 
     path: Path
     materials: dict[str, Element]
-    files: dict[Path, list[Piece]]
+    max_side: int
+    files: dict[tuple[Path, Texture | None], list[Piece]]
+    notes: list[str]
 
     def pieces(self, element: Element, link_pose: np.ndarray, scale: float) -> list[Piece]:
         pose = link_pose @ _origin(element)
         rotation, translation = pose[:3, :3] * scale, pose[:3, 3] * scale
-        colour = self._colour(element)
+        colour, texture = self._colour(element), self._texture(element)
+        pieces = self._geometry(element, texture)
+        if texture is not None and all(piece.texture is None for piece in pieces):
+            self.notes.append(f"an image on a <{element.tag}> without texture coordinates is left out")
         return [
-            Piece(piece.mesh.transformed(rotation, translation), colour if piece.rgba == GREY else piece.rgba)
-            for piece in self._geometry(element)
+            replace(
+                piece.transformed(rotation, translation), rgba=colour if piece.rgba == GREY else piece.rgba
+            )
+            for piece in pieces
         ]
 
-    def _geometry(self, element: Element) -> list[Piece]:
+    def _geometry(self, element: Element, texture: Texture | None) -> list[Piece]:
         geometry = element.find("geometry")
         if geometry is None or not len(geometry):
             raise AssetError(f"{self.path}: a <{element.tag}> without geometry")
         form = geometry[0]
         if form.tag == "mesh":
-            return self._mesh(form)
+            return self._mesh(form, texture)
         if form.tag == "box":
             return [Piece(primitives.box(_floats(form.get("size"), 3) / 2), GREY)]
         if form.tag == "sphere":
@@ -151,33 +165,56 @@ class _Reader:
             return [Piece(make(_number(form, "radius"), _number(form, "length") / 2), GREY)]
         raise AssetError(f"{self.path}: geometry <{form.tag}>", "mesh, box, cylinder, sphere or capsule")
 
-    def _mesh(self, form: Element) -> list[Piece]:
+    def _mesh(self, form: Element, texture: Texture | None) -> list[Piece]:
         name = form.get("filename", "")
         if (file := mesh_place(self.path, name)) is None:
             raise AssetError(
                 f"{self.path} names mesh file {name!r}, which is not there", hint="restoring the file"
             )
-        if file not in self.files:
-            self.files[file] = read_mesh_file(file)
+        if (file, texture) not in self.files:
+            self.files[file, texture], notes = read_mesh_file(file, self.max_side, texture)
+            self.notes.extend(notes)
         factors = np.diag(_floats(form.get("scale", "1 1 1"), 3))
         is_mirrored = np.linalg.det(factors) < 0
         out = []
-        for piece in self.files[file]:
+        for piece in self.files[file, texture]:
             mesh = piece.mesh.transformed(factors, np.zeros(3))
-            out.append(Piece(Mesh(mesh.vertices, mesh.faces[:, ::-1]) if is_mirrored else mesh, piece.rgba))
+            mesh = Mesh(mesh.vertices, mesh.faces[:, ::-1]) if is_mirrored else mesh
+            out.append(replace(piece, mesh=mesh))
         return out
 
-    def _colour(self, element: Element) -> tuple[float, float, float, float]:
+    def _material(self, element: Element, tag: str) -> Element | None:
+        """The first of that tag in the element's material, or in the model's material of that name."""
         material = element.find("material")
         if material is None:
-            return GREY
+            return None
+        found = material.find(tag)
         named = self.materials.get(material.get("name", ""))
-        for each in (material, named):
-            colour = None if each is None else each.find("color")
-            if colour is not None:
-                r, g, b, a = _floats(colour.get("rgba"), 4)
-                return (float(r), float(g), float(b), float(a))
-        return GREY
+        return named.find(tag) if found is None and named is not None else found
+
+    def _colour(self, element: Element) -> tuple[float, float, float, float]:
+        colour = self._material(element, "color")
+        if colour is None:
+            return GREY
+        r, g, b, a = _floats(colour.get("rgba"), 4)
+        return (float(r), float(g), float(b), float(a))
+
+    def _texture(self, element: Element) -> Texture | None:
+        """The image of the element's material, for meshes that have none of their own."""
+        named = self._material(element, "texture")
+        name = "" if named is None else named.get("filename", "")
+        if not name:
+            return None
+        if (file := mesh_place(self.path, name)) is None:
+            self.notes.append(f"the image {name!r} is left out: it is not there")
+            return None
+        try:
+            with Image.open(file) as image:
+                return Texture.of(image, self.max_side)
+        except (AssetError, OSError, ValueError, Image.DecompressionBombError) as error:
+            reason = error.given if isinstance(error, AssetError) else str(error)
+            self.notes.append(f"the image {name!r} is left out: {reason}")
+            return None
 
 
 def mesh_place(urdf: Path, name: str) -> Path | None:

