@@ -43,7 +43,9 @@ def certified(rows: pa.Table, models: SceneModels, seconds: float, jobs: int) ->
         poses, is_placed = _by_object([scenes[place] for place in good], models.world.num_objects)
         found = certificates(models, poses, is_placed, seconds, num_threads=jobs)
         for place, each in zip(good, found, strict=True):
+            margins = [each["margins"][k] for k in scenes[place]["object_index"]]
             results[place] = {_RENAMED.get(name, name): value for name, value in each.items()}
+            results[place]["margins"] = margins
     extra = pa.Table.from_pylist(results, schema=CERTIFICATE)
     for field in CERTIFICATE:
         rows = rows.append_column(field, extra[field.name])

@@ -24,6 +24,7 @@ class Verdict(enum.IntEnum):
     OVERFLOW = 6
     NON_FINITE = 7
     CREPT = 8
+    UNSUPPORTED = 9
 
     @property
     def sentence(self) -> str:
@@ -47,6 +48,7 @@ _SENTENCES = {
     Verdict.OVERFLOW: "the simulator ran out of room for contacts",
     Verdict.NON_FINITE: "the simulation diverged",
     Verdict.CREPT: "the finished scene moved in the last check",
+    Verdict.UNSUPPORTED: "came to rest with its centre of mass too near the edge of what carries it",
 }
 
 
@@ -54,7 +56,8 @@ class Settling(struct.PyTreeNode):
     """One attempt, as the simulator saw it. K objects in the compiled world, T + 1 trajectory rows.
 
     Attributes:
-      verdict: i32, a `Verdict`; OUTSIDE and CREPT are never given here. NONE if the scene was inactive.
+      verdict: i32, a `Verdict`; OUTSIDE, UNSUPPORTED and CREPT are never given here. NONE if the scene was
+        inactive.
       num_steps: i32, the step at which the attempt ended.
       poses: f32[K, 7], final poses of all objects, world frame, metres, wxyz.
       trajectory: f32[T + 1, 13], the focus object's position, quaternion wxyz, linear and angular velocity
@@ -65,6 +68,9 @@ class Settling(struct.PyTreeNode):
       turn: f32[K], the most that each placed neighbour had turned, radians.
       penetration: f32, the deepest overlap at the end of an attempt that came to rest, metres; else zero.
       is_quiet: bool, the focus object came to rest in time: all that the paper's looser count asks.
+      margin: f32[K], metres, after an attempt that came to rest: the support margin (`physics.margin`) of the
+        focus object, and of each neighbour that it moved by 0.01 mm or more; infinite for all others, -inf
+        for what nothing carries. Zero after other attempts.
     """
 
     verdict: Array
@@ -77,6 +83,7 @@ class Settling(struct.PyTreeNode):
     turn: Array
     penetration: Array
     is_quiet: Array
+    margin: Array
 
 
 class Standing(struct.PyTreeNode):

@@ -56,6 +56,7 @@ def made_up_rules(world_size: int = 6, physics: HalfTable | None = None, **place
         Geometry(
             half_extents=half_extents,
             center_of_mass=jnp.zeros((world_size, 3)),
+            own_margin=jnp.full(world_size, 0.02),
             cloud=jnp.zeros((world_size, 8, 3)),
             column_xy=jnp.zeros((world_size, 1, 2)),
             column_bottom=-height[:, None],

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.bank import read_bank
-from cluttergen_jax.bank.bank import block_path
+from cluttergen_jax.bank.bank import block_path, read_block
 from cluttergen_jax.bank.card import CARD
 from cluttergen_jax.bank.stats import stats_of
 from cluttergen_jax.bank.table import CERTIFICATE
+from cluttergen_jax.bank.writer import write_rows
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.sampling import BLOCK_SIZE
 from tests import banks
@@ -35,6 +36,12 @@ def test_numbers_are_those_of_the_mechanics(bank):
         assert 0 <= scene["horizon_drift"] < 1e-3
         assert 0 <= scene["penetration"] < 1e-3
         assert scene["shake"] == min(scene["shake_x"], scene["shake_y"])
+    # Half of the narrower side of each, on the table.
+    assert one["margins"] == pytest.approx([0.03, one["margins"][1]], abs=1e-4)
+    assert two["margins"] == pytest.approx([0.03, 0.01], abs=1e-4)
+    assert one["margin"] == min(one["margins"])
+    # The tall one's centre is at ten times its half side: it tips over from 5.7 degrees on.
+    assert [two[f"tilt_{by}"] for by in (1, 2, 5)] == [1.0, 1.0, 1.0]
     # Friction holds until 0.5 g; the tall one tips over at 0.1 g. What is let go takes a while for 5 mm.
     assert 0.5 * 9.81 - 0.05 < one["shake"] < 0.5 * 9.81 + 0.6
     assert 0.1 * 9.81 - 0.05 < two["shake"] < 0.1 * 9.81 + 0.6
@@ -62,6 +69,25 @@ def test_what_is_certified_is_not_measured_again(bank, capsys):
     assert "2 scenes that stand have their certificate (0 rows are new)" in capsys.readouterr().out
     assert block_path(bank, 0).read_bytes() == before
     assert "| `shake` |" in (bank / CARD).read_text()
+
+
+def test_a_certificate_of_an_older_version_is_shown_and_completed(tmp_path, capsys):
+    path = tmp_path / "bank"
+    banks.two_scenes(path)
+    assert main(["certify", str(path), "--seconds", "0.1"]) == 0
+    now = read_bank(path)
+    lines, table = stats_of(now).certificate.lines(), now.table
+    rows = read_block(path, 0).drop_columns(
+        ["num_unsupported", "margin", "margins", "tilt_1", "tilt_2", "tilt_5"]
+    )
+    record = {name: value for name, value in now.record.items() if name != "num_scenes"}
+    write_rows(path, 0, rows, record)
+    older = stats_of(read_bank(path)).certificate
+    assert older.margin_median is None
+    assert older.lines() == lines[:-2]
+    assert main(["certify", str(path), "--seconds", "0.1"]) == 0
+    assert "(3 rows are new)" in capsys.readouterr().out
+    assert read_bank(path).table.equals(table)
 
 
 def test_a_bank_that_grows_is_certified_as_it_grows(tmp_path, capsys):

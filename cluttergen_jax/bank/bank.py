@@ -31,7 +31,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import NAME_PATTERN, object_hash, read_object
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash
-from cluttergen_jax.bank.table import CERTIFICATE, SCHEMA, is_certified
+from cluttergen_jax.bank.table import CERTIFICATE, SCHEMA, is_certified, with_added
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.files import inside
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
@@ -170,7 +170,7 @@ def read_block(path: Path, block: int) -> pa.Table:
     """
     file = block_path(path, block)
     try:
-        table = pq.read_table(file, page_checksum_verification=True)
+        table = with_added(pq.read_table(file, page_checksum_verification=True))
         table.validate(full=True)
         _check_rows(table, block)
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:

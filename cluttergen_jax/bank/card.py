@@ -45,6 +45,14 @@ _COLUMNS = {
     "shake_x": "after `certify`: m/s^2, along world x",
     "shake_y": "after `certify`: m/s^2, along world y",
     "rests_on": "after `certify`: pairs of object_index, who rests and on whom; -1 is the support",
+    "margin": "after `certify`: metres, the least support margin of its objects: the distance in plan of an "
+    "object's centre of mass to the edge of the polygon of the contacts that carry it; negative outside it",
+    "margins": "after `certify`: slot by slot, each object's; null for what no contact carries from below",
+    **{
+        f"tilt_{angle}": f"after `certify`: of eight directions, the share in which gravity tilted by "
+        f"{angle} degrees moves nothing by 5 mm or 5 degrees within 2 s"
+        for angle in (1, 2, 5)
+    },
 } | {f"num_{v.label.replace('-', '_')}": f"attempts that ended {v.label}: {v.sentence}" for v in COUNTED}
 
 
@@ -157,6 +165,7 @@ def _made(recipe: dict[str, Any]) -> str:
         "engine": recipe.get("engine"),
         "queried region": recipe.get("region"),
         "containment": placement.get("containment"),
+        "support margin asked for, metres": placement.get("min_margin", 0),
         "versions": ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items()),
     }
     return "\n".join(["## How it was made", "", *(f"- {name}: {value}" for name, value in rows.items())])

@@ -17,6 +17,7 @@ from cluttergen_jax.types import small_length
 from cluttergen_jax.world import base_name
 
 _SHOWN_GROUPS = 5
+_LISTS = ("rests_on", "margins")
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,9 @@ class CertificateStats:
       penetration: metres, the deepest overlap.
       contacts: contact points of a scene, mean.
       on_others: share of the objects that rest on another object.
+      margin_median, margin_least: metres, the least support margin in a scene; None if an older version
+        measured.
+      tilt: share of directions withstood, by degrees of tilt; empty likewise.
     """
 
     scenes: int
@@ -59,10 +63,13 @@ class CertificateStats:
     penetration: float
     contacts: float
     on_others: float
+    margin_median: float | None
+    margin_least: float | None
+    tilt: dict[str, float]
 
     def lines(self) -> list[str]:
         """For people, a fact each."""
-        return [
+        lines = [
             f"shake: {self.shake_median:.2f} m/s^2 in the median, {self.shake_least:.2f} at least",
             f"drift: {small_length(self.horizon_drift)} at most in {self.horizon_seconds:g} s",
             f"residual speed: {small_length(self.residual_speed)}/s at most",
@@ -70,6 +77,13 @@ class CertificateStats:
             f"contact points: {self.contacts:.1f} a scene",
             f"objects that rest on another: {self.on_others:.1%}",
         ]
+        if self.margin_median is not None and self.margin_least is not None:
+            middle, least = small_length(self.margin_median), small_length(self.margin_least)
+            lines.append(f"support margin, the least in a scene: {middle} in the median, {least} at least")
+        if self.tilt:
+            shares = ", ".join(f"{share:.1%} by {by} degrees" for by, share in self.tilt.items())
+            lines.append(f"directions in which tilted gravity topples nothing: {shares}")
+        return lines
 
 
 @dataclass(frozen=True)
@@ -145,7 +159,8 @@ def _certificate(rows: pa.Table) -> CertificateStats | None:
     """Of rows that stand."""
     if not rows.num_rows:
         return None
-    of = {name: np.array(rows[name]) for name in CERTIFICATE.names if name != "rests_on"}
+    of = {name: np.array(rows[name].drop_null()) for name in CERTIFICATE.names if name not in _LISTS}
+    margin, has_tilt = of["margin"], len(of["tilt_1"]) > 0
     # An object may rest on several.
     upper = [{above for above, below in pairs if below >= 0} for pairs in rows["rests_on"].to_pylist()]
     return CertificateStats(
@@ -158,6 +173,9 @@ def _certificate(rows: pa.Table) -> CertificateStats | None:
         penetration=float(of["penetration"].max()),
         contacts=float(of["num_contacts"].mean()),
         on_others=sum(map(len, upper)) / max(int(np.array(rows["num_placed"]).sum()), 1),
+        margin_median=float(np.median(margin)) if len(margin) else None,
+        margin_least=float(margin.min()) if len(margin) else None,
+        tilt={by: float(of[f"tilt_{by}"].mean()) for by in ("1", "2", "5")} if has_tilt else {},
     )
 
 

@@ -11,7 +11,8 @@ import pyarrow as pa
 from cluttergen_jax.placement.scenes import Scenes
 from cluttergen_jax.types import Verdict
 
-COUNTED = tuple(Verdict(code) for code in range(int(Verdict.NON_FINITE) + 1))
+COUNTED = (*(Verdict(code) for code in range(int(Verdict.NON_FINITE) + 1)), Verdict.UNSUPPORTED)
+"""Verdicts of attempts."""
 
 SCHEMA = pa.schema(
     [
@@ -49,14 +50,40 @@ CERTIFICATE = pa.schema(
         ("shake_x", pa.float32()),
         ("shake_y", pa.float32()),
         ("rests_on", pa.list_(pa.list_(pa.int32(), 2))),
+        ("margin", pa.float32()),
+        ("margins", pa.list_(pa.float32())),
+        ("tilt_1", pa.float32()),
+        ("tilt_2", pa.float32()),
+        ("tilt_5", pa.float32()),
     ]
 )
 """What `cluttergen certify` adds: null for scenes that failed. SI units and radians; `rests_on` holds pairs
-of `object_index`, who rests and on whom, -1 for the support."""
+of `object_index`, who rests and on whom, -1 for the support; `margins` has an entry per slot, null for what
+nothing carries."""
+
+
+def with_added(rows: pa.Table) -> pa.Table:
+    """The rows of a bank of an older version with the columns that it did not know.
+
+    Nothing was unsupported then; what a certificate did not measure is null.
+    """
+    if "num_unsupported" not in rows.schema.names:
+        none = pa.array(np.zeros(rows.num_rows, np.int32))
+        rows = rows.append_column(SCHEMA.field("num_unsupported"), none)
+    if "shake" in rows.schema.names:
+        for field in CERTIFICATE:
+            if field.name not in rows.schema.names:
+                rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
+    return rows
+
+
+def is_fully_certified(rows: pa.Table) -> bool:
+    """Whether the rows have their certificate with all that this version measures."""
+    return is_certified(rows) and rows["tilt_1"].null_count == rows["shake"].null_count
 
 
 def is_certified(rows: pa.Table) -> bool:
-    """Whether the rows have their certificate."""
+    """Whether the rows have their certificate, perhaps an older version's."""
     return all(
         field.name in rows.schema.names and rows.schema.field(field.name).type == field.type
         for field in CERTIFICATE
@@ -88,5 +115,6 @@ def _row(index: int, scenes: Scenes, place: int, names: Sequence[str]) -> dict[s
         "steps": scenes.counts.steps[place][slots].tolist(),
         "rest_steps": scenes.counts.rest_steps[place][slots].tolist(),
         "simulated_steps": int(scenes.counts.simulated_steps[place]),
-        **{f"num_{v.label.replace('-', '_')}": int(counts[v]) for v in COUNTED},
+        # Nothing is unsupported where no margin is asked for, and that count is not kept.
+        **{f"num_{v.label.replace('-', '_')}": int(counts[v]) if v < len(counts) else 0 for v in COUNTED},
     }

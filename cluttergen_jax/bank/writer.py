@@ -208,11 +208,7 @@ def _is_json(path: Path) -> bool:
 
 def _check_same(path: Path, ours: dict[str, Any], theirs: dict[str, Any]) -> None:
     """Refuses to continue a bank of another recipe, or of other assets."""
-    changed = sorted(
-        name
-        for name in {*ours["recipe"], *theirs["recipe"]}
-        if ours["recipe"].get(name) != theirs["recipe"].get(name)
-    )
+    changed = sorted(_changed(ours["recipe"], theirs["recipe"]))
     if changed:
         raise BankError(
             f"{path} holds a bank made with another {', '.join(changed)}",
@@ -228,6 +224,18 @@ def _check_same(path: Path, ours: dict[str, Any], theirs: dict[str, Any]) -> Non
             "the assets that it was made with",
             "another --out, or --overwrite to begin anew; the bank's own copies are in its folder `assets`",
         )
+
+
+def _changed(ours: dict[str, Any], theirs: dict[str, Any]) -> list[str]:
+    """Which settings differ, such as placement.min_margin."""
+    names = []
+    for name in {*ours, *theirs}:
+        one, other = ours.get(name), theirs.get(name)
+        if isinstance(one, dict) and isinstance(other, dict):
+            names += [f"{name}.{inner}" for inner in _changed(one, other)]
+        elif one != other:
+            names.append(name)
+    return names
 
 
 def _write_object(asset: ObjectAsset, folder: Path, images: Path) -> None:

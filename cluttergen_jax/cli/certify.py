@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 class Certify:
     """Add a stability certificate to each scene of a bank that stands, a column for each measure.
 
-    Residual speed, drift, overlap, contacts, shake score, who rests on whom. The same command goes on where
-    it was interrupted.
+    Residual speed, drift, overlap, contacts, shake score, who rests on whom, support margins, and what tilted
+    gravity topples. The same command goes on where it was interrupted.
 
     Example: `cluttergen certify out --seconds 10`
 
@@ -61,7 +61,7 @@ class Certify:
 
 def _certify(args: Certify, bank: Bank) -> str:
     from cluttergen_jax.bank.bank import block_numbers, read_block
-    from cluttergen_jax.bank.table import is_certified
+    from cluttergen_jax.bank.table import is_fully_certified
     from cluttergen_jax.bank.writer import write_rows
     from cluttergen_jax.certification import certified, models_of
 
@@ -70,7 +70,7 @@ def _certify(args: Certify, bank: Bank) -> str:
     with Progress("certifying", bank.num_scenes, "scene") as progress:
         for number in block_numbers(bank.path):
             rows = read_block(bank.path, number)
-            if args.force or not is_certified(rows):
+            if args.force or not is_fully_certified(rows):
                 rows = certified(rows, models, args.seconds, args.jobs)
                 write_rows(bank.path, number, rows, record)
                 num_new += rows.num_rows

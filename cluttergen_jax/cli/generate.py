@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from cluttergen_jax.config import Containment, Engine, Method, Order
+from cluttergen_jax.placement.config import MIN_MARGIN
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,8 @@ class Generate:
       containment: what must lie in the region: the bounding box's center, or its whole footprint.
       order: random, or fixed to the pool's order.
       attempts: attempts per object.
+      min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
+        asks for nothing, as the paper does.
       repeat: let objects stand there more than once.
       start: a scene to start from, BANK:INDEX; its objects stay and count as neighbours.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each.
@@ -56,6 +59,7 @@ class Generate:
     containment: Containment = "center"
     order: Order = "random"
     attempts: int = 5
+    min_margin: float = MIN_MARGIN
     repeat: bool = False
     start: str | None = None
     keep_out: tuple[str, ...] = ()

@@ -34,7 +34,7 @@ from cluttergen_jax.methods import (
     proposer_of,
     suited,
 )
-from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig, placement_record
 from cluttergen_jax.problem import Problem, ProblemConfig, check_number, crowding, keep_out_of, make_problem
 from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
 
@@ -118,6 +118,7 @@ def problem_config(args: Generate) -> ProblemConfig:
             max_attempts=args.attempts,
             containment=args.containment,
             order=args.order,
+            min_margin=args.min_margin,
         ),
     )
 
@@ -130,6 +131,7 @@ def recipe_of(args: Generate, method: str, problem: Problem, checkpoint: Path | 
         config.pop(name)
     return {
         **config,
+        "placement": placement_record(problem.config.placement),
         "region": dataclasses.asdict(problem.region),
         "start": args.start,
         "keep_out": args.keep_out,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from cluttergen_jax.cli.parse import refuse_given
 from cluttergen_jax.config import Change, Encoder, Engine, Preset, Reward, Suite, Variant
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.config import placement_record
 from cluttergen_jax.training.suite import POOLS, SEEDS
 
 if TYPE_CHECKING:
@@ -221,6 +222,7 @@ def recipe_of(args: Train, settings: Settings) -> dict[str, Any]:
         "preset": args.preset,
         "seed": args.seed,
         **dataclasses.asdict(settings),
+        "placement": placement_record(settings.placement),
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")},
     }
 

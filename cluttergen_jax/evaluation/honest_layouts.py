@@ -7,6 +7,7 @@ from typing import Any
 
 from cluttergen_jax.evaluation.plots import rung_of
 from cluttergen_jax.evaluation.tables import Table, interval, missing, number, share
+from cluttergen_jax.placement.config import MIN_MARGIN
 
 Result = dict[str, Any]
 _HEAD = ("pool", "table", "method")
@@ -135,18 +136,63 @@ def robustness(result: Result) -> list[Table]:
 
 def survival(result: Result) -> list[Table]:
     """Scenes in other engines."""
-    columns = (*_HEAD, "engine", "scenes", "stands 10 s [95 %]", "median of the largest movement, mm")
+    # Only studies that ask for margins name them.
+    asks = any("min_margin" in row for row in result["measure"]["rows"])
+    asked = ("margin asked for, mm",) if asks else ()
+    columns = (*_HEAD, *asked, "engine", "scenes", "stands 10 s [95 %]", "median of the largest movement, mm")
     rows = _rows(
         result,
         columns,
         lambda row: (
+            *(number(_scaled(row.get("min_margin", 0.0), 1e3), 0) for _ in asked),
             row["engine"],
             str(row["scenes"]),
             interval(row["share"], row["low95"], row["high95"]),
             number(_scaled(row["median_shift"], 1e3), 2),
         ),
     )
-    notes = ("stands: nothing moved over 5 mm or turned over 5 degrees",)
+    notes = (
+        "stands: nothing moved over 5 mm or turned over 5 degrees",
+        "`policy` on 0.40 x 0.50 m: it puts centres of mass within 3 mm of the table's edge, and what "
+        "balances there tips in another engine; with a support margin asked for, "
+        "more of its scenes stand in both",
+    )
+    return [Table(result["title"], columns, rows, notes)]
+
+
+def margin(result: Result) -> list[Table]:
+    """Support margins, and tilted gravity."""
+    made = [row for row in result["measure"]["rows"] if "tilt" in row]
+    angles = made[0]["tilt"] if made else []
+    columns = (
+        *_HEAD,
+        "margin asked for, mm",
+        "success [95 %]",
+        "attempts unsupported",
+        "scenes",
+        "least margin of a scene, mm",
+        f"scenes below {1e3 * MIN_MARGIN:g} mm",
+        *(f"stand tilted {each['degrees']:g} deg" for each in angles),
+    )
+    rows = _rows(
+        result,
+        columns,
+        lambda row: (
+            number(_scaled(row.get("min_margin", 0.0), 1e3), 0),
+            interval(row["success"], row["low95"], row["high95"]),
+            share(row["unsupported"]),
+            str(row["scenes"]),
+            f"{1e3 * row['margin'][2]:.1f} [{1e3 * row['margin'][0]:.1f}, {1e3 * row['margin'][1]:.1f}]",
+            share(row["below"]),
+            *(f"{share(each['share'])} ({share(each['directions'])})" for each in row["tilt"]),
+        ),
+    )
+    notes = (
+        "support margin: distance in plan of an object's centre of mass to the edge of the polygon of the "
+        "contacts that carry it; of the object of a scene that has least: median [least, 10 %] of scenes",
+        "stand tilted: share of scenes in which nothing moves over 5 mm or turns over 5 degrees within 2 s, "
+        "in whichever of eight directions gravity is tilted; in brackets, of scenes and directions",
+    )
     return [Table(result["title"], columns, rows, notes)]
 
 
@@ -207,5 +253,6 @@ HONEST_LAYOUTS = {
     "acceptance": acceptance,
     "robustness": robustness,
     "survival": survival,
+    "margin": margin,
     "time": timing,
 }

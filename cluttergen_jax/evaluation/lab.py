@@ -202,7 +202,9 @@ class Lab:
             change=trial.change,
             engine=self.engine,
             num_threads=self.num_threads,
-            placement=PlacementConfig(num_objects=trial.num_objects, max_attempts=trial.attempts),
+            placement=PlacementConfig(
+                num_objects=trial.num_objects, max_attempts=trial.attempts, min_margin=trial.min_margin
+            ),
         )
         if config not in self._problems:
             objects, support = self.pool(trial.pool).objects, self.support(trial.support)

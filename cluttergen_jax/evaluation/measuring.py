@@ -28,6 +28,7 @@ from cluttergen_jax.evaluation.scenes import Successes, successes_of
 from cluttergen_jax.evaluation.suites import Study
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.measures.acceptance import acceptance_bias
+from cluttergen_jax.measures.contacts import contacts_of
 from cluttergen_jax.measures.diversity import (
     at_equal_count,
     nearest_distance,
@@ -41,10 +42,13 @@ from cluttergen_jax.measures.relations import Relation, count_relations, relatio
 from cluttergen_jax.measures.robustness import CREEP_SECONDS, creep, shake, survives
 from cluttergen_jax.measures.scene_models import SceneModels
 from cluttergen_jax.measures.survival import PEERS, SURVIVAL_SECONDS, movement_elsewhere
+from cluttergen_jax.measures.tilt import TiltConfig, tilt
+from cluttergen_jax.placement.config import MIN_MARGIN
+from cluttergen_jax.types import Verdict
 
 Found = dict[str, Any]
 Measure = Callable[[Lab, Study, Path], Found]
-KEPT_BY_ROW = ("robustness", "survival")
+KEPT_BY_ROW = ("robustness", "survival", "margin")
 """Measures so long that each row is kept by itself (`Lab.measured`) instead of all of them together."""
 _ENOUGH = 2
 _LEAST_SHARE = 0.25
@@ -70,7 +74,9 @@ def each_standing(lab: Lab, study: Study, rows: list[dict]) -> Iterator[tuple[Tr
 
 
 def _row(trial: Trial, **figures: Any) -> dict[str, Any]:
-    return {"pool": trial.pool_name, "support": trial.support_name, "method": trial.method, **figures}
+    asked = {"min_margin": trial.min_margin} if trial.min_margin else {}
+    head = {"pool": trial.pool_name, "support": trial.support_name, "method": trial.method}
+    return head | asked | figures
 
 
 def diversity_maps(lab: Lab, study: Study, folder: Path) -> Found:
@@ -198,6 +204,41 @@ def _robustness_of(lab: Lab, scenes: Successes) -> dict[str, Any]:
     }
 
 
+def margin(lab: Lab, study: Study, folder: Path) -> Found:
+    """Support margins of finished scenes, and what tilted gravity topples."""
+    rows: list[dict] = []
+    for trial, scenes in each_standing(lab, study, rows):
+        figures = lab.record(trial)["figures"]
+        success = {name: figures[name] for name in ("success", "low95", "high95")}
+        measured = lab.measured(trial, "margins", partial(_margins_of, lab, scenes))
+        measured |= lab.measured(trial, "tilt", partial(_tilt_of, lab, scenes))
+        unsupported = figures["verdicts"].get(Verdict.UNSUPPORTED.label, 0) / figures["attempts"]
+        rows.append(_row(trial, **success, unsupported=unsupported, **measured))
+    return found(rows)
+
+
+def _margins_of(lab: Lab, scenes: Successes) -> dict[str, Any]:
+    models = SceneModels(scenes.world)
+    margins = contacts_of(models, scenes.poses, scenes.is_placed, lab.num_threads).margin
+    least = np.nanmin(margins, axis=1)
+    return {
+        "scenes": len(scenes),
+        "margin": [float(each) for each in np.percentile(least, [0, 10, 50])],
+        "below": float((least < MIN_MARGIN).mean()),
+    }
+
+
+def _tilt_of(lab: Lab, scenes: Successes) -> dict[str, Any]:
+    models, config = SceneModels(scenes.world), TiltConfig()
+    stands = tilt(models, scenes.poses, scenes.is_placed, config, lab.num_threads)
+    return {
+        "tilt": [
+            {"degrees": by, "directions": float(share.mean()), **_share(share == 1)}
+            for by, share in zip(config.degrees, stands.T, strict=True)
+        ],
+    }
+
+
 def survival(lab: Lab, study: Study, folder: Path) -> Found:
     """The share of scenes that stand 10 s in PyBullet and in Drake, where they are installed."""
     rows: list[dict] = []
@@ -304,5 +345,6 @@ MEASURES: dict[str, Measure] = {
     "acceptance": acceptance,
     "robustness": robustness,
     "survival": survival,
+    "margin": margin,
     "timing": timing,
 }

@@ -13,6 +13,7 @@ from cluttergen_jax.evaluation.published import IMPORTED
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.methods import METHODS, SCREENED
 from cluttergen_jax.placement.changes import CHANGES
+from cluttergen_jax.placement.config import MIN_MARGIN
 
 PAPER_METHODS = ("random", "open_loop", "short_memory", "normal", "beta", "policy")
 """`beta` is the paper's full method; `policy` is ours, which a preset may give another head."""
@@ -34,6 +35,8 @@ LADDER = ("0.60x0.70", "0.50x0.60", "0.40x0.50", "0.35x0.45", "0.30x0.40")
 CROWDS = (10, 15, 20, 30)
 CROWD_METHODS = (*BASELINES, "policy", SCREENED, "ranked")
 """Without the paper's heads and shorter memories, which the ladder compares."""
+MARGIN_METHODS = (*BASELINES, "policy", "ranked")
+_TIGHT = f"table-{LADDER[2]}"
 
 
 @dataclass(frozen=True)
@@ -165,6 +168,15 @@ def honest(scale: Scale) -> tuple[Study, ...]:
         Study("acceptance", "What passes less often than it is proposed", scenes, 512, measure="acceptance"),
         Study("robustness", "Creep, shaking and changed physics", small, 64, measure="robustness"),
         Study("survival", "The same scenes in another engine", small, 64, measure="survival"),
+        Study("margin", "Support margins and tilted gravity", _margins(small), 64, measure="margin"),
+        Study(
+            "margin_survival",
+            "What a support margin does for survival in another engine",
+            tuple(each for each in _margins(small) if (each.method, each.support) == ("policy", _TIGHT)),
+            64,
+            measure="survival",
+            layout="survival",
+        ),
         Study("time", "Time per valid scene, end to end", _timed(scale), 256, measure="timing"),
     )
 
@@ -341,6 +353,12 @@ def _scenes(scale: Scale) -> tuple[Trial, ...]:
         for size in (LADDER[0], LADDER[2])
         for method in METHODS
     )
+
+
+def _margins(trials: tuple[Trial, ...]) -> tuple[Trial, ...]:
+    """Each of the trials of some methods without a margin and with that which `generate` asks for."""
+    chosen = _with(trials, MARGIN_METHODS)
+    return tuple(replace(trial, min_margin=margin) for trial in chosen for margin in (0.0, MIN_MARGIN))
 
 
 def _timed(scale: Scale) -> tuple[Trial, ...]:

@@ -32,6 +32,7 @@ class Trial:
         counted as the paper counts them. Verdicts are the same.
       paper_count: run it a second time with the paper's looser count (only the object in hand is judged, the
         others are put back by hand, no last check).
+      min_margin: metres of support margin asked of what is placed; 0 asks for nothing, as the paper does.
     """
 
     pool: str = "dining"
@@ -47,6 +48,7 @@ class Trial:
     repeat: bool = False
     whole_attempts: bool = False
     paper_count: bool = False
+    min_margin: float = 0.0
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials <= MAX_TRIALS:
@@ -80,6 +82,7 @@ class Trial:
         words = [self.pool_name, self.support_name, self.method]
         words += [f"seed {self.training_seed}"] if self.training_seed else []
         words += [self.change] if self.change != "none" else []
+        words += [f"margin {1000 * self.min_margin:g} mm"] if self.min_margin else []
         return " ".join([*words, f"{self.num_objects} objects", f"{self.attempts} attempts"])
 
 
@@ -89,6 +92,8 @@ def key_of(trial: Trial, sources: dict[str, Any]) -> str:
     Args:
       sources: hashes of what the trial names (pool, support, checkpoint) and versions.
     """
-    asked = {name: value for name, value in asdict(trial).items() if name not in ("pool", "support")}
+    # Where no margin is asked for, results of versions that knew none are found again.
+    left_out = ("pool", "support", *(() if trial.min_margin else ("min_margin",)))
+    asked = {name: value for name, value in asdict(trial).items() if name not in left_out}
     text = json.dumps({"trial": asked, "sources": sources}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:20]

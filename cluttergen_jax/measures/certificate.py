@@ -11,6 +11,7 @@ from cluttergen_jax.measures.contacts import contacts_of
 from cluttergen_jax.measures.robustness import ShakeConfig, shake
 from cluttergen_jax.measures.scene_models import SceneModels
 from cluttergen_jax.measures.simulate import each_scene, movement
+from cluttergen_jax.measures.tilt import TiltConfig, tilt
 
 SUPPORT = -1
 
@@ -40,14 +41,19 @@ def certificates(
         shake: m/s^2, the smaller of the scores along world x and y (`robustness.shake`).
         shake_x, shake_y: both of them, where these are the directions.
         rests_on: list of (i, j): object i rests on object j; indices of the world's objects, -1 the support.
+        margin: metres, the least support margin; None if nothing is carried from below.
+        margins: metres, each of the world's K objects'; None where not placed or not carried from below.
+        tilt_1, tilt_2, tilt_5: share of directions in which gravity, tilted by so many degrees, topples
+          nothing.
     """
     models.check(poses, is_placed)
-    is_placed = np.asarray(is_placed, bool)
+    is_placed, tilt_config = np.asarray(is_placed, bool), TiltConfig()
     contacts = contacts_of(models, poses, is_placed, num_threads)
     drift = movement(models, poses, is_placed, (seconds,), num_threads)
     scores = shake(models, poses, is_placed, shake_config, num_threads)
     speeds = residual_speeds(models, poses, is_placed, num_threads)
-    rests_on = contacts.rests_on
+    stands = tilt(models, poses, is_placed, tilt_config, num_threads)
+    rests_on, margins = contacts.rests_on, [[_finite(each) for each in row] for row in contacts.margin]
     return [
         {
             "residual_speed": float(speeds[n, 0]),
@@ -61,9 +67,18 @@ def certificates(
             "shake_x": float(scores[n, 0]),
             "shake_y": float(scores[n, -1]),
             "rests_on": support_edges(rests_on[n]),
+            "margin": min((each for each in margins[n] if each is not None), default=None),
+            "margins": margins[n],
+            **{
+                f"tilt_{by:g}": float(share) for by, share in zip(tilt_config.degrees, stands[n], strict=True)
+            },
         }
         for n in range(len(is_placed))
     ]
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def support_edges(rests_on: np.ndarray) -> list[tuple[int, int]]:

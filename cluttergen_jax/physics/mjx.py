@@ -17,6 +17,7 @@ from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.physics import stability
 from cluttergen_jax.physics.batching import one_scene
 from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.physics.margin import MIN_SHIFT
 from cluttergen_jax.physics.mjx_scenes import MjxScenes, start_poses
 from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
@@ -191,7 +192,13 @@ class MjxPhysics:
             turn=kept(jnp, track.turn, is_finite),
             penetration=kept(jnp, deepest, is_finite),
             is_quiet=is_quiet,
+            margin=kept(jnp, self._margins(run, final, is_placed, is_focus), track.is_quiet & is_finite),
         )
+
+    def _margins(self, run: _Attempts, final: Array, is_placed: Array, is_focus: Array) -> Array:
+        """f32[N, K]: see `Settling.margin`."""
+        is_moved = is_placed & (is_focus | (run.track.shift >= MIN_SHIFT))
+        return jnp.where(is_moved, self.scenes.margins(run.data, final), jnp.inf)
 
     def stand_batch(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
         """`stand` for scenes with one leading axis."""

@@ -18,7 +18,9 @@ from mujoco.mjx import warp as mjx_warp
 
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.physics.margin import MIN_LIFT
 from cluttergen_jax.physics.mjx_faces import faces_first
+from cluttergen_jax.physics.mjx_margin import support_margins
 from cluttergen_jax.physics.mjx_room import room_for
 from cluttergen_jax.physics.rotation import norm, rotate
 from cluttergen_jax.types import Array
@@ -38,11 +40,15 @@ class Contacts(struct.PyTreeNode):
 
     Attributes:
       scene: i32[C]; geom: i32[C, 2]; depth: f32[C], overlap in metres, zero for a free place in the list.
+      position: f32[C, 3], world, metres; lift: f32[C], vertical part of the unit normal, which points from
+        the first geom to the second.
     """
 
     scene: Array
     geom: Array
     depth: Array
+    position: Array
+    lift: Array
 
 
 class MjxScenes:
@@ -143,12 +149,20 @@ class MjxScenes:
         if self._is_warp:
             is_used = jnp.arange(impl.naconmax) < impl.nacon[0]
             depth = jnp.where(is_used, -impl.contact__dist, 0.0)
-            return Contacts(impl.contact__worldid, impl.contact__geom, jnp.maximum(depth, 0.0))
+            return Contacts(
+                scene=impl.contact__worldid,
+                geom=impl.contact__geom,
+                depth=jnp.maximum(depth, 0.0),
+                position=impl.contact__pos,
+                lift=impl.contact__frame[:, 0, 2],
+            )
         num_scenes, num_contacts = impl.contact.dist.shape
         return Contacts(
             scene=jnp.repeat(jnp.arange(num_scenes), num_contacts),
             geom=impl.contact.geom.reshape(-1, 2),
             depth=jnp.maximum(-impl.contact.dist, 0.0).ravel(),
+            position=impl.contact.pos.reshape(-1, 3),
+            lift=impl.contact.frame[..., 0, 2].ravel(),
         )
 
     def depths(self, data: mjx.Data) -> Array:
@@ -158,6 +172,22 @@ class MjxScenes:
         depths = jnp.zeros((len(data.qpos), size, size))
         depths = depths.at[contacts.scene, pair[:, 0], pair[:, 1]].max(contacts.depth, mode="drop")
         return jnp.maximum(depths, depths.swapaxes(1, 2))
+
+    def margins(self, data: mjx.Data, poses: Array) -> Array:
+        """f32[N, K]: every object's support margin, metres, at the poses from which the last step started.
+
+        Args:
+          poses: f32[N, K, 7], those poses.
+        """
+        contacts, num_objects = self.contacts(data), self._layout.num_objects
+        pair = jnp.asarray(self._layout.geom_object)[contacts.geom]
+        carried = jnp.where(contacts.lift > 0, pair[:, 1], pair[:, 0])
+        carries = (contacts.depth > 0) & (jnp.abs(contacts.lift) >= MIN_LIFT) & (carried < num_objects)
+        body = jnp.where(carries, contacts.scene * num_objects + carried, len(poses) * num_objects)
+        center = rotate(jnp, poses[..., 3:], jnp.asarray(self._layout.center_of_mass, jnp.float32))
+        plan = (poses[..., :3] + center)[..., :2].reshape(-1, 2)
+        margins = support_margins(contacts.position[:, :2], body, plan)
+        return margins.reshape(len(poses), num_objects)
 
 
 def start_poses(layout: Layout, poses: Array, is_placed: Array, is_active: Array) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,12 +21,27 @@ from cluttergen_jax.physics import stability
 from cluttergen_jax.physics.host import host_function
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
+from cluttergen_jax.physics.margin import MIN_SHIFT
 from cluttergen_jax.physics.overlap import OverlapProbe
 from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept
 from cluttergen_jax.physics.simulations import Simulations, sleeping_model
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 MAX_BATCHES = 3
+
+
+class AtRest(NamedTuple):
+    """What contacts tell of an attempt that came to rest.
+
+    Attributes:
+      penetrates: a pair overlaps too much.
+      penetration: metres, the deepest overlap.
+      margin: f64[K], see `Settling.margin`.
+    """
+
+    penetrates: bool
+    penetration: float
+    margin: np.ndarray
 
 
 class NativePhysics:
@@ -109,24 +125,27 @@ class NativePhysics:
         self._cache.move_to_end(size)
         return self._cache[size]
 
-    def overlap(
-        self, before: np.ndarray, after: np.ndarray, is_placed: np.ndarray, focus: int
-    ) -> tuple[bool, float] | None:
-        """Whether a pair of a scene at rest overlaps too much, and the deepest overlap in metres.
+    def at_rest(
+        self, before: np.ndarray, after: np.ndarray, is_placed: np.ndarray, focus: int, is_moved: np.ndarray
+    ) -> AtRest | None:
+        """What contacts tell of one scene at rest; None if there was no room for them.
 
-        None if there was no room for the scene's contacts.
+        Args:
+          before, after: f[K, 7]; is_placed: bool[K]; is_moved: bool[K], whose support margin is wanted.
         """
         depths = self._probe.depths(after, is_placed)
         if depths is None:
             return None
-        deepest = float(depths.max())
+        deepest, margin = float(depths.max()), np.full(len(is_placed), np.inf)
+        moved = np.flatnonzero(is_moved)
+        margin[moved] = self._probe.margins(moved)
         if deepest <= self.config.max_added_penetration:
-            return False, deepest
+            return AtRest(False, deepest, margin)
         depths_before = self._probe.depths(before, is_placed & (np.arange(len(is_placed)) != focus))
         if depths_before is None:
             return None
         too_much = stability.penetrates(np, depths.ravel(), depths_before.ravel(), self.config)
-        return bool(too_much), deepest
+        return AtRest(bool(too_much), deepest, margin)
 
     def _stand_block(
         self, poses: np.ndarray, is_placed: np.ndarray, result: Standing, block: np.ndarray
@@ -199,7 +218,7 @@ class _Attempt:
         engine, track = self.engine, self.track
         final = np.where(self.is_placed[..., None], self.sims.poses(self.rows), self.poses).astype(np.float32)
         final[~self.is_finite] = self.poses[~self.is_finite]
-        penetrates = self._overlap(final, result.penetration, block)
+        penetrates = self._look_at_rest(final, result, block)
         result.verdict[block], result.is_quiet[block] = stability.verdict_of_attempt(
             np,
             track,
@@ -222,17 +241,18 @@ class _Attempt:
         ):
             field[block] = kept(np, values, self.is_finite)
 
-    def _overlap(self, final: np.ndarray, penetration: np.ndarray, block: np.ndarray) -> np.ndarray:
-        """Which scenes overlap too much, bool[n]; the deepest overlaps are written into `penetration`."""
+    def _look_at_rest(self, final: np.ndarray, result: Settling, block: np.ndarray) -> np.ndarray:
+        """Which scenes overlap too much, bool[n]; overlaps and margins are written into `result`."""
         penetrates = np.zeros(len(block), bool)
+        is_moved = self.is_placed & (~self.is_neighbour | (self.track.shift >= MIN_SHIFT))
         for row in np.flatnonzero(self.track.is_quiet & self.is_finite & ~self.overflowed):
-            overlap = self.engine.overlap(
-                self.poses[row], final[row], self.is_placed[row], int(self.focus[row])
+            found = self.engine.at_rest(
+                self.poses[row], final[row], self.is_placed[row], int(self.focus[row]), is_moved[row]
             )
-            if overlap is None:
+            if found is None:
                 self.overflowed[row] = True
             else:
-                penetrates[row], penetration[block[row]] = overlap
+                penetrates[row], result.penetration[block[row]], result.margin[block[row]] = found
         return penetrates
 
 

@@ -1,4 +1,4 @@
-"""How deep bodies overlap in a scene at rest, pair by pair."""
+"""What contacts tell of a scene at rest: how deep bodies overlap, and how well each is carried."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.physics.margin import margins_of
 
 
 class OverlapProbe:
@@ -42,3 +43,7 @@ class OverlapProbe:
         depth = np.maximum(-data.contact.dist, 0.0)
         np.maximum.at(depths, (pair[:, 0], pair[:, 1]), depth)
         return np.maximum(depths, depths.T)
+
+    def margins(self, objects: np.ndarray) -> np.ndarray:
+        """Support margins of these objects, i[n], in the scene whose depths were asked for last: f64[n]."""
+        return margins_of(self._layout, self._data, objects)

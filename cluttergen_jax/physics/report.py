@@ -22,6 +22,7 @@ def empty_settling(xp: Any, batch: tuple[int, ...], num_objects: int, config: St
         turn=xp.zeros((*batch, num_objects), dtype=xp.float32),
         penetration=xp.zeros(batch, dtype=xp.float32),
         is_quiet=xp.zeros(batch, dtype=xp.bool),
+        margin=xp.zeros((*batch, num_objects), dtype=xp.float32),
     )
 
 

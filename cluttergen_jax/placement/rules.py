@@ -22,7 +22,9 @@ from cluttergen_jax.placement.reward import reward_of
 from cluttergen_jax.placement.types import Counts, Episode, Geometry, History, Start
 from cluttergen_jax.types import Array, Settling, Verdict
 
-_NUM_COUNTED_VERDICTS = int(Verdict.NON_FINITE) + 1
+_OWN_SHARE = 1 / 3
+"""Of what a narrow object has on a flat table: so much support margin is asked of it at most. Of a round face
+engines name four points or so, which can leave less than half of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +84,7 @@ class Rules:
                 attempts=jnp.zeros(self.num_slots, jnp.int32),
                 steps=jnp.zeros(self.num_slots, jnp.int32),
                 rest_steps=jnp.zeros(self.num_slots, jnp.int32),
-                verdicts=jnp.zeros(_NUM_COUNTED_VERDICTS, jnp.int32),
+                verdicts=jnp.zeros(self._num_counted, jnp.int32),
                 simulated_steps=jnp.int32(0),
                 reward=jnp.float32(0),
             ),
@@ -91,6 +93,12 @@ class Rules:
             verdict=jnp.int32(Verdict.NONE),
             drift=jnp.float32(0),
         )
+
+    @property
+    def _num_counted(self) -> int:
+        # Where no margin is asked for nothing is unsupported, and stored states have the shapes they had.
+        last = Verdict.UNSUPPORTED if self.config.min_margin else Verdict.NON_FINITE
+        return int(last) + 1
 
     @property
     def history_rows(self) -> int:
@@ -157,12 +165,24 @@ class Rules:
         return after, jnp.where(is_active, reward, 0.0)
 
     def _judge_place(self, episode: Episode, focus: Array, settling: Settling) -> Array:
-        """The attempt's verdict once the queried region and the keep-out boxes have their say, i32."""
+        """The attempt's verdict once margins, queried region and keep-out boxes have their say, i32."""
+        verdict = settling.verdict
+        if self.config.min_margin:
+            is_poor = (verdict == Verdict.STABLE) & ~self._is_supported(episode, focus, settling)
+            verdict = jnp.where(is_poor, int(Verdict.UNSUPPORTED), verdict)
         pose, half_extents = settling.poses[focus], self.geometry.half_extents[focus]
         inside = is_inside(pose, half_extents, episode.region, self.config.containment)
         inside &= ~is_kept_out(pose, half_extents, episode.keep_out)
-        is_misplaced = (settling.verdict == Verdict.STABLE) & ~inside
-        return jnp.where(is_misplaced, int(Verdict.OUTSIDE), settling.verdict)
+        return jnp.where((verdict == Verdict.STABLE) & ~inside, int(Verdict.OUTSIDE), verdict)
+
+    def _is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
+        """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""
+        objects = jnp.arange(self.geometry.num_objects)
+        is_started = jnp.arange(self.num_slots)[:, None] < episode.first_slot
+        is_started = jnp.any(is_started & (episode.object_index[:, None] == objects), axis=0)
+        is_judged = (episode.is_placed | (objects == focus)) & ~is_started
+        asked = jnp.minimum(self.config.min_margin, _OWN_SHARE * self.geometry.own_margin)
+        return ~jnp.any(is_judged & (settling.margin < asked))
 
     def _push(self, episode: Episode, action: Array, height_range: Array, settling: Settling) -> Episode:
         """The episode with the attempt at the end of the object's history."""

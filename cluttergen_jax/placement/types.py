@@ -14,6 +14,7 @@ class Geometry(struct.PyTreeNode):
     Attributes:
       half_extents: f32[K, 3], of each object's box, object frame, metres.
       center_of_mass: f32[K, 3], object frame, metres.
+      own_margin: f32[K], metres, each object's support margin as it is let go, on a flat table.
       cloud: f32[K, P, 3], surface points, object frame, farthest-point ordered.
       column_xy: f32[K, C, 2]; column_bottom: f32[K, C]; is_column: bool[K, C]: each object's under-side, a
         sample of its columns (`assets.columns`), farthest-point ordered, padded.
@@ -25,6 +26,7 @@ class Geometry(struct.PyTreeNode):
 
     half_extents: Array
     center_of_mass: Array
+    own_margin: Array
     cloud: Array
     column_xy: Array
     column_bottom: Array
@@ -78,7 +80,8 @@ class Counts(struct.PyTreeNode):
       steps: i32[S], steps of all attempts of each slot added up. The paper's stable steps, if attempts run
         to their end (`StabilityConfig.stop_when_decided` off).
       rest_steps: i32[S], steps of the attempt that succeeded.
-      verdicts: i32[8], attempts by `Verdict` code, STABLE to NON_FINITE.
+      verdicts: i32[V], attempts by `Verdict` code: STABLE to NON_FINITE, or to UNSUPPORTED where a margin is
+        asked for.
       simulated_steps: i32, steps simulated, the last check included.
       reward: f32, sum of rewards.
     """

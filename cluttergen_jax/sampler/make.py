@@ -10,7 +10,7 @@ from cluttergen_jax.assets.pool import composed
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.methods import checkpoint_of, default_method, proposer_of, suited
-from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.problem import ProblemConfig
 from cluttergen_jax.sampler.arguments import check_known, check_names, check_rectangles, check_whole
@@ -38,6 +38,7 @@ def make_sampler(
     containment: str = "center",
     order: str = "random",
     max_attempts: int = 5,
+    min_margin: float = MIN_MARGIN,
     num_scene_points: int = 0,
     engine: str = "auto",
     num_threads: int = 0,
@@ -67,6 +68,8 @@ def make_sampler(
       containment: what must lie in the region: the bounding box's "center" or the whole "footprint".
       order: "random", or "fixed" to the pool's order.
       max_attempts: per object, 1 to 10; a policy of poses allows as many as it was trained with at most.
+      min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
+        asks for nothing, as the paper does.
       num_scene_points: points of each scene's cloud, up to 200,000; 0 for none.
       engine: "auto", "native", "warp" or "jax".
       num_threads: of the native engine; 0 takes every core.
@@ -95,7 +98,11 @@ def make_sampler(
     method = method or default_method(pool, str(support), num_objects, given)
     policy = checkpoint_of(method, pool, given)
     placement = PlacementConfig(
-        num_objects=num_objects, max_attempts=max_attempts, containment=containment, order=order
+        num_objects=num_objects,
+        max_attempts=max_attempts,
+        containment=containment,
+        order=order,
+        min_margin=min_margin,
     )
     config = ProblemConfig(
         pool=pool,
