@@ -203,6 +203,7 @@ def test_settings_are_those_of_the_sampler_and_the_same_by_default():
         ({"reward": "big"}, "reward = 'big'.*paper"),
         ({"change": "wild"}, "wild"),
         ({"objects": "mug"}, "a sequence of names"),
+        ({"num_object": 3}, "Did you mean 'num_objects'"),
         ({"start": "nowhere"}, "BANK:INDEX"),
     ],
 )

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Never
 
 from cluttergen_jax.assets.pool import composed
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.physics.brax_env import Env
-from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.problem import ProblemConfig
-from cluttergen_jax.sampler.arguments import check_names, check_rectangles, check_whole
+from cluttergen_jax.sampler.arguments import check_known, check_names, check_rectangles, check_whole
 from cluttergen_jax.sampler.wiring import bind, number_of
 from cluttergen_jax.sampler.wrappers import ActionRange, FlatObservation, OnSurface
 
@@ -49,8 +49,10 @@ def make_env(
     containment: str = "center",
     order: str = "random",
     max_attempts: int = 5,
+    min_margin: float = MIN_MARGIN,
     engine: str = "auto",
     num_threads: int = 0,
+    **unknown: Never,
 ) -> Env:
     """A `brax.envs.Env` of the placement problem: one attempt a step, an episode a scene.
 
@@ -66,7 +68,7 @@ def make_env(
 
     Args:
       pool, support, num_objects, objects, exclude, repeat, region, keep_out, start, containment, order,
-        max_attempts, engine, num_threads: as in `make_sampler`.
+        max_attempts, min_margin, engine, num_threads: as in `make_sampler`.
       observation: "flat" for one vector f32[D] (`sampler.wrappers.FlatObservation` lists its parts), or
         "dict" for what `placement.observation.observe` describes.
       action: "pose" for those four numbers, or "surface" for f32[3], x, y and turn: the height is that at
@@ -87,6 +89,7 @@ def make_env(
       PoolError: a pool, an object or a support cannot be found or read.
       BankError: the scene to start from cannot be read, or does not stand.
     """
+    check_known(unknown, make_env)
     check_whole(
         num_objects=num_objects,
         num_cells=num_cells,
@@ -108,6 +111,7 @@ def make_env(
         order=order,
         reward=reward,
         history_stride=history_stride,
+        min_margin=min_margin,
     )
     config = ProblemConfig(
         pool=name,
