@@ -10,7 +10,7 @@ PYTEST = $(RUN)/pytest -n auto --maxprocesses 4 --dist loadfile
 INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all lint dist format scenes bench clean prerequisites
+.PHONY: help demo test test-all test-wheel lint dist format scenes bench clean prerequisites
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
@@ -56,6 +56,13 @@ dist: $(VENV)/.dev ## build the wheel and the source distribution in dist, and c
 	rm -rf dist
 	$(RUN)/python -m build
 	$(RUN)/twine check --strict dist/*
+
+test-wheel: dist ## the quick tests against the built wheel, in an environment of its own away from here (PYTHON=...)
+	@set -e; away=$$(mktemp -d); trap 'rm -rf "$$away"' EXIT; echo "in $$away, with $$($(PYTHON) --version)"; \
+	tar -xzf dist/*.tar.gz --strip-components=1 -C "$$away"; rm -r "$$away/cluttergen_jax" "$$away/scenes"; \
+	$(PYTHON) -m venv "$$away/.venv"; \
+	"$$away/.venv/bin/pip" install --quiet -c constraints.txt "$$(echo dist/*.whl)[dev,ycb]"; \
+	cd "$$away" && .venv/bin/pytest -n auto --maxprocesses 4 --dist loadfile -m "not slow" $(TESTS)
 
 format: $(VENV)/.dev ## let ruff mend what it can
 	$(RUN)/ruff check --fix .

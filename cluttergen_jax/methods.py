@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import replace
 from pathlib import Path
 
-from cluttergen_jax.agent.checkpoint import read_record
+from cluttergen_jax.agent.checkpoint import read_policy_record, read_record
 from cluttergen_jax.assets.pool import without_exclusions
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.baselines import Clear, make_proposer
@@ -40,7 +40,7 @@ def default_method(pool: str, support: str, num_objects: int, checkpoint: str | 
     if checkpoint is not None:
         return str(read_record(Path(checkpoint)).get("variant", DEFAULT_METHOD))
     embedded = list_policies().get(f"{without_exclusions(pool)}-{DEFAULT_METHOD}")
-    record = {} if embedded is None else read_record(embedded)
+    record = {} if embedded is None else read_policy_record(embedded)
     is_trained = record.get("support") == support and num_objects <= record["placement"]["num_objects"]
     is_good = record.get("evaluation", {}).get("success", 0.0) >= GOOD_SUCCESS
     return DEFAULT_METHOD if is_trained and is_good else FALLBACK_METHOD
@@ -69,7 +69,7 @@ def checkpoint_of(method: str, pool: str, checkpoint: str | None = None) -> Path
 
 def _check_variant(method: str, checkpoint: Path) -> None:
     """Refuses a checkpoint of another method; the screen takes every policy of poses."""
-    variant = read_record(checkpoint).get("variant", method)
+    variant = read_policy_record(checkpoint).get("variant", method)
     if variant == method or (method == SCREENED and variant != "ranked"):
         return
     raise ConfigError(
@@ -97,7 +97,7 @@ def checkpoint_hash(checkpoint: Path) -> str:
 
 def suited(placement: PlacementConfig, checkpoint: Path | None) -> PlacementConfig:
     """The settings with the history that a method looks back on: none for a baseline."""
-    stride = 0 if checkpoint is None else read_record(checkpoint)["placement"]["history_stride"]
+    stride = 0 if checkpoint is None else read_policy_record(checkpoint)["placement"]["history_stride"]
     return replace(placement, history_stride=stride)
 
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.agent.checkpoint import read_policy, read_record
+from cluttergen_jax.agent.checkpoint import read_policy, read_policy_record
 from cluttergen_jax.agent.learner import Learner
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learners import make_learner
@@ -80,7 +80,7 @@ def load_policy(path: Path, rules: Rules, is_sampled: bool | None = None) -> Pol
       PoolError: the checkpoint is missing or damaged.
       ConfigError: the world's history is not what the policy reads. Fewer attempts are; more are not.
     """
-    record = read_record(path)
+    record = read_policy_record(path)
     network, trained = _settings_of(path, record)
     if isinstance(network, RankerConfig):
         policy = make_policy(rules, network, None, bool(is_sampled))
