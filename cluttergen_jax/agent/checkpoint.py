@@ -18,7 +18,7 @@ from cluttergen_jax.errors import PoolError
 from cluttergen_jax.files import folder_whole, put_back, write_atomically
 
 FORMAT = 1
-_TRAINED = ("num_objects", "max_attempts", "history_stride")
+_TRAINED = ("max_attempts", "history_stride")
 _CRITIC = ("params/critic/", "params/value/")
 """What acting does not need; an attention layer has a `value` too, which it does."""
 _MOST_BYTES, _HEADER = 8, 4096
