@@ -8,6 +8,9 @@ import subprocess
 from pathlib import Path
 
 HERE = Path(__file__).parent
+# Many tests compile the same programs: what one process has compiled the others read.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(HERE.parent / ".pytest_cache" / "jax"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
 
 def pytest_addoption(parser):

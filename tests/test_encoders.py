@@ -229,6 +229,7 @@ def test_lengths_count_in_units_of_the_object(encoder):
     assert np.abs(apply(clouds[0], half[0]) - apply(clouds[1], half[1])).max() > 1e-2
 
 
+@pytest.mark.slow
 def test_chunks_change_neither_features_nor_gradient(monkeypatch):
     module = CloudEncoder(SMALL, NUM_OBJECTS)
     clouds, half = world()
@@ -250,6 +251,7 @@ def test_chunks_divide_the_batch_where_they_can():
     assert [cloud_encoder._chunk(batch) for batch in (1, 5, 64, 100, 1000, 37)] == [1, 5, 32, 25, 25, 32]
 
 
+@pytest.mark.slow
 def test_frozen_weights_keep_their_bits_through_an_update():
     config = dataclasses.replace(SMALL, scene_encoder="pointnet", encoder_frozen=True)
     rules = made_up_rules(history_stride=12, reward="compressed")

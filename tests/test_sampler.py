@@ -104,6 +104,7 @@ print("equal", int(plain.is_success.sum()))
 """
 
 
+@pytest.mark.slow
 def test_sharded_over_two_devices(pool):
     env = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
     done = subprocess.run(

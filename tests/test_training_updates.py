@@ -135,6 +135,7 @@ def test_number_of_updates_follows_their_time():
     assert num_updates(0.0, 3, 4.0) == 3
 
 
+@pytest.mark.slow
 def test_diverged_run_keeps_the_last_good_state(tmp_path, monkeypatch):
     run = make_run(tmp_path / "run")
     healthy, calls = Updates.__call__, []

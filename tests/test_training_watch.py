@@ -226,6 +226,7 @@ def evaluations():
     return evaluate, given
 
 
+@pytest.mark.slow
 def test_evaluations_stand_beside_trainings_own_check(tmp_path):
     evaluate, given = evaluations()
     said = []
