@@ -1,6 +1,5 @@
 """A scan of more than a million triangles: imported whole, in little memory."""
 
-import os
 import subprocess
 import sys
 
@@ -14,6 +13,13 @@ from cluttergen_jax.assets.pool import find_pool
 pytestmark = pytest.mark.slow
 
 MAX_KILOBYTES = 4 << 20
+# The largest of the command and its workers. A process counts what its parent held when it began, so
+# a small one stands between the tests and the command.
+MEASURE = """
+import resource, subprocess, sys
+subprocess.run(sys.argv[1:], check=True)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
 
 
 def scan(is_open):
@@ -36,15 +42,15 @@ def test_a_million_triangles_take_less_than_four_gigabytes(tmp_path, monkeypatch
     assert len(mesh.faces) > 1_000_000
     mesh.export(tmp_path / "stone.ply")
     command = [sys.executable, "-m", "cluttergen_jax", "import", str(tmp_path / "stone.ply")]
-    process = subprocess.Popen([*command, "--pool", "mine", "--jobs", "1", "--no-progress"])
-    _, status, used = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    assert process.returncode == 0
-    # The largest of the command and its workers.
-    assert used.ru_maxrss < MAX_KILOBYTES
+    command += ["--pool", "mine", "--jobs", "1", "--no-progress"]
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURE, *command], capture_output=True, text=True, check=True
+    )
+    assert int(done.stdout.split()[-1]) < MAX_KILOBYTES
     (stone,) = find_pool("mine").objects
     assert stone.quality.solo_rate >= 0.99
     assert stone.quality.deviation < 0.06
     num_faces = sum(len(piece.mesh.faces) for piece in stone.pieces)
-    assert num_faces <= MAX_TRIANGLES
+    # An open surface has a second side.
+    assert num_faces <= MAX_TRIANGLES * (1 + is_open)
     assert any(f"of its {len(mesh.faces):,} triangles" in note for note in stone.notes)

@@ -1,5 +1,6 @@
 """The wheel stands alone: built, installed in a fresh environment outside the checkout, and put to work."""
 
+import os
 import subprocess
 import sys
 import tarfile
@@ -13,7 +14,10 @@ MOST_MEGABYTES = 40
 
 
 def run(*command, cwd) -> str:
-    done = subprocess.run(list(map(str, command)), cwd=cwd, capture_output=True, text=True, check=False)
+    elsewhere = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        list(map(str, command)), cwd=cwd, env=elsewhere, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
