@@ -331,7 +331,7 @@ def test_the_default_method_follows_what_is_embedded(pool, monkeypatch):
     embedded = {f"{name}-policy": name for name in (*success, "office")}
     monkeypatch.setattr("cluttergen_jax.methods.list_policies", lambda: embedded)
     monkeypatch.setattr(
-        "cluttergen_jax.methods.read_record",
+        "cluttergen_jax.methods.read_policy_record",
         lambda name: {
             "support": "table",
             "placement": {"num_objects": 10},
