@@ -85,6 +85,15 @@ def test_a_suite_that_is_taken_up_counts_what_is_kept():
 # Ctrl-C
 
 
+@pytest.fixture
+def answers_ctrl_c():
+    """A process that a script has put into the background ignores Ctrl-C, and so would the tests."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("answers_ctrl_c")
 def test_ctrl_c_does_not_wait_for_a_long_call():
     is_running, is_over = threading.Event(), threading.Event()
 
