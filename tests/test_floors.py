@@ -15,6 +15,7 @@ FLOORS = {
     "config": 0,
     "files": 0,
     "progress": 0,
+    "tables": 0,
     "assets": 1,
     "physics": 1,
     "networks": 1,

@@ -12,6 +12,7 @@ from cluttergen_jax.bank.bank import Bank
 from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.bank.stats import BankStats, stats_of
 from cluttergen_jax.bank.table import CERTIFICATE, COUNTED, SCHEMA
+from cluttergen_jax.tables import markdown_table
 from cluttergen_jax.types import Verdict, small_length
 
 CARD = "README.md"
@@ -125,8 +126,7 @@ def _figures(stats: BankStats) -> str:
     rows += [(f"verdict {name}", number) for name, number in stats.verdicts.items()]
     if stats.certificate is not None:
         rows += [(name, value) for name, _, value in (f.partition(": ") for f in stats.certificate.lines())]
-    lines = ["## Figures", "", "| | |", "|---|---|"]
-    return "\n".join([*lines, *(f"| {name} | {value} |" for name, value in rows)])
+    return "\n".join(["## Figures", "", markdown_table(("", ""), rows)])
 
 
 def _files() -> str:
@@ -145,11 +145,9 @@ def _files() -> str:
         "scene = jax.jit(bank.reset)(jax.random.key(0))  # a scene that stands, for an environment's reset",
         "```",
         "",
-        "| column | type | meaning |",
-        "|---|---|---|",
     ]
-    fields = [*SCHEMA, *CERTIFICATE]
-    return "\n".join(lines + [f"| `{f.name}` | `{f.type}` | {_COLUMNS[f.name]} |" for f in fields])
+    fields = [(f"`{f.name}`", f"`{f.type}`", _COLUMNS[f.name]) for f in (*SCHEMA, *CERTIFICATE)]
+    return "\n".join([*lines, markdown_table(("column", "type", "meaning"), fields)])
 
 
 def _made(recipe: dict[str, Any]) -> str:
@@ -197,19 +195,22 @@ def _stability(recipe: dict[str, Any]) -> str:
 
 
 def _assets(assets: Sequence[ObjectAsset], bank: Bank) -> str:
+    rows = [
+        (
+            f"{asset.label} (`{asset.name}`)",
+            f"{asset.mass:.3g} kg",
+            asset.provenance.source,
+            asset.provenance.licence,
+            "; ".join(asset.flags),
+        )
+        for asset in assets
+    ]
+    table = bank.support
+    rows.append((f"{table.label} (support)", "", table.provenance.source, table.provenance.licence, ""))
     lines = [
         "## Assets and licences",
         "",
-        "| asset | mass | source | licence | notes |",
-        "|---|---|---|---|---|",
+        markdown_table(("asset", "mass", "source", "licence", "notes"), rows),
     ]
-    for asset in assets:
-        origin = asset.provenance
-        lines.append(
-            f"| {asset.label} (`{asset.name}`) | {asset.mass:.3g} kg | {origin.source} | {origin.licence} "
-            f"| {'; '.join(asset.flags)} |"
-        )
-    table = bank.support
-    lines.append(f"| {table.label} (support) | | {table.provenance.source} | {table.provenance.licence} | |")
     credits = sorted({asset.provenance.attribution for asset in assets} - {""})
     return "\n".join([*lines, *(["", *credits] if credits else [])])

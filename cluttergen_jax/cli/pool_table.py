@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.tables import aligned_table
 
 _HEADER = ("object", "parts", "vertices", "mass kg", "deviation", "cavity", "ball", "solo", "steps", "poses")
 
 
 def pool_table(objects: Sequence[ObjectAsset]) -> str:
     """One line per object, then flags (!) and notes (-) in words, then the counts of the project's bars."""
-    rows = [_HEADER, *(_row(asset) for asset in objects)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADER))]
-    lines = ["  ".join(_aligned(row, widths)).rstrip() for row in rows]
+    lines = [aligned_table(_HEADER, [_row(asset) for asset in objects])]
     lines += [f"  ! {asset.name}: {flag}" for asset in objects for flag in asset.flags]
     lines += [f"  - {asset.name}: {note}" for asset in objects for note in asset.notes]
     return "\n".join([*lines, _summary(objects)])
@@ -38,14 +37,6 @@ def _row(asset: ObjectAsset) -> tuple[str, ...]:
 
 def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:.1f} %"
-
-
-def _aligned(row: tuple[str, ...], widths: list[int]) -> list[str]:
-    first, *others = (
-        cell.ljust(width) if column == 0 else cell.rjust(width)
-        for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-    )
-    return [first, *others]
 
 
 def _summary(objects: Sequence[ObjectAsset]) -> str:
