@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from cluttergen_jax.evaluation.machine import cpu_model
+
 README = Path(__file__).parent / "README.md"
 _HEAD = (
     "# Benchmarks\n\nEvery section is written by the command that stands in it; no figure is typed by hand.\n"
@@ -49,7 +51,7 @@ def provenance(name: str, packages: Sequence[str] = ()) -> str:
     command = shlex.join(["python", "-m", f"benchmarks.{name}", *sys.argv[1:]])
     versions = ", ".join(f"{each} {_version(each)}" for each in packages)
     return (
-        f"`{command}`, {datetime.date.today().isoformat()}; {_processor()}, "
+        f"`{command}`, {datetime.date.today().isoformat()}; {cpu_model()}, "
         f"{len(os.sched_getaffinity(0))} cores, load {os.getloadavg()[0]:.1f} at the end; "
         f"Python {platform.python_version()}, {versions}."
     )
@@ -71,13 +73,3 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "not installed"
-
-
-def _processor() -> str:
-    """The processor's name, or as much as the system tells."""
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        for line in cpuinfo.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()

@@ -23,7 +23,7 @@ def machine() -> dict[str, Any]:
     devices = jax.devices()
     return {
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "cpu": _cpu_model(),
+        "cpu": cpu_model(),
         "accelerator": devices[0].device_kind if devices[0].platform != "cpu" else None,
         "python": platform.python_version(),
         "versions": versions(),
@@ -38,7 +38,8 @@ def sentence(facts: dict[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def _cpu_model() -> str:
+def cpu_model() -> str:
+    """The processor's name, or as much as the system tells."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
