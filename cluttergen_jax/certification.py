@@ -2,23 +2,92 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from cluttergen_jax.bank.bank import Bank
+from cluttergen_jax.bank import read_bank
+from cluttergen_jax.bank.bank import Bank, block_numbers, read_block
+from cluttergen_jax.bank.card import write_card
+from cluttergen_jax.bank.disk import writing
+from cluttergen_jax.bank.lock import BankLock
 from cluttergen_jax.bank.scene import config_of
-from cluttergen_jax.bank.table import CERTIFICATE, SCHEMA
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.bank.table import CERTIFICATE, SCHEMA, is_fully_certified
+from cluttergen_jax.bank.writer import write_rows
+from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.measures.arrangement import by_object
 from cluttergen_jax.measures.certificate import certificates
 from cluttergen_jax.measures.scene_models import SceneModels
+from cluttergen_jax.measures.simulate import horizons_of
+from cluttergen_jax.progress import Progress
 from cluttergen_jax.world import base_name, make_world
 
 _RENAMED = {"drift": "horizon_drift", "drift_turn": "horizon_turn", "drift_seconds": "horizon_seconds"}
+
+
+@dataclass(frozen=True, eq=False)
+class Certification:
+    """What `certify` did.
+
+    Attributes:
+      shake: f64[N], m/s^2, the shake scores of all scenes that stand.
+      num_new: rows that were measured now.
+    """
+
+    shake: np.ndarray
+    num_new: int
+
+
+def certify(
+    bank: str | Path | Bank, *, seconds: float = 2.0, num_threads: int = 0, force: bool = False
+) -> Certification:
+    """Adds a stability certificate to each scene of a bank that stands: a column for each measure.
+
+    Args:
+      bank: a bank, or its folder.
+      seconds: the horizon over which drift is measured.
+      num_threads: scenes simulated at a time; 0 takes every core.
+      force: measure again what has a certificate; else only what has none is measured.
+
+    Raises:
+      BankError: the bank cannot be read or written, another process writes it, or no scene in it stands.
+      ConfigError: a setting is outside its range.
+    """
+    check_workers("num_threads", num_threads)
+    horizons_of((seconds,))
+    bank = bank if isinstance(bank, Bank) else read_bank(bank)
+    with writing(bank.path):
+        lock = BankLock(bank.path)
+    try:
+        found = _certify(bank, seconds, num_threads, force)
+        with writing(bank.path):
+            write_card(bank)
+    finally:
+        lock.release()
+    return found
+
+
+def _certify(bank: Bank, seconds: float, num_threads: int, force: bool) -> Certification:
+    record = {name: value for name, value in bank.record.items() if name != "num_scenes"}
+    models, num_new, shake = models_of(bank), 0, [np.zeros(0)]
+    with Progress("certifying", bank.num_scenes, "scene") as progress:
+        for number in block_numbers(bank.path):
+            rows = read_block(bank.path, number)
+            if force or not is_fully_certified(rows):
+                rows = certified(rows, models, seconds, num_threads)
+                write_rows(bank.path, number, rows, record)
+                num_new += rows.num_rows
+            shake.append(np.array(rows["shake"].drop_null()))
+            progress.update(rows.num_rows)
+    scores = np.concatenate(shake)
+    if not len(scores):
+        raise BankError(f"{bank.path}: no scene in it stands", hint="more scenes")
+    return Certification(scores, num_new)
 
 
 def models_of(bank: Bank) -> SceneModels:
@@ -33,7 +102,7 @@ def models_of(bank: Bank) -> SceneModels:
     return SceneModels(world, stability, contact)
 
 
-def certified(rows: pa.Table, models: SceneModels, seconds: float, jobs: int) -> pa.Table:
+def certified(rows: pa.Table, models: SceneModels, seconds: float, num_threads: int) -> pa.Table:
     """The rows with the columns of `CERTIFICATE`."""
     rows = rows.select(SCHEMA.names)
     scenes = rows.select(["is_success", "object_index", "is_placed", "poses"]).to_pylist()
@@ -41,7 +110,7 @@ def certified(rows: pa.Table, models: SceneModels, seconds: float, jobs: int) ->
     good = [place for place, scene in enumerate(scenes) if scene["is_success"]]
     if good:
         poses, is_placed = _by_object([scenes[place] for place in good], models.world.num_objects)
-        found = certificates(models, poses, is_placed, seconds, num_threads=jobs)
+        found = certificates(models, poses, is_placed, seconds, num_threads=num_threads)
         for place, each in zip(good, found, strict=True):
             margins = [each["margins"][k] for k in scenes[place]["object_index"]]
             results[place] = {_RENAMED.get(name, name): value for name, value in each.items()}
