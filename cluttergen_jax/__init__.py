@@ -16,6 +16,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.bank.hub import pull_bank, push_bank
+    from cluttergen_jax.certification import certify
+    from cluttergen_jax.evaluation.comparison import evaluate
+    from cluttergen_jax.evaluation.running import evaluate_suite
     from cluttergen_jax.placement.region import KeepOut, make_region
     from cluttergen_jax.sampler import (
         SampledScene,
@@ -36,6 +39,9 @@ __all__ = [
     "SceneBank",
     "StoredArrays",
     "StoredScene",
+    "certify",
+    "evaluate",
+    "evaluate_suite",
     "load_bank",
     "make_env",
     "make_gym_env",
@@ -51,6 +57,9 @@ _ELSEWHERE = {
     "Rectangle": "assets.support",
     "KeepOut": "placement.region",
     "make_region": "placement.region",
+    "certify": "certification",
+    "evaluate": "evaluation.comparison",
+    "evaluate_suite": "evaluation.running",
     "make_env": "sampler.environments",
     "make_gym_env": "sampler.environments",
     "make_sb3_env": "sampler.environments",

@@ -30,7 +30,8 @@ Containment = Literal["center", "footprint"]
 Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "all"]
 Reward = Literal["paper", "code", "compressed"]
 Encoder = Literal["set", "pointnet", "pointnet2"]
-Suite = Literal["paper", "honest"]
+Suite = Literal["paper", "extended", "honest"]
+"""`honest` is the former name of `extended`, understood in this release."""
 FilmFormat = Literal["gif", "mp4"]
 ExportFormat = Literal["mjcf", "urdf", "sdf", "usd", "glb", "maniskill", "robosuite", "libero"]
 

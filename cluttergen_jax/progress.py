@@ -44,7 +44,12 @@ class Progress:
         self._file, self._clock = file or sys.stderr, clock
         self._is_log = not self._file.isatty()
         self._bar = tqdm(
-            total=total, initial=kept, desc=title, unit=unit, file=self._file, disable=self._is_log
+            total=total,
+            initial=kept,
+            desc=title,
+            unit=unit,
+            file=self._file,
+            disable=self._is_log or not total,
         )
         self._started = self._told = clock()
 
@@ -68,10 +73,11 @@ class Progress:
         now = self._clock()
         if self._is_log and now - self._told >= EVERY:
             self._told = now
-            self.say(f"{self.title}: {self.done} of {self.total} {self.unit}s, {self._times(now)}")
+            self.say(f"{self.title}: {self.done} of {self.total} {self.unit}s, {self.times()}")
 
-    def _times(self, now: float) -> str:
-        passed, made = now - self._started, self.done - self.kept
+    def times(self) -> str:
+        """How long it has taken, and at this pace still takes."""
+        passed, made = self._clock() - self._started, self.done - self.kept
         left = f", {time_text(passed / made * (self.total - self.done))} left" if made else ""
         return f"{time_text(passed)} passed{left}"
 

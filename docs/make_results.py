@@ -1,7 +1,7 @@
 """Writes docs/results.md from the JSON files in docs/results, and docs/missed.md below them.
 
 python docs/make_results.py                          from what is there
-python docs/make_results.py out/paper out/honest     after taking over what those suites made
+python docs/make_results.py out/paper out/extended   after taking over what those suites made
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from cluttergen_jax.cli import generation
 from cluttergen_jax.cli.commands import COMMANDS, overview
 from cluttergen_jax.cli.main import main, parsed
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
-from cluttergen_jax.evaluation.suites import SUITES
+from cluttergen_jax.evaluation.suites import FORMER_NAMES, SUITES
 from cluttergen_jax.export.formats import FORMATS
 from cluttergen_jax.methods import METHODS
 from cluttergen_jax.physics.log import silent_import
@@ -80,7 +80,7 @@ def test_the_table_of_commands_says_what_their_docstrings_say():
         (config.Method, METHODS),
         (config.Preset, PRESETS),
         (config.Change, CHANGES),
-        (config.Suite, SUITES),
+        (config.Suite, (*SUITES, *FORMER_NAMES)),
         (config.ExportFormat, FORMATS),
     ],
 )

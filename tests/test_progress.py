@@ -7,7 +7,6 @@ import threading
 import pytest
 
 from cluttergen_jax import progress
-from cluttergen_jax.evaluation.progress import Progress as SuiteProgress
 from cluttergen_jax.progress import Progress, interruptible, time_text, tracked
 
 
@@ -67,19 +66,10 @@ def test_lengths_of_time_are_for_people():
     assert [time_text(each) for each in (5, 150, 9000)] == ["5 s", "2 min", "2.5 h"]
 
 
-def test_a_suite_that_is_taken_up_counts_what_is_kept():
-    log, clock = io.StringIO(), Clock()
-    suite = SuiteProgress(4000, rows=40, kept=10, kept_episodes=1000, file=log, clock=clock)
-    suite.begin("dining")
-    clock.now += 20.0
-    suite.add(50)
-    suite.add(50)
-    suite.finish("success 1.000")
-    assert log.getvalue().splitlines() == [
-        "[10 of 40 rows, 10 kept from before, time left unknown] dining: begins, compiling first",
-        "[10 of 40 rows, 10 kept from before, 20 min left] dining: 1050 of 4000 episodes",
-        "[11 of 40 rows, 10 kept from before, 10 min left] dining: success 1.000",
-    ]
+def test_nothing_to_do_draws_no_bar():
+    terminal = Terminal()
+    Progress("drawing", 0, "picture", file=terminal).say("a line")
+    assert terminal.getvalue() == "a line\n"
 
 
 # Ctrl-C

@@ -15,7 +15,7 @@ from cluttergen_jax.assets.support_file import find_support, list_supports
 from cluttergen_jax.cli.main import main, run
 from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.lab import Lab
+from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.importing.worker import ObjectConfig
@@ -135,8 +135,8 @@ def test_a_problem_whose_region_is_beyond_the_table_is_refused():
 
 
 def test_regions_that_grow_in_evaluation_may_be_wider_than_the_top(tmp_path):
-    lab = Lab(Store(tmp_path))
-    problem = lab.problem(Trial(change="all", num_objects=1))
+    runner = Runner(Store(tmp_path))
+    problem = runner.setup(runner.resolve(Trial(change="all", num_objects=1)))
     assert problem.region.half_extents == (0.30, 0.35)
     np.testing.assert_allclose(problem.rules.region.half_extents, (0.35, 0.35))
 

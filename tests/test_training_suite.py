@@ -41,23 +41,27 @@ def test_tables_are_covered_and_the_first_seed_comes_first():
     assert {run.attempts for run in runs if run.pool != "dining"} == {5}
 
 
-def test_honest_tables_are_covered_with_one_seed():
-    runs = plan("honest")
+def test_extended_tables_are_covered_with_one_seed():
+    runs = plan("extended")
     names = [run.name for run in runs]
     assert len(set(names)) == len(names)
     assert {run.seed for run in runs} == {0}
     asked = {
         PlannedRun(trial.pool, trial.method, trial.training_seed, trial.attempts).name
-        for study in find_suite("honest", Scale())
+        for study in find_suite("extended", Scale())
         for trial in study.trials
         if trial.method in VARIANTS
     }
     assert {"dining-ranked-0", "all-policy-0", "all-ranked-0"} <= asked == set(names)
-    commands = [command_of(Train(suite="honest"), run, Path("runs")) for run in runs]
+    commands = [command_of(Train(suite="extended"), run, Path("runs")) for run in runs]
     assert {(args.pool, args.support, args.num_objects) for args in commands if args.variant == "ranked"} == {
         ("dining", "table-0.30x0.40", 10),
         ("all", "table", 20),
     }
+
+
+def test_the_former_name_of_a_suite_is_understood():
+    assert plan("honest") == plan("extended")
 
 
 def test_pools_seeds_and_patterns_select():
@@ -169,7 +173,7 @@ def test_evaluation_finds_the_runs_by_their_names(tmp_path):
         ["--suite-list"],
         ["--pools", "dining"],
         ["--suite", "paper", "--seed", "1", "--variant", "beta"],
-        ["--suite", "honest", "--support", "bar_table"],
+        ["--suite", "extended", "--support", "bar_table"],
         ["--suite", "paper", "--change", "all"],
         ["--change", "tilt"],
         ["--suite", "all"],

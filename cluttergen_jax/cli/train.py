@@ -54,8 +54,8 @@ class Train:
       eval_action: sampled, or mean (of a ranker's candidates, the best); as `generate` acts if not given.
       memory_limit: GB that the run may need; what is free if not given.
       wandb: send the figures to Weights & Biases too (extra wandb).
-      suite: paper or honest: all policies that the tables of `evaluate --suite` need. Runs that are done are
-        left alone, others are taken up.
+      suite: paper or extended: all policies that the tables of `evaluate --suite` need. Runs that are done
+        are left alone, others are taken up.
       suite_list: only list the suite's runs, with the time that they will take.
       suite_only: only the runs whose names match, such as 'dining-*' or '*-policy-0'.
       pools: of the suite.

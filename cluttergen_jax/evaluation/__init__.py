@@ -1,7 +1,8 @@
-"""Every table and figure: trials, suites of them, and reports.
+"""Every table and figure: trials, studies, suites of them, and reports.
 
-trial: what one row asks. changes: queried regions changed at random. programs, patience, episodes: running
-it. record: its figures. store: results on disk, found again by content. checkpoints: where policies lie.
-lab: all of these together. suites: the tables as data. studies, measuring: running one of them. published:
-the paper's figures. tables, layouts, figures, report, document: what people read.
+trial: what one row asks. resolved: what its names stand for. checkpoints: where policies lie. programs,
+episodes: running it. row: its figures. store: rows on disk, found again by content. runner: all of these.
+studies: one module for each table or figure. suites: which studies there are. running: making them.
+comparison: methods side by side. published: the paper's setting. cells, plots: what studies share.
+report, document: what people read.
 """

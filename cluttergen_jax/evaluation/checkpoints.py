@@ -34,7 +34,7 @@ class Checkpoints:
     def __post_init__(self) -> None:
         if self.folder is not None and not self.folder.is_dir():
             raise ConfigError(
-                f"--checkpoints {self.folder}",
+                f"checkpoints = {str(self.folder)!r}",
                 "a folder of training runs, such as runs",
                 "cluttergen train, which makes runs/POOL-VARIANT-SEED",
             )

@@ -9,9 +9,9 @@ from typing import Any
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.report import markdown
 from cluttergen_jax.evaluation.store import FORMAT
-from cluttergen_jax.evaluation.suites import SUITES, Scale
+from cluttergen_jax.evaluation.suites import FORMER_NAMES, STUDIES, SUITES
 
-_HEADINGS = {"paper": "The paper's tables and figures", "honest": "What the paper does not ask"}
+_HEADINGS = {"paper": "The paper's tables and figures", "extended": "What the paper does not ask"}
 _INTRODUCTION = """# Results
 
 Every number here was written by `python docs/make_results.py` from the JSON files in `docs/results`; a test
@@ -27,7 +27,6 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     Raises:
       ConfigError: a file is damaged, or is no study's result.
     """
-    order = [(suite, study.name) for suite, make in SUITES.items() for study in make(Scale())]
     results = []
     if not folder.is_dir():
         raise ConfigError(f"{folder} is not a folder", "one that `cluttergen evaluate --suite` made")
@@ -41,15 +40,21 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
         if not isinstance(result, dict) or result.get("format") != FORMAT or "suite" not in result:
             raise ConfigError(f"{path} is not the result of a study of format {FORMAT}", hint="removing it")
         results.append(result)
-    known = [result for result in results if (result["suite"], result["name"]) in order]
-    return sorted(known, key=lambda result: order.index((result["suite"], result["name"])))
+    order = list(STUDIES)
+    known = [result for result in results if result["name"] in order]
+    return sorted(known, key=lambda result: order.index(result["name"]))
+
+
+def suite_of(result: dict[str, Any]) -> str:
+    """The suite of a result, by its name of today."""
+    return FORMER_NAMES.get(result["suite"], result["suite"])
 
 
 def document(results: list[dict[str, Any]], notes: str = "", link: str = "results/") -> str:
     """The whole page; `notes`, Markdown, stand at its end."""
     parts = [_INTRODUCTION]
     for suite in SUITES:
-        of_suite = [result for result in results if result["suite"] == suite]
+        of_suite = [result for result in results if suite_of(result) == suite]
         if of_suite:
             parts += [f"## {_HEADINGS[suite]}\n", *(markdown(result, 3, link) for result in of_suite)]
     return "\n".join([*parts, notes] if notes else parts)

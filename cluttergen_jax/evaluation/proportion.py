@@ -6,21 +6,26 @@ import math
 from typing import Any
 
 import numpy as np
-
-_Z95 = 1.959964
+from scipy.stats import binomtest
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """The 95 % interval of a proportion (Wilson, 1927).
-
-    The whole range from 0 to 1 where nothing was tried.
-    """
+    """The 95 % interval of a proportion (Wilson, 1927); from 0 to 1 where nothing was tried."""
     if trials == 0:
         return 0.0, 1.0
-    rate, z2 = successes / trials, _Z95**2
-    centre = rate + z2 / (2 * trials)
-    half = _Z95 * math.sqrt(rate * (1 - rate) / trials + z2 / (4 * trials**2))
-    return (centre - half) / (1 + z2 / trials), (centre + half) / (1 + z2 / trials)
+    found = binomtest(successes, trials).proportion_ci(method="wilson")
+    return float(found.low), float(found.high)
+
+
+def proportion(is_good: np.ndarray) -> dict[str, float]:
+    """The share of bool[N] that is true, with its interval, as a row of results has it."""
+    low, high = wilson(int(is_good.sum()), len(is_good))
+    return {"share": float(is_good.mean()), "low95": low, "high95": high}
+
+
+def finite(value: float) -> float | None:
+    """The figure, or None where it is none: JSON has no NaN."""
+    return float(value) if math.isfinite(value) else None
 
 
 def spread_of(values: np.ndarray) -> dict[str, Any]:

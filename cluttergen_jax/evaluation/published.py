@@ -1,13 +1,13 @@
-"""The paper's own figures, as data: Jia and Chen, "ClutterGen", CoRL 2024.
+"""The paper's setting, and what sets a row apart from it: Jia and Chen, "ClutterGen", CoRL 2024.
 
 Ten objects on a cuboid table of 0.60 x 0.70 x 0.70 m unless said otherwise. Success is the paper's looser
-count: only the object in hand is judged, the others are put back by hand. Stable steps are those of all
-attempts of an object added up.
+count: only the current object is judged, the others are put back by hand. Stable steps are those of all
+attempts of an object added up. The paper's numbers stand in the studies' modules.
 """
 
 from __future__ import annotations
 
-SOURCE = "Jia and Chen, ClutterGen, CoRL 2024"
+from typing import Any
 
 GROUP_OF_POOL = {
     "dining": ("1, dining", "YCB scans"),
@@ -24,76 +24,36 @@ IMPORTED = "paper_"
 TWINS = {"beta": "beta", "policy": "beta"}
 """Methods that are the paper's ClutterGen: with its own head, and with the one that a preset gives it."""
 
-TABLE_1: dict[str, dict[str, tuple[float, int]]] = {
-    "random": {
-        "dining": (0.005, 169),
-        "study": (0.0, 290),
-        "office": (0.0, 171),
-        "kitchen": (0.02, 214),
-        "household": (0.005, 176),
-    },
-    "open_loop": {
-        "dining": (0.212, 139),
-        "study": (0.145, 207),
-        "office": (0.086, 171),
-        "kitchen": (0.232, 165),
-        "household": (0.251, 135),
-    },
-    "short_memory": {
-        "dining": (0.359, 102),
-        "study": (0.414, 111),
-        "office": (0.364, 107),
-        "kitchen": (0.517, 98),
-        "household": (0.602, 83),
-    },
-    "normal": {
-        "dining": (0.925, 74),
-        "study": (0.833, 85),
-        "office": (0.951, 56),
-        "kitchen": (0.969, 51),
-        "household": (0.989, 44),
-    },
-    "beta": {
-        "dining": (0.912, 89),
-        "study": (0.874, 71),
-        "office": (0.963, 60),
-        "kitchen": (0.973, 50),
-        "household": (0.988, 46),
-    },
-}
-"""Success rate and stable steps by method and pool (table 1); `beta` is its ClutterGen."""
-
-TABLE_2 = {
-    "none": 0.99,
-    "translation": 0.89,
-    "rotation": 0.92,
-    "shrinkage": 0.76,
-    "expansion": 0.93,
-    "all": 0.85,
-}
-"""Success under changes of the queried region: group 5, a table of 1.40 x 1.40 x 0.70 m, 500 episodes."""
-
-FURNITURE = 0.70
-"""Success over ten furniture tables and all groups, 50 episodes each."""
-
 OBJECTS = 10
 """Of every scene."""
 
 BUDGET = 2_500_000
 """Environment steps of each training run."""
 
-LEARNING_ATTEMPTS = 2_300_000
-LEARNING_SUCCESS = 0.85
-"""Every group is above this success after so many attempts."""
 
-ATTEMPTS_SENTENCE = "more attempts help up to 5; two or fewer hurt"
-"""What the paper says of the maximum number of attempts."""
+def differs(row: dict[str, Any]) -> str:
+    """What sets a row apart from the paper's; `differences` has the words behind it."""
+    trial, policy = row["trial"], row.get("policy") or {}
+    parts = ["engine", *(["assets"] if trial["pool"] in GROUP_OF_POOL else [])]
+    if trial["num_objects"] != OBJECTS:
+        parts.append(f"{trial['num_objects']} objects for {OBJECTS}")
+    if trial["method"] == "random":
+        parts.append("height")
+    if policy.get("head") not in (None, "beta", "normal"):
+        parts.append(f"head: {policy['head']}")
+    if policy.get("attempts"):
+        parts.append(f"{policy['attempts']:,} training attempts")
+    return ", ".join(parts)
 
 
-def table_1(method: str, pool: str) -> tuple[float, int] | None:
-    """Success and stable steps of table 1 that a row stands beside; None if there are none.
-
-    Args:
-      pool: an embedded one, or the same name after `IMPORTED`.
-    """
-    return TABLE_1.get(TWINS.get(method, method), {}).get(pool.removeprefix(IMPORTED))
+def differences(result: dict[str, Any]) -> tuple[str, ...]:
+    """Notes below a table with a column of `differs`."""
+    pools = dict.fromkeys(row["trial"]["pool"] for row in result["records"])
+    groups = [(pool, *GROUP_OF_POOL[pool]) for pool in pools if pool in GROUP_OF_POOL]
+    engine = f"engine: MuJoCo {result['machine']['versions']['mujoco']} for PyBullet"
+    stands = "; ".join(f"{pool} for group {group} ({assets})" for pool, group, assets in groups)
+    return (
+        f"what differs from the paper: {engine}; its policies had {BUDGET:,} training attempts",
+        *([f"assets: modelled objects, {stands}"] if groups else []),
+        "height: `random` lets go at the object's own resting height",
+    )

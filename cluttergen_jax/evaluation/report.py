@@ -5,18 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.bank.disk import write_atomically
-from cluttergen_jax.evaluation.layouts import LAYOUTS
 from cluttergen_jax.evaluation.machine import sentence
 from cluttergen_jax.evaluation.store import json_bytes
-from cluttergen_jax.evaluation.tables import Table
+from cluttergen_jax.evaluation.suites import STUDIES
+from cluttergen_jax.files import write_atomically
+from cluttergen_jax.tables import Table
 
 Result = dict[str, Any]
 
 
 def tables_of(result: Result) -> list[Table]:
     """The study's tables; if fewer trials were made than it asks for, their titles say so."""
-    tables = LAYOUTS[result["layout"]](result)
+    tables = STUDIES[result["name"]].tables(result)
     return [Table(_title(result, table.title), table.columns, table.rows, table.notes) for table in tables]
 
 

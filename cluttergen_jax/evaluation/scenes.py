@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.evaluation.lab import Lab
+from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.measures.arrangement import by_object
-from cluttergen_jax.world import World, make_world, repeated
+from cluttergen_jax.world import World
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +21,7 @@ class Successes:
       world: the trial's; region: its queried region before any change.
       index: i64[N], which of the trial's scenes they are.
       poses: f64[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
-      arrays: everything that was stored (`record.arrays_of`), failures included.
+      arrays: everything that was stored (`row.arrays_of`), failures included.
     """
 
     world: World
@@ -36,31 +35,23 @@ class Successes:
         return len(self.index)
 
 
-def successes_of(lab: Lab, trial: Trial) -> Successes:
+def successes_of(runner: Runner, trial: Trial) -> Successes:
     """The trial's successful scenes; it is run if need be.
 
     Raises:
       MissingCheckpointError: its policy has not been trained.
     """
-    arrays = lab.arrays(trial)
-    world = world_of(lab, trial)
+    arrays, resolved = runner.arrays(trial), runner.resolve(trial)
+    world = runner.world(resolved)
     poses, is_placed, _ = by_object(
         arrays["object_index"], arrays["is_placed"], arrays["poses"], world.num_objects
     )
     good = arrays["is_success"]
     return Successes(
         world=world,
-        region=lab.base_region(trial),
+        region=resolved.region,
         index=np.flatnonzero(good),
         poses=poses[good],
         is_placed=is_placed[good],
         arrays=arrays,
     )
-
-
-def world_of(lab: Lab, trial: Trial) -> World:
-    """The trial's compiled world, without its physics."""
-    objects = lab.pool(trial.pool).objects
-    if trial.num_objects > len(objects):
-        objects = tuple(repeated(objects, trial.num_objects))
-    return make_world(objects, lab.support(trial.support), StabilityConfig(), ContactConfig())

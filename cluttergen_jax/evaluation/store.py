@@ -6,14 +6,16 @@ import io
 import json
 import os
 import re
+import sys
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.bank.disk import write_atomically
+from cluttergen_jax.files import write_atomically
 
 FORMAT = 1
 
@@ -24,20 +26,24 @@ class Store:
     A file that cannot be read is set aside as `NAME.damaged` and its row is made anew.
 
     Args:
-      root: made when something is written.
+      root: made when something is written; None keeps nothing.
       show: told what is wrong with a file.
     """
 
-    def __init__(self, root: Path, show: Any = print) -> None:
-        self.root, self._show = root, show
+    def __init__(self, root: Path | None, show: Callable[[str], None] | None = None) -> None:
+        self.root = root
+        self._show = show or partial(print, file=sys.stderr)
 
     def path(self, title: str, key: str) -> Path:
         """Where a result lies; its title is for people, its key decides."""
+        assert self.root is not None, "a store that keeps nothing has no files"
         words = re.sub(r"[^a-z0-9.]+", "-", title.lower()).strip("-")
         return self.root / f"{words}-{key}.json"
 
     def read(self, title: str, key: str) -> dict[str, Any] | None:
         """The result, or None if there is none that can be used."""
+        if self.root is None:
+            return None
         path = self.path(title, key)
         try:
             record = json.loads(path.read_text(encoding="utf-8"))
@@ -53,6 +59,8 @@ class Store:
 
     def read_arrays(self, title: str, key: str) -> dict[str, np.ndarray] | None:
         """The result's scenes, or None if they are not there."""
+        if self.root is None:
+            return None
         path = self.path(title, key).with_suffix(".npz")
         try:
             with np.load(path, allow_pickle=False) as stored:
@@ -67,20 +75,25 @@ class Store:
         self, title: str, key: str, record: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
     ) -> dict[str, Any]:
         """Stores a result, its scenes first: where the JSON is, they are too. Returns what was stored."""
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
-        path = self.path(title, key)
-        write_atomically(path.with_suffix(".npz"), buffer.getvalue())
         stored = {"format": FORMAT, "key": key, **record}
-        write_atomically(path, json_bytes(stored))
+        if self.root is not None:
+            buffer = io.BytesIO()
+            np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
+            path = self.path(title, key)
+            write_atomically(path.with_suffix(".npz"), buffer.getvalue())
+            write_atomically(path, json_bytes(stored))
         return stored
 
     def keep(self, title: str, key: str, figures: Any) -> Any:
         """Stores a finding that has no scenes of its own. Returns what was stored."""
-        write_atomically(
-            self.path(title, key), json_bytes({"format": FORMAT, "key": key, "figures": figures})
-        )
+        if self.root is not None:
+            stored = {"format": FORMAT, "key": key, "figures": figures}
+            write_atomically(self.path(title, key), json_bytes(stored))
         return json.loads(json.dumps(figures))
+
+    def remove(self, title: str, key: str) -> None:
+        """Forgets a result, so that it is made anew."""
+        self.path(title, key).unlink(missing_ok=True)
 
     def _set_aside(self, path: Path, problem: str) -> None:
         aside = path.with_name(f"{path.name}.damaged")

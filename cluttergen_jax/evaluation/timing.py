@@ -26,13 +26,13 @@ def main(text: str) -> dict[str, Any]:
         # Before the imports, since threads keep the cores that they were born with.
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: order["cores"]])
     from cluttergen_jax.evaluation.checkpoints import Checkpoints
-    from cluttergen_jax.evaluation.lab import Lab
+    from cluttergen_jax.evaluation.runner import Runner
     from cluttergen_jax.evaluation.store import Store
     from cluttergen_jax.evaluation.trial import Trial
 
     checkpoint = order["checkpoint"] and Path(order["checkpoint"])
-    lab = Lab(Store(Path("unused")), Checkpoints(path=checkpoint), order["engine"], order["cores"])
-    outcome = lab.run(Trial(**order["trial"]))
+    runner = Runner(Store(None), Checkpoints(path=checkpoint), order["engine"], order["cores"])
+    outcome = runner.run(runner.resolve(Trial(**order["trial"])))
     valid = int(outcome.scenes.is_success.sum())
     whole = time.perf_counter() - started
     return {

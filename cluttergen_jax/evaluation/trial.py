@@ -30,7 +30,7 @@ class Trial:
       repeat: let objects stand there more than once.
       whole_attempts: run attempts to step 240 even when they can no longer succeed, so that stable steps are
         counted as the paper counts them. Verdicts are the same.
-      paper_count: run it a second time with the paper's looser count (only the object in hand is judged, the
+      paper_count: run it a second time with the paper's looser count (only the current object is judged, the
         others are put back by hand, no last check).
       min_margin: metres of support margin asked of what is placed; 0 asks for nothing, as the paper does.
     """
@@ -52,9 +52,9 @@ class Trial:
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials <= MAX_TRIALS:
-            raise ConfigError(f"{self.trials} trials", f"1 to {MAX_TRIALS}", "--trials 1000")
+            raise ConfigError(f"trials = {self.trials}", f"1 to {MAX_TRIALS}", "trials=1000")
         if not 0 <= self.seed < 2**32:
-            raise ConfigError(f"seed {self.seed}", "0 to 4294967295")
+            raise ConfigError(f"seed = {self.seed}", "0 to 4294967295")
         find_change(self.change)
 
     @property
@@ -64,7 +64,7 @@ class Trial:
 
     @property
     def pool_name(self) -> str:
-        """Without its folder: where a pool lies is nobody's business in a table."""
+        """Without its folder, which a table does not show."""
         return public_name(self.pool)
 
     @property

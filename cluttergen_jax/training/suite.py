@@ -80,7 +80,7 @@ def _paper(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
     return runs
 
 
-def _honest(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
+def _extended(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
     """The ladder's variants, the ranker on its tightest table, and crowds of all objects; one seed each."""
     if seed != SEEDS[0]:
         return []
@@ -92,4 +92,5 @@ def _honest(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
     ]
 
 
-SUITES = {"paper": _paper, "honest": _honest}
+SUITES = {"paper": _paper, "extended": _extended, "honest": _extended}
+"""`honest` is the former name of `extended`."""

@@ -1,0 +1,93 @@
+"""Cells of tables: shares, intervals and figures as text, and columns that know how to fill theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from cluttergen_jax.tables import Table
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A heading, and what a row shows below it.
+
+    Attributes:
+      cell: the row's text.
+      is_asked: known before the row is made, and so shown where its figures are missing, too.
+    """
+
+    heading: str
+    cell: Callable[[Row], str]
+    is_asked: bool = False
+
+
+def asked(*names: str, **headings: str) -> tuple[Column, ...]:
+    """Columns of what a row's trial asks; `headings` names some otherwise than their field."""
+
+    def column(name: str, heading: str) -> Column:
+        return Column(heading, lambda row: str(row.get("trial", row)[name]), is_asked=True)
+
+    return (*(column(n, n) for n in names), *(column(n, heading) for n, heading in headings.items()))
+
+
+HEAD = (*asked("pool", support="table"), *asked("method"))
+"""The first columns of tables about finished scenes."""
+
+
+def table_of(title: str, columns: Sequence[Column], rows: Iterable[Row], notes: Iterable[str] = ()) -> Table:
+    """A line for each row; one whose figures are missing says why in the first column that it cannot fill."""
+    return Table(
+        title,
+        tuple(column.heading for column in columns),
+        tuple(_line(columns, row) for row in rows),
+        tuple(notes),
+    )
+
+
+def _line(columns: Sequence[Column], row: Row) -> tuple[str, ...]:
+    if "missing" not in row:
+        return tuple(column.cell(row) for column in columns)
+    why = iter([missing(row)])
+    return tuple(column.cell(row) if column.is_asked else next(why, "-") for column in columns)
+
+
+def share(value: float | None) -> str:
+    """A proportion with three digits."""
+    return "-" if value is None else f"{value:.3f}"
+
+
+def interval(value: float, low: float, high: float) -> str:
+    """A proportion with its 95 % interval."""
+    return f"{value:.3f} [{low:.3f}, {high:.3f}]"
+
+
+def share_of(row: Row, name: str = "success") -> str:
+    """A row's proportion with its own interval."""
+    return interval(row[name], row["low95"], row["high95"])
+
+
+def number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:
+    """A figure times `scale`; a dash where there is none."""
+    return "-" if value is None else f"{value * scale:,.{digits}f}"
+
+
+def mean_and_spread(spread: dict) -> str:
+    """Mean and standard deviation of `proportion.spread_of`."""
+    if spread["mean"] is None:
+        return "-"
+    return f"{spread['mean']:.1f} ± {spread['std']:.1f}"
+
+
+SPEED = Column(
+    "valid scenes per CPU-second", lambda row: number(row["figures"]["valid_scenes_per_cpu_second"])
+)
+
+
+def missing(row: Row) -> str:
+    """Why there is no figure, and what to do about it."""
+    hint = row.get("hint")
+    return f"{row['missing']}; train it: {hint}" if hint else row["missing"]

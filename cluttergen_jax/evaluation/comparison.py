@@ -1,0 +1,174 @@
+"""Methods side by side: the rows and the table of `cluttergen_jax.evaluate`."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cluttergen_jax.assets.pool import composed
+from cluttergen_jax.baselines import METHODS as BASELINES
+from cluttergen_jax.config import check_workers
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.evaluation.cells import SPEED, Column, Row, asked, number, share, share_of, table_of
+from cluttergen_jax.evaluation.checkpoints import Checkpoints
+from cluttergen_jax.evaluation.runner import Runner
+from cluttergen_jax.evaluation.store import Store, json_bytes
+from cluttergen_jax.evaluation.studies.study import grid
+from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.files import write_atomically
+from cluttergen_jax.tables import Table
+
+DEFAULT_METHODS = tuple(BASELINES)
+DEFAULT_TRIALS = 1000
+_FIGURES = (
+    "success",
+    "low95",
+    "high95",
+    "filled",
+    "placed",
+    "attempts_per_valid_scene",
+    "simulated_steps_per_valid_scene",
+    "valid_scenes_per_cpu_second",
+    "valid_scenes_per_second",
+    "seconds",
+    "compile_seconds",
+)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What became of methods on pools and supports.
+
+    Attributes:
+      rows: one flat dict each: `pool`, `support`, `objects`, `method`, `trials`, figures such as `success`,
+        `low95` and `placed`, and `missing`, which says why there are none.
+      table: the same for people; speeds leave compilation out.
+    """
+
+    rows: list[dict[str, Any]]
+    table: Table
+
+    def write(self, folder: Path) -> None:
+        """Writes table.md, table.csv (all digits), table.tex and results.json."""
+        text = io.StringIO()
+        writer = csv.DictWriter(text, fieldnames=list(self.rows[0]))
+        writer.writeheader()
+        writer.writerows(self.rows)
+        write_atomically(folder / "table.md", (self.table.markdown() + "\n").encode())
+        write_atomically(folder / "table.csv", text.getvalue().encode())
+        write_atomically(folder / "table.tex", self.table.latex().encode())
+        write_atomically(folder / "results.json", json_bytes(self.rows))
+
+
+def evaluate(
+    methods: Sequence[str] = DEFAULT_METHODS,
+    pools: Sequence[str] = ("dining",),
+    supports: Sequence[str] = ("table",),
+    *,
+    num_objects: int = 10,
+    trials: int = DEFAULT_TRIALS,
+    seed: int = 0,
+    attempts: int = 5,
+    repeat: bool = False,
+    change: str = "none",
+    exclude: Sequence[str] = (),
+    checkpoint: str | Path | None = None,
+    checkpoints: str | Path | None = None,
+    engine: str = "auto",
+    num_threads: int = 0,
+    fresh: bool = False,
+    out: str | Path | None = None,
+) -> Comparison:
+    """Compares methods: success rates with 95 % intervals, objects placed, effort and speed.
+
+    Args:
+      methods: names of `methods.METHODS`; learned ones take an embedded policy, or `checkpoint`, its folder,
+        or the right one in `checkpoints`, a folder of training runs.
+      pools, supports: names or folders.
+      num_objects: per scene; attempts: per object.
+      trials: scenes per row; seed: of the scenes.
+      repeat: let objects stand there more than once.
+      change: how the queried region is changed at random in every episode, a name of `changes.CHANGES`.
+      exclude: names of objects to leave out of each pool.
+      engine: "auto", "native", "warp" or "jax"; num_threads: of the native engine, 0 for every core.
+      out: a folder for the table and the rows. Rows that lie there from before are not made again unless
+        `fresh` is set; with None nothing is written.
+
+    Raises:
+      ConfigError: a setting is outside its range, or there is no such method.
+      PoolError: there is no such pool or support, or no policy for any of the rows.
+    """
+    check_workers("num_threads", num_threads)
+    for name, given in (("methods", methods), ("pools", pools), ("supports", supports)):
+        if not given:
+            raise ConfigError(f"{name} = ()", "one name or more")
+    base = Trial(
+        num_objects=num_objects, attempts=attempts, trials=trials, seed=seed, repeat=repeat, change=change
+    )
+    named = [composed(pool, exclude) for pool in pools]
+    planned = grid(base, pool=named, support=supports, method=methods)
+    folder = None if out is None else Path(out)
+    runner = open_runner(folder, planned, checkpoint, checkpoints, engine, num_threads, fresh)
+    rows = [runner.row(trial) for trial in planned]
+    if all("figures" not in row for row in rows):
+        raise PoolError(rows[0]["missing"], hint=rows[0]["hint"])
+    found = Comparison([_flat(row) for row in rows], _table(rows))
+    if folder is not None:
+        found.write(folder)
+    return found
+
+
+def open_runner(
+    folder: Path | None,
+    trials: Sequence[Trial],
+    checkpoint: str | Path | None,
+    checkpoints: str | Path | None,
+    engine: str,
+    num_threads: int,
+    fresh: bool,
+) -> Runner:
+    """A runner that knows how much is left to do; what cannot be found is said before anything runs."""
+    where = Checkpoints(
+        folder=None if checkpoints is None else Path(checkpoints),
+        path=None if checkpoint is None else Path(checkpoint),
+    )
+    runner = Runner(Store(folder and folder / "results"), where, engine, num_threads, fresh)
+    runner.plan(trials)
+    if folder is not None:
+        # Before hours of work: a place that cannot be written to.
+        folder.mkdir(parents=True, exist_ok=True)
+    return runner
+
+
+def _flat(row: Row) -> dict[str, Any]:
+    """A row with its figures beside what its trial asks."""
+    trial, figures = row["trial"], row.get("figures", {})
+    head = {
+        "pool": trial["pool"],
+        "support": trial["support"],
+        "objects": trial["num_objects"],
+        "method": trial["method"],
+        "trials": trial["trials"],
+    }
+    return head | {name: figures.get(name) for name in _FIGURES} | {"missing": row.get("missing")}
+
+
+def _table(rows: list[Row]) -> Table:
+    figures = (
+        Column("success [95 %]", lambda row: share_of(row["figures"])),
+        Column("filled", lambda row: share(row["figures"]["filled"])),
+        Column("placed", lambda row: number(row["figures"]["placed"], 2)),
+        Column("attempts per valid scene", _effort),
+        SPEED,
+    )
+    head = (*asked("pool", "support", num_objects="objects"), *asked("method"))
+    return table_of(f"{rows[0]['trial']['trials']} trials a row", (*head, *figures), rows)
+
+
+def _effort(row: Row) -> str:
+    figures = row["figures"]
+    return number(figures["attempts_per_valid_scene"]) if figures["success"] else "-"

@@ -1,0 +1,244 @@
+"""Runs trials and keeps their rows: worlds, compiled programs and what trials name are made once."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError, train_command
+from cluttergen_jax.evaluation.episodes import Outcome, run_episodes
+from cluttergen_jax.evaluation.patience import PatientPhysics, PatientRules
+from cluttergen_jax.evaluation.programs import Programs
+from cluttergen_jax.evaluation.resolved import ResolvedTrial, Resolver
+from cluttergen_jax.evaluation.row import arrays_of, figures_of
+from cluttergen_jax.evaluation.store import Store
+from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.methods import proposer_of, suited
+from cluttergen_jax.physics import make_physics
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.problem import Problem, ProblemConfig, compose
+from cluttergen_jax.progress import Progress, interruptible
+from cluttergen_jax.sampling import BlockSampler
+from cluttergen_jax.world import World
+
+Row = dict[str, Any]
+_KEPT_SETUPS = 4
+
+
+@dataclass(eq=False)
+class Runner:
+    """Runs trials and remembers them.
+
+    Attributes:
+      store: results on disk.
+      checkpoints: where policies are.
+      engine: "auto", "native", "warp" or "jax"; num_threads: of the native engine, 0 for every core.
+      is_fresh: do not use rows that were kept.
+    """
+
+    store: Store
+    checkpoints: Checkpoints = field(default_factory=Checkpoints)
+    engine: str = "auto"
+    num_threads: int = 0
+    is_fresh: bool = False
+
+    def __post_init__(self) -> None:
+        self.programs = Programs()
+        self.resolve = Resolver(self.checkpoints, self.engine).resolve
+        self.progress = Progress("evaluating", 0, "scene")
+        self._setups: OrderedDict[Any, Problem] = OrderedDict()
+        self._made: set[str] = set()
+        self._num_rows = self._num_done = 0
+
+    def plan(self, trials: Iterable[Trial]) -> None:
+        """Counts the rows that are to be made and says so; progress is shown from now on.
+
+        Raises:
+          ClutterGenError: a trial names a pool, support or method that does not exist.
+        """
+        stored = {trial: self.stored_row(trial) for trial in trials}
+        rows = {trial: row for trial, row in stored.items() if "missing" not in (row or {})}
+        kept = [trial for trial, row in rows.items() if row is not None]
+        total, done = (sum(trial.num_episodes for trial in some) for some in (rows, kept))
+        self.progress = Progress("evaluating", total, "scene", done)
+        self._num_rows, self._num_done = len(rows), len(kept)
+        self.say(f"{len(rows)} rows, {len(kept)} kept from before, {len(rows) - len(kept)} to be made")
+
+    def say(self, text: str) -> None:
+        """Tells the user something, above the bar."""
+        self.progress.say(text)
+
+    def begin(self, title: str) -> None:
+        """Tells the user what is done now."""
+        self.progress.rename(title)
+        self._tell(title, "begins")
+
+    def stored_row(self, trial: Trial) -> Row | None:
+        """The trial's row, if it was made before (or cannot be made for want of a checkpoint)."""
+        try:
+            key = self.resolve(trial).key
+        except MissingCheckpointError as error:
+            return _missing(trial, error)
+        if self.is_fresh and key not in self._made:
+            return None
+        return self.store.read(trial.title, key)
+
+    def row(self, trial: Trial) -> Row:
+        """The trial's row: from disk, or made now.
+
+        Returns:
+          `trial`, `sources`, `policy` and `figures` (`row.figures_of`; `paper` among them is the looser
+          count); or `trial`, `missing` and `hint` if its checkpoint is missing.
+        """
+        known = self.stored_row(trial)
+        if known is not None:
+            return known
+        resolved = self.resolve(trial)
+        self.begin(trial.title)
+        try:
+            strict = self.run(resolved)
+            figures = figures_of(strict)
+            if trial.paper_count:
+                loose = self.run(resolved, judge_neighbours=False)
+                figures["paper"] = figures_of(loose, has_last_check=False)
+        except MissingCheckpointError as error:
+            self._finish(trial, str(error))
+            return _missing(trial, error)
+        row = {
+            "trial": trial.shown(),
+            "sources": resolved.sources,
+            "policy": resolved.policy,
+            "figures": figures,
+        }
+        stored = self.store.write(trial.title, resolved.key, row, arrays_of(strict))
+        self._made.add(resolved.key)
+        self._finish(trial, f"success {figures['success']:.3f}, {figures['placed']:.2f} objects placed")
+        return stored
+
+    def _finish(self, trial: Trial, text: str) -> None:
+        self._num_done += 1
+        self._tell(trial.title, text)
+
+    def _tell(self, title: str, text: str) -> None:
+        self.say(f"[{self._num_done} of {self._num_rows} rows, {self.progress.times()}] {title}: {text}")
+
+    def arrays(self, trial: Trial) -> dict[str, np.ndarray]:
+        """The scenes and attempts of a trial (`row.arrays_of`), made now if they are not there.
+
+        Raises:
+          MissingCheckpointError: its policy has not been trained.
+        """
+        key = self.resolve(trial).key
+        self.row(trial)
+        arrays = self.store.read_arrays(trial.title, key)
+        if arrays is None:
+            self.store.remove(trial.title, key)
+            self.row(trial)
+            arrays = self.store.read_arrays(trial.title, key)
+        assert arrays is not None, "what was just written cannot be read"
+        return arrays
+
+    def measured(self, trial: Trial, what: str, make: Callable[[], Row]) -> Row:
+        """What `make` finds out about a trial's scenes: from disk, or now.
+
+        Args:
+          what: the measure's name, and all but the trial that decides what it finds.
+        """
+        key, title = self.resolve(trial).key, f"{what} of {trial.title}"
+        known = None if self.is_fresh else self.store.read(title, key)
+        if known is not None:
+            return known["figures"]
+        self.begin(title)
+        figures = self.store.keep(title, key, interruptible(make))
+        self.say(f"{title}: done")
+        return figures
+
+    def run(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> Outcome:
+        """The trial's episodes, whatever was kept."""
+        trial = resolved.trial
+        sampler = self.sampler(resolved, judge_neighbours)
+        return run_episodes(self.programs, sampler, trial.trials, trial.seed, self.progress.update)
+
+    def sampler(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> BlockSampler:
+        """The trial's method in its setup.
+
+        Raises:
+          MissingCheckpointError: its checkpoint cannot be used here.
+        """
+        rules = self.setup(resolved, judge_neighbours).rules
+        with _usable(resolved):
+            propose = proposer_of(resolved.trial.method, resolved.checkpoint, rules)
+        return BlockSampler(rules, propose)
+
+    def setup(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> Problem:
+        """The trial's compiled world and rules, ready for shared programs."""
+        trial, base = resolved.trial, self._base_setup(resolved)
+        stability = StabilityConfig(
+            stop_when_decided=resolved.is_cut and not trial.whole_attempts, judge_neighbours=judge_neighbours
+        )
+        engine = make_physics(base.world.layout, stability, self.engine, self.num_threads)
+        physics = self.programs.switched(engine)
+        with _usable(resolved):
+            config = suited(base.rules.config, resolved.checkpoint)
+        rules = replace(base.rules, config=config, physics=physics)
+        if resolved.is_cut and trial.whole_attempts:
+            rules = PatientRules(**vars(rules) | {"physics": PatientPhysics(physics)})
+        return replace(base, config=replace(base.config, stability=stability), rules=rules)
+
+    def world(self, resolved: ResolvedTrial) -> World:
+        """The trial's compiled world."""
+        return self._base_setup(resolved).world
+
+    def _base_setup(self, resolved: ResolvedTrial) -> Problem:
+        """The trial's setup but for method and stability; the latest few are kept."""
+        trial = resolved.trial
+        config = ProblemConfig(
+            pool=trial.pool,
+            repeat=trial.repeat,
+            support=trial.support,
+            region=resolved.region,
+            change=trial.change,
+            engine=self.engine,
+            num_threads=self.num_threads,
+            placement=PlacementConfig(
+                num_objects=trial.num_objects, max_attempts=trial.attempts, min_margin=trial.min_margin
+            ),
+        )
+        if config not in self._setups:
+            self._setups[config] = compose(resolved.pool.objects, resolved.support, config)
+            if len(self._setups) > _KEPT_SETUPS:
+                self._setups.popitem(last=False)
+        self._setups.move_to_end(config)
+        return self._setups[config]
+
+
+@contextmanager
+def _usable(resolved: ResolvedTrial) -> Iterator[None]:
+    """A checkpoint that cannot be used makes a row that is missing: the suite goes on.
+
+    A record of an older version may lack settings, or hold some that no network knows any more.
+    """
+    try:
+        yield
+    except (ClutterGenError, TypeError, KeyError) as error:
+        checkpoint = resolved.checkpoint
+        if checkpoint is None:
+            raise
+        # Results name no folders.
+        name = f"{checkpoint.parent.name}/{checkpoint.name}"
+        given = error.given if isinstance(error, ClutterGenError) else f"{type(error).__name__}: {error}"
+        raise MissingCheckpointError(
+            f"checkpoint {name} cannot be used: {given.replace(str(checkpoint), name)}",
+            hint=train_command(resolved.trial),
+        ) from error
+
+
+def _missing(trial: Trial, error: MissingCheckpointError) -> Row:
+    return {"trial": trial.shown(), "missing": error.given, "hint": error.hint}

@@ -1,0 +1,186 @@
+"""Runs suites and their studies: trials, measures, pictures; the result of a study is plain JSON."""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import json
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from cluttergen_jax.assets.pool import find_pool, list_pools
+from cluttergen_jax.config import check_workers
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation.checkpoints import MissingCheckpointError
+from cluttergen_jax.evaluation.comparison import open_runner
+from cluttergen_jax.evaluation.document import document
+from cluttergen_jax.evaluation.machine import machine
+from cluttergen_jax.evaluation.published import IMPORTED, OBJECTS
+from cluttergen_jax.evaluation.report import write_report
+from cluttergen_jax.evaluation.runner import Runner
+from cluttergen_jax.evaluation.store import FORMAT
+from cluttergen_jax.evaluation.studies.study import Measure, Result, Scale, Study
+from cluttergen_jax.evaluation.studies.time import TIME
+from cluttergen_jax.evaluation.suites import FORMER_NAMES, find_suite
+from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.files import inside, write_atomically
+
+_SHOWN = ("trial", "policy", "figures", "missing", "hint")
+
+
+def evaluate_suite(
+    suite: str = "paper",
+    *,
+    only: Sequence[str] = (),
+    quick: bool = False,
+    methods: Sequence[str] = (),
+    pools: Sequence[str] = (),
+    trials: int | None = None,
+    seed: int = 0,
+    seeds: int | None = None,
+    checkpoint: str | Path | None = None,
+    checkpoints: str | Path | None = None,
+    engine: str = "auto",
+    num_threads: int = 0,
+    fresh: bool = False,
+    out: str | Path | None = None,
+    on_study: Callable[[Result], None] = lambda result: None,
+) -> list[Result]:
+    """Makes the tables and figures of a suite, and writes each as it is done.
+
+    Args:
+      suite: "paper" (its tables and figures) or "extended" (what it does not ask).
+      only: names of studies; all of them if empty.
+      quick: a few trials a row: the whole paper suite in minutes.
+      methods: whose rows are made; pools: names or folders; what each study asks for if empty.
+      trials: scenes per row; what each study asks for if None. seed: of the scenes.
+      seeds: training seeds where a table asks for several, 3 if None, 1 if quick.
+      checkpoint, checkpoints, engine, num_threads, fresh: as for `evaluate`.
+      out: where everything goes; out/SUITE if None. Rows that lie there from before are not made again.
+      on_study: is given each result as it is done.
+
+    Returns:
+      The results as they are stored in NAME.json; `report.tables_of` makes tables of one.
+
+    Raises:
+      ConfigError: a setting is outside its range, or there is no such suite, study or method.
+      PoolError: there is no such pool.
+    """
+    check_workers("num_threads", num_threads)
+    if seeds is not None and not 1 <= seeds <= 100:
+        raise ConfigError(f"seeds = {seeds}", "1 to 100")
+    folder = suite_folder(suite, quick) if out is None else Path(out)
+    scale = Scale(quick, trials, seeds, tuple(pools), tuple(methods), seed, imported_pools())
+    planned = find_suite(suite, scale, only)
+    rows = [trial for each in planned if each.study is not TIME for trial in each.trials]
+    runner = open_runner(folder, rows, checkpoint, checkpoints, engine, num_threads, fresh)
+    if suite in FORMER_NAMES:
+        suite = FORMER_NAMES[suite]
+        runner.say(f"note: this suite is now called {suite}; its former name is understood in this release")
+    results = []
+    for each in planned:
+        command = command_of(suite, each.name, scale, runner)
+        result = run_study(runner, each.study, each.trials, folder, suite, command, quick)
+        write_report(result, folder)
+        on_study(result)
+        results.append(result)
+    write_atomically(folder / "all.md", document(results, link="").encode())
+    return results
+
+
+def suite_folder(suite: str, quick: bool) -> Path:
+    """Where a suite goes if nothing else is said."""
+    return Path("out", f"{suite}-quick" if quick else suite)
+
+
+def imported_pools() -> tuple[tuple[str, int], ...]:
+    """Pools of the paper's own objects that are at hand, and how many a scene of each has."""
+    names = [name for name in list_pools() if name.startswith(IMPORTED)]
+    return tuple((name, min(OBJECTS, len(find_pool(name)))) for name in names)
+
+
+def command_of(suite: str, study: str, scale: Scale, runner: Runner) -> str:
+    """The command that makes one study again."""
+    options = {
+        "methods": scale.methods,
+        "checkpoint": runner.checkpoints.path,
+        "checkpoints": runner.checkpoints.folder,
+        "pools": scale.pools,
+        "trials": scale.trials,
+        "seed": scale.seed,
+        "suite": suite,
+        "quick": scale.quick,
+        "seeds": scale.seeds,
+        "engine": None if runner.engine == "auto" else runner.engine,
+        "threads": runner.num_threads,
+        "only": study,
+    }
+    words = ["cluttergen evaluate"]
+    for name, value in options.items():
+        if value:
+            values = value if isinstance(value, tuple) else () if value is True else (value,)
+            words.append(" ".join([f"--{name}", *(shlex.quote(str(each)) for each in values)]))
+    return " ".join(words)
+
+
+def run_study(
+    runner: Runner, study: Study, trials: Sequence[Trial], folder: Path, suite: str, command: str, quick: bool
+) -> Result:
+    """Runs what was not kept from before.
+
+    Args:
+      folder: where pictures go; findings of measures lie in its `results`, beside the rows of trials.
+      command: what a reader would type to make the study again.
+      quick: fewer trials were made than the study asks for, on purpose.
+    """
+    runner.say(f"{study.name}: {study.title}")
+    rows = [] if study.measure else [runner.row(trial) for trial in trials]
+    measure = study.measure or study.renders
+    findings = _findings(runner, study, trials, folder, measure) if measure else None
+    made = [row for row in rows if "figures" in row]
+    plots = study.plot(made, folder / study.name) if study.plot and made else []
+    return {
+        "format": FORMAT,
+        "suite": suite,
+        "name": study.name,
+        "title": study.title,
+        "command": command,
+        "quick": quick,
+        "size": study.size,
+        "trials": sorted({trial.trials for trial in trials}),
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "machine": machine(),
+        "records": [{name: row[name] for name in _SHOWN if name in row} for row in rows],
+        "measure": findings,
+        "pictures": [*(findings["pictures"] if findings else []), *plots],
+    }
+
+
+def _findings(
+    runner: Runner, study: Study, trials: Sequence[Trial], folder: Path, measure: Measure
+) -> dict[str, Any]:
+    """The measure's findings: those that were kept if they are of the same trials, else made now."""
+    stem = folder / study.name
+    if study.keeps_each:
+        return asdict(measure(runner, trials, stem))
+    key, title = _findings_key(runner, study, trials), f"measure {study.name}"
+    stored = None if runner.is_fresh else runner.store.read(title, key)
+    if stored and all(inside(folder, name).is_file() for name in stored["figures"]["pictures"]):
+        return stored["figures"]
+    runner.begin(f"measuring {study.name}")
+    return runner.store.keep(title, key, asdict(measure(runner, trials, stem)))
+
+
+def _findings_key(runner: Runner, study: Study, trials: Sequence[Trial]) -> str:
+    """Equal for equal trials of equal content, checkpoints that are missing included."""
+    parts: list[Any] = [study.measured_as or study.name]
+    for trial in trials:
+        try:
+            parts.append(runner.resolve(trial).key)
+        except MissingCheckpointError as error:
+            parts.append([asdict(trial), str(error)])
+        parts.append(study.depends_on(runner, trial))
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]

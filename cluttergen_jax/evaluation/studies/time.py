@@ -1,0 +1,71 @@
+"""Wall time per valid scene, each trial in a process of its own from start to finish."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from cluttergen_jax.evaluation.cells import Column, asked, number, table_of
+from cluttergen_jax.evaluation.checkpoints import MissingCheckpointError
+from cluttergen_jax.evaluation.runner import Runner
+from cluttergen_jax.evaluation.studies.study import Findings, Result, Scale, Study, grid, row_of
+from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.methods import METHODS
+from cluttergen_jax.tables import Table
+
+
+def trials(scale: Scale) -> tuple[Trial, ...]:
+    """All methods, one after another."""
+    return grid(scale.trial(256, 8), pool=scale.chosen("dining"), method=METHODS)
+
+
+def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
+    """On one core, and on all of them."""
+    rows = []
+    for trial in trials:
+        try:
+            checkpoint = runner.checkpoints.find(trial)
+        except MissingCheckpointError as error:
+            rows.append(row_of(trial, missing=error.given, hint=error.hint))
+            continue
+        for cores in dict.fromkeys((1, os.cpu_count() or 1)):
+            runner.begin(f"time of {trial.title} on {cores} cores")
+            order = {"trial": asdict(trial), "cores": cores, "engine": runner.engine}
+            order["checkpoint"] = None if checkpoint is None else str(checkpoint)
+            rows.append(row_of(trial, **_timed(order)))
+    return Findings(rows)
+
+
+def _timed(order: dict[str, Any]) -> dict[str, Any]:
+    """What `timing.main` prints, run in a process that sees so many cores."""
+    command = [sys.executable, "-m", "cluttergen_jax.evaluation.timing", json.dumps(order)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        return {"missing": f"the timed process failed: {done.stderr.strip().splitlines()[-1:]}"}
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def tables(result: Result) -> list[Table]:
+    """Seconds per scene."""
+    columns = (
+        *asked("pool", "method"),
+        Column("cores", lambda row: str(row.get("cores", "-")), is_asked=True),
+        Column("valid scenes", lambda row: f"{row['valid']} of {row['scenes']}"),
+        Column("whole process, s", lambda row: number(row["seconds"])),
+        Column("s per valid scene", lambda row: number(row["seconds_per_valid_scene"], 4)),
+        Column("without start, s", lambda row: number(row["running_seconds_per_valid_scene"], 4)),
+    )
+    notes = (
+        "wall time of a process of its own, from its first import to its last scene; the last column leaves "
+        "out imports, models and compilation; rejected work is included in both",
+    )
+    return [table_of(result["title"], columns, result["measure"]["rows"], notes)]
+
+
+TIME = Study("time", "Time per valid scene, end to end", 256, trials, tables, measure, measured_as="timing")

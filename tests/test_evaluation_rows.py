@@ -1,0 +1,150 @@
+"""Rows of trials: kept on disk, found again by content, missing where a policy is."""
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError
+from cluttergen_jax.evaluation.runner import Runner
+from cluttergen_jax.evaluation.store import Store
+from cluttergen_jax.evaluation.trial import Trial, key_of
+from cluttergen_jax.policies.embedded import list_policies
+
+SMALL = Trial(num_objects=2, trials=6)
+
+
+def test_keys_follow_content():
+    sources = {"pool": "a", "checkpoint": None}
+    assert key_of(SMALL, sources) == key_of(dataclasses.replace(SMALL), dict(sources))
+    others = [dataclasses.replace(SMALL, seed=1), dataclasses.replace(SMALL, attempts=4)]
+    keys = {key_of(each, sources) for each in [SMALL, *others]} | {key_of(SMALL, sources | {"pool": "b"})}
+    assert len(keys) == 4
+    # A pool that lies elsewhere is the same pool: its hash is among the sources.
+    assert key_of(dataclasses.replace(SMALL, pool="copy/of/dining"), sources) == key_of(SMALL, sources)
+
+
+@pytest.mark.parametrize(
+    ("trial", "name"),
+    [
+        (SMALL, "dining-table-random-2-objects-5-attempts-8fff4ec1035933495acc.json"),
+        (
+            Trial(method="policy", training_seed=1, change="all", min_margin=0.003),
+            "dining-table-policy-seed-1-all-margin-3-mm-10-objects-5-attempts-af446eb5cd85e0ca7df7.json",
+        ),
+    ],
+)
+def test_rows_of_earlier_versions_are_found_again(tmp_path, trial, name):
+    key = key_of(trial, {"pool": "a", "checkpoint": None})
+    assert Store(tmp_path).path(trial.title, key) == tmp_path / name
+
+
+def test_a_store_without_a_folder_keeps_nothing():
+    store = Store(None)
+    assert store.write("row", "k", {"figures": {}}, {})["figures"] == {}
+    assert store.keep("row", "k", {"a": (1, 2)}) == {"a": [1, 2]}
+    assert store.read("row", "k") is store.read_arrays("row", "k") is None
+
+
+def test_store_sets_damaged_files_aside(tmp_path):
+    said = []
+    store = Store(tmp_path, said.append)
+    assert store.read("row", "k") is None
+    store.write("row", "k", {"figures": {"success": 1.0}}, {"poses": np.ones(3)})
+    assert store.read("row", "k")["figures"] == {"success": 1.0}
+    np.testing.assert_array_equal(store.read_arrays("row", "k")["poses"], np.ones(3))
+    for path in (store.path("row", "k"), store.path("row", "k").with_suffix(".npz")):
+        path.write_bytes(path.read_bytes()[:20])
+    assert store.read("row", "k") is None
+    assert store.read_arrays("row", "k") is None
+    assert len(said) == 2
+    assert len(list(tmp_path.glob("*.damaged"))) == 2
+
+
+@pytest.fixture(scope="module")
+def runner(tmp_path_factory):
+    return Runner(Store(tmp_path_factory.mktemp("results")))
+
+
+def test_rows_are_kept_with_both_counts(runner):
+    trial = dataclasses.replace(SMALL, paper_count=True, whole_attempts=True)
+    row = runner.row(trial)
+    assert runner.row(trial) == row == runner.stored_row(trial)
+    figures = row["figures"]
+    assert figures["paper"]["trials"] == figures["trials"] == 6
+    # Nothing is judged less strictly than the paper's count, and two objects never fail it here.
+    assert figures["paper"]["success"] >= figures["success"]
+    arrays = runner.arrays(trial)
+    assert arrays["is_success"].mean() == figures["success"]
+    assert arrays["poses"].shape == (6, 2, 7)
+
+
+def test_whole_attempts_change_steps_and_no_verdict(runner):
+    trials = (SMALL, dataclasses.replace(SMALL, whole_attempts=True))
+    cut, whole = (runner.run(runner.resolve(each)) for each in trials)
+    np.testing.assert_array_equal(cut.scenes.is_success, whole.scenes.is_success)
+    np.testing.assert_array_equal(cut.scenes.T_world_object, whole.scenes.T_world_object)
+    assert (cut.scenes.counts.steps <= whole.scenes.counts.steps).all()
+    assert cut.attempts.steps.max() <= 60
+
+
+def test_changed_regions_are_where_objects_go(runner):
+    trial = dataclasses.replace(SMALL, support="table-1.40x1.40", region=(0.2, 0.2), change="translation")
+    episode = runner.setup(runner.resolve(trial)).rules.begin(jax.random.key(4))
+    center = np.asarray(episode.region.T_world_region.translation())[:2]
+    assert 0 < np.abs(center).max() <= 0.15
+    np.testing.assert_allclose(episode.region.half_extents, [0.1, 0.1], atol=1e-6)
+
+
+def test_missing_checkpoints_are_rows_of_their_own(runner, tmp_path):
+    trial = dataclasses.replace(SMALL, method="policy", pool="study", training_seed=41)
+    record = runner.row(trial)
+    assert "no checkpoint" in record["missing"]
+    assert record["hint"] == "cluttergen train --pool study --variant policy --seed 41 --num-objects 2"
+    other = dataclasses.replace(trial, training_seed=0, attempts=3)
+    # A folder of runs hides what is embedded.
+    elsewhere = Runner(Store(tmp_path / "runs"), Checkpoints(folder=tmp_path))
+    assert "--attempts 3 --out runs/study-policy-attempts3-0" in elsewhere.row(other)["hint"]
+    # A given checkpoint is no other method's.
+    given = Runner(Store(tmp_path / "given"), Checkpoints(path=list_policies()["dining-normal"]))
+    assert given.checkpoints.find(dataclasses.replace(SMALL, method="policy-clear")) is not None
+    with pytest.raises(MissingCheckpointError, match="trained as 'normal'"):
+        given.checkpoints.find(dataclasses.replace(SMALL, method="policy"))
+    with pytest.raises(ConfigError, match="folder of training runs"):
+        Checkpoints(folder=tmp_path / "nowhere")
+
+
+def test_checkpoints_are_found_by_pool_variant_and_seed(tmp_path):
+    record = {
+        "format": 1,
+        "placement": {"max_attempts": 5, "history_stride": 12},
+        "stability": {"stop_when_decided": True},
+    }
+    for name in ("dining-policy-0/policy", "dining-policy-1/policy", "dining-normal"):
+        folder = tmp_path / name
+        folder.mkdir(parents=True)
+        (folder / "record.json").write_text(json.dumps(record))
+        (folder / "weights.npz").write_bytes(b"weights")
+    found = Checkpoints(folder=tmp_path)
+    policy = dataclasses.replace(SMALL, method="policy")
+    assert found.find(policy) == tmp_path / "dining-policy-0/policy"
+    assert found.find(dataclasses.replace(policy, training_seed=1)) == tmp_path / "dining-policy-1/policy"
+    assert found.find(dataclasses.replace(policy, method="normal")) == tmp_path / "dining-normal"
+    with pytest.raises(MissingCheckpointError):
+        found.find(dataclasses.replace(policy, training_seed=2))
+    other = dataclasses.replace(policy, attempts=2)
+    assert found.find(other) == tmp_path / "dining-policy-0/policy"
+    (tmp_path / "dining-policy-0").rename(tmp_path / "dining-policy-attempts2-0")
+    assert found.find(other) == tmp_path / "dining-policy-attempts2-0/policy"
+    # What cannot be used is said in the row, and the suite goes on.
+    record = Runner(Store(tmp_path / "results"), found).row(other)
+    assert "cannot be used" in record["missing"]
+    assert str(tmp_path) not in record["missing"]
+
+
+def test_pool_errors_are_pool_errors(runner):
+    with pytest.raises(PoolError):
+        runner.plan([dataclasses.replace(SMALL, pool="breakfast")])
