@@ -44,27 +44,27 @@ class Certification:
 
 
 def certify(
-    bank: str | Path | Bank, *, seconds: float = 2.0, num_threads: int = 0, force: bool = False
+    bank: str | Path | Bank, *, seconds: float = 2.0, jobs: int = 0, force: bool = False
 ) -> Certification:
     """Adds a stability certificate to each scene of a bank that stands: a column for each measure.
 
     Args:
       bank: a bank, or its folder.
       seconds: the horizon over which drift is measured.
-      num_threads: scenes simulated at a time; 0 takes every core.
+      jobs: scenes simulated at a time; 0 takes every core.
       force: measure again what has a certificate; else only what has none is measured.
 
     Raises:
       BankError: the bank cannot be read or written, another process writes it, or no scene in it stands.
       ConfigError: a setting is outside its range.
     """
-    check_workers("num_threads", num_threads)
+    check_workers("jobs", jobs)
     horizons_of((seconds,))
     bank = bank if isinstance(bank, Bank) else read_bank(bank)
     with writing(bank.path):
         lock = BankLock(bank.path)
     try:
-        found = _certify(bank, seconds, num_threads, force)
+        found = _certify(bank, seconds, jobs, force)
         with writing(bank.path):
             write_card(bank)
     finally:
@@ -72,14 +72,14 @@ def certify(
     return found
 
 
-def _certify(bank: Bank, seconds: float, num_threads: int, force: bool) -> Certification:
+def _certify(bank: Bank, seconds: float, jobs: int, force: bool) -> Certification:
     record = {name: value for name, value in bank.record.items() if name != "num_scenes"}
     models, num_new, shake = models_of(bank), 0, [np.zeros(0)]
     with Progress("certifying", bank.num_scenes, "scene") as progress:
         for number in block_numbers(bank.path):
             rows = read_block(bank.path, number)
             if force or not is_fully_certified(rows):
-                rows = certified(rows, models, seconds, num_threads)
+                rows = certified(rows, models, seconds, jobs)
                 write_rows(bank.path, number, rows, record)
                 num_new += rows.num_rows
             shake.append(np.array(rows["shake"].drop_null()))
@@ -102,7 +102,7 @@ def models_of(bank: Bank) -> SceneModels:
     return SceneModels(world, stability, contact)
 
 
-def certified(rows: pa.Table, models: SceneModels, seconds: float, num_threads: int) -> pa.Table:
+def certified(rows: pa.Table, models: SceneModels, seconds: float, jobs: int) -> pa.Table:
     """The rows with the columns of `CERTIFICATE`."""
     rows = rows.select(SCHEMA.names)
     scenes = rows.select(["is_success", "object_index", "is_placed", "poses"]).to_pylist()
@@ -110,7 +110,7 @@ def certified(rows: pa.Table, models: SceneModels, seconds: float, num_threads: 
     good = [place for place, scene in enumerate(scenes) if scene["is_success"]]
     if good:
         poses, is_placed = _by_object([scenes[place] for place in good], models.world.num_objects)
-        found = certificates(models, poses, is_placed, seconds, num_threads=num_threads)
+        found = certificates(models, poses, is_placed, seconds, num_threads=jobs)
         for place, each in zip(good, found, strict=True):
             margins = [each["margins"][k] for k in scenes[place]["object_index"]]
             results[place] = {_RENAMED.get(name, name): value for name, value in each.items()}

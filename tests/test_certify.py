@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import cluttergen_jax
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.bank.bank import block_path, read_block
 from cluttergen_jax.bank.card import CARD
@@ -69,6 +70,17 @@ def test_what_is_certified_is_not_measured_again(bank, capsys):
     assert "2 scenes that stand have their certificate (0 rows are new)" in capsys.readouterr().out
     assert block_path(bank, 0).read_bytes() == before
     assert "| `shake` |" in (bank / CARD).read_text()
+
+
+def test_certificates_from_python_are_the_commands(bank, tmp_path):
+    again = tmp_path / "bank"
+    banks.two_scenes(again)
+    found = cluttergen_jax.certify(again, seconds=0.5)
+    table = read_bank(again).table
+    assert table.equals(read_bank(bank).table)
+    assert found.num_new == table.num_rows
+    assert found.shake.tolist() == [each for each in table["shake"].to_pylist() if each is not None]
+    assert cluttergen_jax.certify(read_bank(again)).num_new == 0
 
 
 def test_a_certificate_of_an_older_version_is_shown_and_completed(tmp_path, capsys):

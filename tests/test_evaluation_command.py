@@ -62,7 +62,7 @@ def test_a_suite_from_python_hands_out_each_study_as_it_is_done(tmp_path, capsys
     given = []
     # One scene of each row, too few to tell anything about how different scenes are.
     results = cluttergen_jax.evaluate_suite(
-        "honest", only=("diversity",), methods=("random",), trials=1, out=tmp_path, on_study=given.append
+        "honest", only=("diversity",), methods=("random",), trials=1, out=tmp_path, show=given.append
     )
     assert given == results
     (result,) = results

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import tyro
 
-from cluttergen_jax.config import check_workers
-
 
 @dataclass(frozen=True)
 class Certify:
@@ -35,8 +33,7 @@ class Certify:
         """Runs the command; the exit status."""
         from cluttergen_jax.certification import certify
 
-        check_workers("--jobs", self.jobs)
-        found = certify(self.path, seconds=self.seconds, num_threads=self.jobs, force=self.force)
+        found = certify(self.path, seconds=self.seconds, jobs=self.jobs, force=self.force)
         print(
             f"{len(found.shake)} scenes that stand have their certificate ({found.num_new} rows are new); "
             f"shake score: median {np.median(found.shake):.2f}, least {found.shake.min():.2f} m/s^2"

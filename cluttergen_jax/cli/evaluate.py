@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from cluttergen_jax.cli.parse import refuse_given
 from cluttergen_jax.config import Change, Engine, Method, Suite
 
+_ARGUMENTS = {"attempts": "max_attempts", "threads": "num_threads"}
 _OF_SUITES = ("only", "quick", "seeds")
 _OF_COMPARISONS = ("exclude", "supports", "num_objects", "attempts", "repeat", "change")
 
@@ -78,24 +80,26 @@ class Evaluate:
             refuse_given(self, _OF_SUITES, "without a suite", "--suite paper or --suite extended")
         else:
             refuse_given(self, _OF_COMPARISONS, "with a suite", "leaving it out: each study has its own")
-        given = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
-        # What is at its default here is at the library's own.
-        given = {name: value for name, value in given.items() if value != getattr(Evaluate, name)}
-        if "threads" in given:
-            given["num_threads"] = given.pop("threads")
-        return self._compare(given) if self.suite is None else self._make_suite(given)
+        return self._compare() if self.suite is None else self._make_suite()
 
-    def _compare(self, given: dict[str, Any]) -> int:
+    def _given(self, without: Sequence[str]) -> dict[str, Any]:
+        """The options as keyword arguments."""
+        names = (each.name for each in dataclasses.fields(self) if each.name not in without)
+        return {_ARGUMENTS.get(name, name): getattr(self, name) for name in names}
+
+    def _compare(self) -> int:
         from cluttergen_jax.evaluation.comparison import evaluate
 
-        print(evaluate(**{"out": "out/evaluation"} | given).table.markdown())
+        given = self._given(("suite", *_OF_SUITES)) | {"out": self.out or "out/evaluation"}
+        print(evaluate(**given).table.markdown())
         return 0
 
-    def _make_suite(self, given: dict[str, Any]) -> int:
+    def _make_suite(self) -> int:
         from cluttergen_jax.evaluation.report import markdown
         from cluttergen_jax.evaluation.running import evaluate_suite, suite_folder
 
-        results = evaluate_suite(**given, on_study=lambda result: print(markdown(result), flush=True))
+        given = self._given(_OF_COMPARISONS)
+        results = evaluate_suite(**given, show=lambda result: print(markdown(result), flush=True))
         out = self.out or suite_folder(str(self.suite), self.quick)
         print(f"done       {len(results)} studies in {out}")
         return 0

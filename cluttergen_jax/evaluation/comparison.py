@@ -22,7 +22,6 @@ from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.tables import Table
 
-DEFAULT_METHODS = tuple(BASELINES)
 DEFAULT_TRIALS = 1000
 _FIGURES = (
     "success",
@@ -65,14 +64,14 @@ class Comparison:
 
 
 def evaluate(
-    methods: Sequence[str] = DEFAULT_METHODS,
-    pools: Sequence[str] = ("dining",),
+    methods: Sequence[str] = (),
+    pools: Sequence[str] = (),
     supports: Sequence[str] = ("table",),
     *,
     num_objects: int = 10,
-    trials: int = DEFAULT_TRIALS,
+    trials: int | None = None,
     seed: int = 0,
-    attempts: int = 5,
+    max_attempts: int = 5,
     repeat: bool = False,
     change: str = "none",
     exclude: Sequence[str] = (),
@@ -86,11 +85,11 @@ def evaluate(
     """Compares methods: success rates with 95 % intervals, objects placed, effort and speed.
 
     Args:
-      methods: names of `methods.METHODS`; learned ones take an embedded policy, or `checkpoint`, its folder,
-        or the right one in `checkpoints`, a folder of training runs.
-      pools, supports: names or folders.
-      num_objects: per scene; attempts: per object.
-      trials: scenes per row; seed: of the scenes.
+      methods: names of `methods.METHODS`, the baselines if empty; learned ones take an embedded policy, or
+        `checkpoint`, its folder, or the right one in `checkpoints`, a folder of training runs.
+      pools, supports: names or folders; the pool dining if empty.
+      num_objects: per scene; max_attempts: per object.
+      trials: scenes per row, 1000 if None; seed: of the scenes.
       repeat: let objects stand there more than once.
       change: how the queried region is changed at random in every episode, a name of `changes.CHANGES`.
       exclude: names of objects to leave out of each pool.
@@ -103,14 +102,18 @@ def evaluate(
       PoolError: there is no such pool or support, or no policy for any of the rows.
     """
     check_workers("num_threads", num_threads)
-    for name, given in (("methods", methods), ("pools", pools), ("supports", supports)):
-        if not given:
-            raise ConfigError(f"{name} = ()", "one name or more")
+    if not supports:
+        raise ConfigError("supports = ()", "one name or more")
     base = Trial(
-        num_objects=num_objects, attempts=attempts, trials=trials, seed=seed, repeat=repeat, change=change
+        num_objects=num_objects,
+        attempts=max_attempts,
+        trials=DEFAULT_TRIALS if trials is None else trials,
+        seed=seed,
+        repeat=repeat,
+        change=change,
     )
-    named = [composed(pool, exclude) for pool in pools]
-    planned = grid(base, pool=named, support=supports, method=methods)
+    named = [composed(pool, exclude) for pool in pools or ("dining",)]
+    planned = grid(base, pool=named, support=supports, method=methods or BASELINES)
     folder = None if out is None else Path(out)
     runner = open_runner(folder, planned, checkpoint, checkpoints, engine, num_threads, fresh)
     rows = [runner.row(trial) for trial in planned]

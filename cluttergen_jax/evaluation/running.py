@@ -32,7 +32,7 @@ _SHOWN = ("trial", "policy", "figures", "missing", "hint")
 
 
 def evaluate_suite(
-    suite: str = "paper",
+    suite: str,
     *,
     only: Sequence[str] = (),
     quick: bool = False,
@@ -47,7 +47,7 @@ def evaluate_suite(
     num_threads: int = 0,
     fresh: bool = False,
     out: str | Path | None = None,
-    on_study: Callable[[Result], None] = lambda result: None,
+    show: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
     """Makes the tables and figures of a suite, and writes each as it is done.
 
@@ -60,7 +60,7 @@ def evaluate_suite(
       seeds: training seeds where a table asks for several, 3 if None, 1 if quick.
       checkpoint, checkpoints, engine, num_threads, fresh: as for `evaluate`.
       out: where everything goes; out/SUITE if None. Rows that lie there from before are not made again.
-      on_study: is given each result as it is done.
+      show: is given each result as it is done.
 
     Returns:
       The results as they are stored in NAME.json; `report.tables_of` makes tables of one.
@@ -85,7 +85,7 @@ def evaluate_suite(
         command = command_of(suite, each.name, scale, runner)
         result = run_study(runner, each.study, each.trials, folder, suite, command, quick)
         write_report(result, folder)
-        on_study(result)
+        show(result)
         results.append(result)
     write_atomically(folder / "all.md", document(results, link="").encode())
     return results
