@@ -12,8 +12,7 @@ from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.baselines import Clear, make_proposer
 from cluttergen_jax.errors import ConfigError, PoolError, closest
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.proposer import Proposer
-from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.policies.embedded import find_policy, list_policies
 from cluttergen_jax.policies.policy import Policy, load_policy
 from cluttergen_jax.policies.screened import Screened

@@ -11,7 +11,7 @@ from cluttergen_jax.types import Array
 _CLEAR = -10.0
 
 
-class Clear(Search):
+class Clear(Search, eq=False):
     """Many cheap geometric tries per attempt; the first on bare, whole ground is taken.
 
     Candidates are uniform, so those that pass are uniform over the free poses. If none passes, the object is

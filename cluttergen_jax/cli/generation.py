@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -68,12 +67,8 @@ def generate(args: Generate) -> int:
     start = start_of(problem.world, standing, poses)
     keep_out = [parse_keep_out(text) for text in args.keep_out]
     check_keep_out(keep_out, problem.region)
-    begin = partial(
-        problem.rules.begin,
-        keep_out=keep_out_of(keep_out),
-        start=start,
-    )
-    sampler = BlockSampler(problem.rules, proposer_of(method, checkpoint, problem.rules), begin)
+    propose = proposer_of(method, checkpoint, problem.rules)
+    sampler = BlockSampler(problem.rules, propose, keep_out_of(keep_out), start)
     _warn_of_flags(problem)
     _warn_of_crowding(problem)
     with BankWriter(

@@ -98,7 +98,7 @@ class PlacementEnv(Env):
     def step(self, state: State, action: Array) -> State:
         """One attempt with `action`, f32[4] in (0, 1)."""
         before: Ongoing = state.pipeline_state
-        after, reward = self.rules.attempt(before.episode, action)
+        after, transition = self.rules.attempt(before.episode, action)
         ends = after.is_over & ~before.episode.is_over
         ongoing = before.replace(
             episode=after,
@@ -107,7 +107,7 @@ class PlacementEnv(Env):
         )
         if self.auto_reset:
             ongoing = self._begun_again(ongoing, ends)
-        seen = self._seen(ongoing, reward, after.is_over)
+        seen = self._seen(ongoing, transition.reward, after.is_over)
         return state.replace(**seen | {"metrics": {**state.metrics, **seen["metrics"]}})
 
     def _begun_again(self, ongoing: Ongoing, ends: Array) -> Ongoing:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from flax import struct
 
 from cluttergen_jax.placement.region import KeepOut, Region
-from cluttergen_jax.types import Array
+from cluttergen_jax.types import Array, Settling
 
 
 class Geometry(struct.PyTreeNode):
@@ -135,3 +135,26 @@ class Episode(struct.PyTreeNode):
     def num_slots(self) -> Array:
         """i32: slots that have an object, those that stood there at the beginning included."""
         return (self.object_index >= 0).sum(-1)
+
+
+class Transition(struct.PyTreeNode):
+    """What one attempt was and what came of it. What nobody reads of it, XLA leaves out.
+
+    Attributes:
+      slot: i32, the slot that was to be filled; object_index: i32, the current object.
+      ordinal: i32, 1 for the object's first attempt.
+      action: f32[4], what was proposed.
+      settling: what the simulator saw.
+      verdict: i32, the attempt's verdict by the rules.
+      reward: f32; 0 where no attempt was made.
+      is_made: bool, False for an episode that was over.
+    """
+
+    slot: Array
+    object_index: Array
+    ordinal: Array
+    action: Array
+    settling: Settling
+    verdict: Array
+    reward: Array
+    is_made: Array

@@ -27,7 +27,7 @@ def cost_of_lying(look: Look) -> Array:
     return look.lift + (look.fit.gap / _GAP_SCALE) ** 2 + tipping
 
 
-class LowestFit(Search):
+class LowestFit(Search, eq=False):
     """Lets each candidate down by the object's own under-side and takes the lowest that would not tip.
 
     A place closed in on all sides, by objects or the support's end, counts as 5 cm lower than an open one:

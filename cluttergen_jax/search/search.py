@@ -78,19 +78,28 @@ class Shortlist(struct.PyTreeNode):
     heights: HeightMap
 
 
-class Search:
-    """Proposes the cheapest of many poses, uniform over region and turn; a subclass says what is cheap."""
+class Search(struct.PyTreeNode, eq=False):
+    """Proposes the cheapest of many poses, uniform over region and turn; a subclass says what is cheap.
 
-    def __init__(self, rules: Rules, config: SearchConfig | None = None) -> None:
-        self.rules, self.config = rules, config or SearchConfig()
-        self._map = HeightMapper(rules.geometry, rules.region)
+    Attributes:
+      rules: of the world; config: how long to look.
+      mapper: makes height maps of its scenes; made here if not given.
+    """
+
+    rules: Rules
+    config: SearchConfig = struct.field(pytree_node=False, default=SearchConfig())
+    mapper: HeightMapper | None = None
+
+    def __post_init__(self) -> None:
+        if self.mapper is None:
+            object.__setattr__(self, "mapper", HeightMapper.of(self.rules.geometry, self.rules.region))
 
     def cost(self, look: Look) -> Array:
         """f32[N]: what to keep low. Among equals the first is taken, which is a random one."""
         raise NotImplementedError
 
     def __call__(self, key: Array, episode: Episode) -> Array:
-        """See `placement.proposer.Proposer`."""
+        """See `placement.rules.Proposer`."""
         found = self.shortlist(key, episode)
         return found.action[jnp.argmin(found.cost)]
 
@@ -103,7 +112,8 @@ class Search:
         config = self.config
         focus, height_range = self.rules.focus(episode), self.rules.height_range(episode)
         bare_rest = self.rules.geometry.half_extents[focus, 2]
-        heights = self._map(episode.region, episode.poses, episode.is_placed)
+        assert self.mapper is not None
+        heights = self.mapper(episode.region, episode.poses, episode.is_placed)
         crowded = crowding(heights)
         under = under_side(self.rules, focus)
         sparse = under.first(config.num_coarse)

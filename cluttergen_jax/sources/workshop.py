@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -70,8 +69,8 @@ class Workshop:
             checkpoint = self.checkpoints.get(method)
             rules = self.problem.rules
             rules = dataclasses.replace(rules, config=suited(rules.config, checkpoint))
-            begin = partial(rules.begin, keep_out=self.keep_out, start=self.start)
-            sampler = BlockSampler(rules, proposer_of(method, checkpoint, rules), begin)
+            propose = proposer_of(method, checkpoint, rules)
+            sampler = BlockSampler(rules, propose, self.keep_out, self.start)
             self._made[method, width] = Recorder(sampler, self.problem.world, width)
         return self._made[method, width]
 
