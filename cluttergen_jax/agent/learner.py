@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 from cluttergen_jax.networks.actor_critic import ActorCritic
 from cluttergen_jax.networks.cloud_encoder import (
@@ -27,8 +26,7 @@ ENCODER = "encoder"
 """Where the weights of the two networks on clouds are."""
 
 
-@dataclass(frozen=True, eq=False)
-class Learner:
+class Learner(struct.PyTreeNode, eq=False):
     """An actor-critic that knows a world's clouds.
 
     Attributes:
@@ -37,13 +35,19 @@ class Learner:
       half_extents: f32[K, 3], metres.
       max_objects: the most objects that can stand at once.
       region_side: of the larger regions to be expected, metres; of a mixture (`room.Room`).
+      room: the objects' footprints, where they are read; made here if not given.
     """
 
-    config: NetworkConfig
+    config: NetworkConfig = struct.field(pytree_node=False)
     cloud: Array
     half_extents: Array
-    max_objects: int
-    region_side: float = 0.7
+    max_objects: int = struct.field(pytree_node=False)
+    region_side: float = struct.field(pytree_node=False, default=0.7)
+    room: Room | None = None
+
+    def __post_init__(self) -> None:
+        if self.config.reads_room and self.room is None:
+            object.__setattr__(self, "room", self._footprints())
 
     @property
     def network(self) -> ActorCritic:
@@ -55,9 +59,7 @@ class Learner:
         """The networks on clouds, if there are any."""
         return CloudEncoder(self.config, self.max_objects)
 
-    @cached_property
-    def room(self) -> Room:
-        """The objects' footprints."""
+    def _footprints(self) -> Room:
         config = self.config
         return Room.of(
             self.cloud,
@@ -71,7 +73,7 @@ class Learner:
     def init(self, key: Array, observation: Any) -> Params:
         """Fresh parameters; `observation` is one, or its shapes, without a leading axis."""
         blank = jax.tree.map(lambda leaf: jnp.zeros((1, *leaf.shape), leaf.dtype), observation)
-        if self.config.reads_room:
+        if self.room is not None:
             blank |= {"room": jnp.zeros((1, *self.room.shape))}
         if not self.config.reads_clouds:
             return jax.jit(self.network.init)(key, self.cloud, self.half_extents, blank)
@@ -101,7 +103,7 @@ class Learner:
         return self._with_room
 
     def _with_room(self, observation: Any) -> Any:
-        if not self.config.reads_room or "room" in observation:
+        if self.room is None or "room" in observation:
             return observation
         return observation | {"room": jax.vmap(self.room)(observation)}
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
 from cluttergen_jax.agent.checkpoint import read_policy, read_policy_record
 from cluttergen_jax.agent.learner import Learner
@@ -26,8 +27,7 @@ from cluttergen_jax.search import LowestFit
 from cluttergen_jax.types import Array
 
 
-@dataclass(frozen=True, eq=False)
-class Policy:
+class Policy(struct.PyTreeNode, eq=False):
     """A proposer that draws from a trained actor, or takes its mean.
 
     Attributes:
@@ -39,11 +39,11 @@ class Policy:
     rules: Rules
     learner: Learner
     params: Any
-    is_sampled: bool
-    num_attempts: int
+    is_sampled: bool = struct.field(pytree_node=False)
+    num_attempts: int = struct.field(pytree_node=False)
 
     def __call__(self, key: Array, episode: Episode) -> Array:
-        """See `placement.proposer.Proposer`."""
+        """See `placement.rules.Proposer`."""
         dist = self.distribution(episode)
         return dist.sample(key) if self.is_sampled else dist.mean()
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import jax
+from flax import struct
 
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.types import Episode
@@ -15,8 +15,7 @@ from cluttergen_jax.search import Search
 from cluttergen_jax.types import Array
 
 
-@dataclass(frozen=True, eq=False)
-class Ranked:
+class Ranked(struct.PyTreeNode, eq=False):
     """A proposer that takes the pose of a shortlist which the ranker likes best, or draws one.
 
     Attributes:
@@ -28,10 +27,10 @@ class Ranked:
     search: Search
     learner: RankingLearner
     params: Any
-    is_sampled: bool = False
+    is_sampled: bool = struct.field(pytree_node=False, default=False)
 
     def __call__(self, key: Array, episode: Episode) -> Array:
-        """See `placement.proposer.Proposer`."""
+        """See `placement.rules.Proposer`."""
         seen = self.look(episode)
         dist, _ = self.learner.apply(self.params, jax.tree.map(lambda leaf: leaf[None], seen))
         chosen = (dist.sample(key) if self.is_sampled else dist.mean())[0]

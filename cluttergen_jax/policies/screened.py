@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import jax.numpy as jnp
+from flax import struct
 
 from cluttergen_jax.placement.region import action_scale
 from cluttergen_jax.placement.types import Episode
@@ -14,8 +13,7 @@ from cluttergen_jax.search.fit import Candidates
 from cluttergen_jax.types import Array
 
 
-@dataclass(frozen=True, eq=False)
-class Screened:
+class Screened(struct.PyTreeNode, eq=False):
     """Many draws from a policy, let down by geometry; the cheapest by a search's cost is proposed.
 
     The policy says where and how turned; how high follows from what lies below.
@@ -28,10 +26,10 @@ class Screened:
 
     policy: Policy
     search: Search
-    num_draws: int = 64
+    num_draws: int = struct.field(pytree_node=False, default=64)
 
     def __call__(self, key: Array, episode: Episode) -> Array:
-        """See `placement.proposer.Proposer`."""
+        """See `placement.rules.Proposer`."""
         actions = self.policy.draw(key, episode, self.num_draws)
         rules = self.search.rules
         lower, size = action_scale(episode.region, rules.height_range(episode))

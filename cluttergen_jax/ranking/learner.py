@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 from cluttergen_jax.networks.distributions import Categorical
 from cluttergen_jax.networks.ranking import Ranker, RankerConfig
@@ -15,8 +15,7 @@ from cluttergen_jax.types import Array
 Params = Any
 
 
-@dataclass(frozen=True, eq=False)
-class RankingLearner:
+class RankingLearner(struct.PyTreeNode, eq=False):
     """A ranker that knows a world's clouds.
 
     Attributes:
@@ -26,10 +25,10 @@ class RankingLearner:
       max_objects: the most objects that can stand at once.
     """
 
-    config: RankerConfig
+    config: RankerConfig = struct.field(pytree_node=False)
     cloud: Array
     half_extents: Array
-    max_objects: int
+    max_objects: int = struct.field(pytree_node=False)
 
     @property
     def network(self) -> Ranker:
