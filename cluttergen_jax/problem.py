@@ -107,7 +107,7 @@ def compose(
     config: ProblemConfig,
     standing: Sequence[ObjectAsset] = (),
 ) -> Problem:
-    """`make_problem` for assets that are at hand already; the region may reach beyond the support.
+    """`make_problem` for assets that have been read already; the region may reach beyond the support.
 
     Args:
       standing: objects that stand there when an episode begins; they are the last ones of the world.

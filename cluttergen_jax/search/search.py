@@ -17,7 +17,7 @@ from cluttergen_jax.search.fit import Candidates, Fit, UnderSide, let_down, mean
 from cluttergen_jax.types import Array
 
 CLEARANCE = 0.001
-"""Metres above its rest at which an object is let go."""
+"""Metres above its rest at which an object is released."""
 
 FORBIDDEN = 1e6
 """Added to the cost of poses that would not count."""
@@ -33,7 +33,7 @@ class SearchConfig:
 
     Attributes:
       num_candidates: random poses.
-      num_coarse: columns of the object that are let down at each of them.
+      num_coarse: columns of the object that are lowered at each of them.
       num_finalists: the poses among them at which the whole under-side is.
     """
 
@@ -68,7 +68,7 @@ class Shortlist(struct.PyTreeNode):
       look: what is known of them, wholly looked at.
       cost: f32[M], what the search keeps low; at least FORBIDDEN for poses that would not count.
       action: f32[M, 4], the actions that propose them.
-      heights: the scene that they were let down onto.
+      heights: the scene that they were lowered onto.
     """
 
     candidates: Candidates
@@ -165,7 +165,7 @@ def under_side(rules: Rules, focus: Array) -> UnderSide:
 
 
 def draw_candidates(key: Array, region: Region, number: int) -> Candidates:
-    """Uniform over one turn and over the region, but for a hair's breadth along its sides."""
+    """Uniform over one turn and over the region, but for 2 mm along its sides."""
     key_xy, key_yaw = jax.random.split(key)
     xy = jax.random.uniform(key_xy, (number, 2), minval=-1.0) * jnp.maximum(region.half_extents - _EDGE, 0.0)
     return Candidates(xy, jax.random.uniform(key_yaw, (number,), maxval=2 * jnp.pi))
