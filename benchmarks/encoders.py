@@ -17,7 +17,7 @@ import numpy as np
 import tyro
 
 from benchmarks.section import prose, report, table
-from cluttergen_jax.agent.learner import Learner
+from cluttergen_jax.agent.pose_agent import Learner
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.training.presets import paper

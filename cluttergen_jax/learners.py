@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from cluttergen_jax.agent.learner import Learner
+from cluttergen_jax.agent.pose_agent import Learner
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.ranking import RankerConfig
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.ranking.learner import RankingLearner
+from cluttergen_jax.ranking.agent import RankingLearner
 
 
 def make_learner(rules: Rules, network: NetworkConfig | RankerConfig) -> Learner | RankingLearner:

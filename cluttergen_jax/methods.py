@@ -15,8 +15,8 @@ from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.proposer import Proposer
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.policies.embedded import find_policy, list_policies
+from cluttergen_jax.policies.filtered import Screened
 from cluttergen_jax.policies.policy import Policy, load_policy
-from cluttergen_jax.policies.screened import Screened
 from cluttergen_jax.search import SearchConfig
 from cluttergen_jax.training.presets import VARIANTS
 

@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.agent.devices import ManyDevices, OneDevice
 from cluttergen_jax.agent.ppo import PPO
+from cluttergen_jax.agent.sharding import ManyDevices, OneDevice
 from cluttergen_jax.placement.env import PlacementEnv
-from cluttergen_jax.training.hosts import join
+from cluttergen_jax.training.distributed import join
 from cluttergen_jax.training.places import devices_for, fresh_state
 from cluttergen_jax.training.updates import Updates
 from tests.probes import Bandit, Tiny, learner
@@ -55,7 +55,7 @@ def probe() -> None:
 def real() -> None:
     """Three objects in MuJoCo's C engine, which is called from both devices."""
     from cluttergen_jax.agent.config import PPOConfig
-    from cluttergen_jax.agent.learner import Learner
+    from cluttergen_jax.agent.pose_agent import Learner
     from tests.problems import trio_problem
     from tests.runs import SMALL
 

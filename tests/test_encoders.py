@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
 from cluttergen_jax.agent.config import PPOConfig
-from cluttergen_jax.agent.learner import Learner
+from cluttergen_jax.agent.pose_agent import Learner
 from cluttergen_jax.agent.ppo import PPO
 from cluttergen_jax.assets.cloud import farthest_first
 from cluttergen_jax.errors import ConfigError

@@ -27,7 +27,7 @@ FLOORS = {
     "ranking": 2.4,
     "learners": 2.5,
     # What is trained and what acts are the same pair of an environment and a network.
-    "task": 2.6,
+    "agents": 2.6,
     "problem": 3,
     "sampling": 3,
     "training": 3,

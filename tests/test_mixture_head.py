@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cluttergen_jax.agents import make_task
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.placement.observation import height_grid
-from cluttergen_jax.task import make_task
 from tests.problems import made_up_rules
 
 CONFIG = NetworkConfig(head="mixture", num_cells=6, num_turns=4, width=16, num_layers=2, object_points=8)

@@ -10,6 +10,7 @@ import pytest
 from cluttergen_jax.agent.checkpoint import save_policy
 from cluttergen_jax.agent.config import PPOConfig
 from cluttergen_jax.agent.ppo import PPO
+from cluttergen_jax.agents import make_task
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.methods import make_screened
 from cluttergen_jax.networks.config import NetworkConfig
@@ -21,7 +22,6 @@ from cluttergen_jax.policies.ranked import Ranked
 from cluttergen_jax.ranking.env import RankingEnv
 from cluttergen_jax.ranking.menu import PATCH_SIDE
 from cluttergen_jax.search import LowestFit, SearchConfig
-from cluttergen_jax.task import make_task
 from tests.problems import trio_problem
 
 SEARCH = SearchConfig(num_candidates=64, num_finalists=8)

@@ -105,7 +105,7 @@ class Train:
 
             return run_suite(self)
         from cluttergen_jax.assets.pool import composed
-        from cluttergen_jax.training.hosts import join
+        from cluttergen_jax.training.distributed import join
 
         join(self.coordinator, self.num_processes, self.process_id)
         dataclasses.replace(self, pool=composed(self.pool, self.exclude), exclude=()).train()
@@ -117,7 +117,7 @@ class Train:
         from cluttergen_jax.cli.training_evaluation import Evaluator
         from cluttergen_jax.networks.config import NetworkConfig
         from cluttergen_jax.problem import ProblemConfig, make_problem
-        from cluttergen_jax.training.hosts import is_writer
+        from cluttergen_jax.training.distributed import is_writer
         from cluttergen_jax.training.run import Run, RunConfig
 
         settings = self.settings()

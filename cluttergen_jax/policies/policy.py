@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cluttergen_jax.agent.checkpoint import read_policy, read_policy_record
-from cluttergen_jax.agent.learner import Learner
+from cluttergen_jax.agent.pose_agent import Learner
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learners import make_learner
 from cluttergen_jax.networks.config import NetworkConfig
@@ -21,7 +21,7 @@ from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.policies.ranked import Ranked
-from cluttergen_jax.ranking.learner import RankingLearner
+from cluttergen_jax.ranking.agent import RankingLearner
 from cluttergen_jax.search import LowestFit
 from cluttergen_jax.types import Array
 

@@ -9,7 +9,7 @@ import jax
 
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.types import Episode
-from cluttergen_jax.ranking.learner import RankingLearner
+from cluttergen_jax.ranking.agent import RankingLearner
 from cluttergen_jax.ranking.menu import with_menu
 from cluttergen_jax.search import Search
 from cluttergen_jax.types import Array

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import TextIO
 
-from cluttergen_jax.training.records import Row
+from cluttergen_jax.training.metrics_log import Row
 
 WIDTH = 100
 _FIRST = (

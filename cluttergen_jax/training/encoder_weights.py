@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.agent.checkpoint import read_policy, read_record, save_policy
-from cluttergen_jax.agent.learner import ENCODER
+from cluttergen_jax.agent.pose_agent import ENCODER
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.ranking import RankerConfig

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.agent.devices import Devices, ManyDevices, OneDevice
 from cluttergen_jax.agent.ppo import PPO, TrainState
+from cluttergen_jax.agent.sharding import Devices, ManyDevices, OneDevice
 from cluttergen_jax.errors import ConfigError
 
 

@@ -13,18 +13,18 @@ from cluttergen_jax.agent.checkpoint import has_state, read_state
 from cluttergen_jax.agent.config import PPOConfig
 from cluttergen_jax.agent.health import explain
 from cluttergen_jax.agent.ppo import PPO, TrainState
+from cluttergen_jax.agents import make_task
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.ranking import RankerConfig
 from cluttergen_jax.physics.memory import engine_bytes
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.task import make_task
+from cluttergen_jax.training.distributed import agree, gathered, is_writer
 from cluttergen_jax.training.encoder_weights import with_encoder
-from cluttergen_jax.training.hosts import agree, gathered, is_writer
 from cluttergen_jax.training.interrupt import Interrupt
-from cluttergen_jax.training.journal import Evaluate, Journal, RunConfig, Silence
 from cluttergen_jax.training.memory import Needs, check_memory
 from cluttergen_jax.training.places import devices_for, fresh_state, placed, shared
+from cluttergen_jax.training.run_logger import Evaluate, Journal, RunConfig, Silence
 from cluttergen_jax.training.updates import Updates, num_updates
 
 __all__ = ["DivergedError", "Run", "RunConfig"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cluttergen_jax.agent.learner import Learner
+from cluttergen_jax.agent.pose_agent import Learner
 from cluttergen_jax.agent.ppo import Encode, as_seen
 from cluttergen_jax.learners import make_learner
 from cluttergen_jax.networks.config import NetworkConfig
@@ -13,8 +13,8 @@ from cluttergen_jax.physics.brax_env import Env
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.ranking.agent import RankingLearner
 from cluttergen_jax.ranking.env import RankingEnv
-from cluttergen_jax.ranking.learner import RankingLearner
 from cluttergen_jax.search import LowestFit
 
 
