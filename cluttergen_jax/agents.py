@@ -1,44 +1,49 @@
-"""What is trained: an environment and the network that acts in it, made for each other."""
+"""From the rules of an episode and a network's sizes to an environment and the agent that acts in it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
-from cluttergen_jax.agent.pose_agent import Learner
-from cluttergen_jax.agent.ppo import Encode, as_seen
-from cluttergen_jax.learners import make_learner
-from cluttergen_jax.networks.config import NetworkConfig
+from cluttergen_jax.agent.agent import Agent
+from cluttergen_jax.agent.pose_agent import PoseAgent
+from cluttergen_jax.networks.config import AgentConfig, NetworkConfig
 from cluttergen_jax.networks.ranking import RankerConfig
-from cluttergen_jax.physics.brax_env import Env
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.ranking.agent import RankingLearner
+from cluttergen_jax.ranking.agent import RankingAgent
 from cluttergen_jax.ranking.env import RankingEnv
-from cluttergen_jax.search import LowestFit
 
 
-@dataclass(frozen=True, eq=False)
-class Task:
-    """An environment and its learner.
+class Kind(NamedTuple):
+    """A kind of agent.
 
     Attributes:
-      env: whose actions are poses, or numbers of candidate poses.
-      learner: the network, bound to the world's objects.
+      config: the class of its network's sizes.
+      agent: binds the network to a world.
+      env: whose observations it reads, and whose actions it chooses.
     """
 
-    env: Env
-    learner: Learner | RankingLearner
-
-    @property
-    def encode(self) -> Encode:
-        """What is added to observations when they are made (`Learner.encode`)."""
-        return self.learner.encode if isinstance(self.learner, Learner) else as_seen
+    config: type[AgentConfig]
+    agent: type[Agent]
+    env: type[PlacementEnv]
 
 
-def make_task(rules: Rules, network: NetworkConfig | RankerConfig) -> Task:
-    """The task of a policy that proposes poses, or of one that ranks those that geometry proposes."""
-    learner = make_learner(rules, network)
-    if isinstance(network, RankerConfig):
-        return Task(RankingEnv(PlacementEnv(rules), LowestFit(rules)), learner)
-    return Task(PlacementEnv(rules, ObservationConfig(num_cells=network.num_cells_read)), learner)
+KINDS = {
+    "pose": Kind(NetworkConfig, PoseAgent, PlacementEnv),
+    "ranking": Kind(RankerConfig, RankingAgent, RankingEnv),
+}
+"""By the name that stands in a checkpoint's record (`AgentConfig.kind`)."""
+
+
+def make_agent(rules: Rules, network: AgentConfig) -> tuple[PlacementEnv, Agent]:
+    """The environment and the agent of the kind that `network` is of."""
+    kind, geometry = KINDS[network.kind], rules.geometry
+    agent = kind.agent(
+        network,
+        geometry.cloud,
+        geometry.half_extents,
+        min(rules.num_slots, geometry.num_objects),
+        region_side=2 * float(rules.region.half_extents.max()),
+    )
+    return kind.env(rules, ObservationConfig(num_cells=network.num_cells_read)), agent

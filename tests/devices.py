@@ -55,13 +55,13 @@ def probe() -> None:
 def real() -> None:
     """Three objects in MuJoCo's C engine, which is called from both devices."""
     from cluttergen_jax.agent.config import PPOConfig
-    from cluttergen_jax.agent.pose_agent import Learner
+    from cluttergen_jax.agent.pose_agent import PoseAgent
     from tests.problems import trio_problem
     from tests.runs import SMALL
 
     problem = trio_problem(history_stride=12, reward="compressed")
     geometry = problem.rules.geometry
-    net = Learner(SMALL, geometry.cloud, geometry.half_extents, 3)
+    net = PoseAgent(SMALL, geometry.cloud, geometry.half_extents, 3)
     env = PlacementEnv(problem.rules)
     ppo = PPO(env, net.apply, PPOConfig(num_envs=8, num_steps=8, num_minibatches=2, num_epochs=2))
     params = net.init(jax.random.key(0), jax.eval_shape(env.reset, jax.random.key(0)).obs)

@@ -31,6 +31,7 @@ from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.methods import checkpoint_hash, proposer_of, suited
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.progress import interruptible
 from cluttergen_jax.sampling import BlockSampler
@@ -186,7 +187,7 @@ class Lab:
         engine = make_physics(base.world.layout, stability, self.engine, self.num_threads)
         physics = self.programs.switched(engine)
         with _usable(checkpoint, trial):
-            config = suited(base.rules.config, checkpoint)
+            config = suited(base.rules.config, _read(checkpoint))
         rules = replace(base.rules, config=config, physics=physics)
         if is_cut and trial.whole_attempts:
             rules = PatientRules(**vars(rules) | {"physics": PatientPhysics(physics)})
@@ -222,7 +223,7 @@ class Lab:
         """
         checkpoint = self.checkpoints.find(trial)
         with _usable(checkpoint, trial):
-            propose = proposer_of(trial.method, checkpoint, problem.rules)
+            propose = proposer_of(trial.method, _read(checkpoint), problem.rules)
         return BlockSampler(problem.rules, propose)
 
     def run(self, trial: Trial, judge_neighbours: bool = True) -> Outcome:
@@ -247,6 +248,10 @@ class Lab:
         known = {name: record[name] for name in names if name in record}
         head = record["network"].get("head") if "network" in record else None
         return known | {"max_attempts": record["placement"]["max_attempts"], "head": head}
+
+
+def _read(checkpoint: Path | None) -> Checkpoint | None:
+    return None if checkpoint is None else read_checkpoint(checkpoint)
 
 
 @contextmanager
