@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.agent.devices import ManyDevices, OneDevice
 from cluttergen_jax.agent.ppo import PPO
+from cluttergen_jax.agent.sharding import ManyDevices, OneDevice
 from cluttergen_jax.placement.env import PlacementEnv
-from cluttergen_jax.training.hosts import join
+from cluttergen_jax.training.distributed import join
 from cluttergen_jax.training.places import devices_for, fresh_state
 from cluttergen_jax.training.updates import Updates
 from tests.probes import Bandit, Tiny, learner
@@ -55,13 +55,13 @@ def probe() -> None:
 def real() -> None:
     """Three objects in MuJoCo's C engine, which is called from both devices."""
     from cluttergen_jax.agent.config import PPOConfig
-    from cluttergen_jax.agent.learner import Learner
+    from cluttergen_jax.agent.pose_agent import PoseAgent
     from tests.problems import trio_problem
     from tests.runs import SMALL
 
     problem = trio_problem(history_stride=12, reward="compressed")
     geometry = problem.rules.geometry
-    net = Learner(SMALL, geometry.cloud, geometry.half_extents, 3)
+    net = PoseAgent(SMALL, geometry.cloud, geometry.half_extents, 3)
     env = PlacementEnv(problem.rules)
     ppo = PPO(env, net.apply, PPOConfig(num_envs=8, num_steps=8, num_minibatches=2, num_epochs=2))
     params = net.init(jax.random.key(0), jax.eval_shape(env.reset, jax.random.key(0)).obs)

@@ -16,7 +16,7 @@ from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.training.display import WIDTH, Display, clock_text, short
 from cluttergen_jax.training.interrupt import Interrupt
 from cluttergen_jax.training.memory import Needs, amount, check_memory, free_bytes
-from cluttergen_jax.training.records import Records, read_rows
+from cluttergen_jax.training.metrics_log import Records, read_rows
 from cluttergen_jax.training.wandb_log import WandbLog
 from tests.runs import PPO, Stopping, compiled_once, make_run
 

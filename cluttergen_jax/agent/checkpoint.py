@@ -18,7 +18,6 @@ from cluttergen_jax.errors import PoolError
 from cluttergen_jax.files import folder_whole, put_back, write_atomically
 
 FORMAT = 1
-_TRAINED = ("max_attempts", "history_stride")
 _CRITIC = ("params/critic/", "params/value/")
 """What acting does not need; an attention layer has a `value` too, which it does."""
 _MOST_BYTES, _HEADER = 8, 4096
@@ -86,23 +85,6 @@ def read_record(path: Path) -> dict[str, Any]:
         ) from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PoolError(f"{path} is not a checkpoint of format {FORMAT}")
-    return record
-
-
-def read_policy_record(path: Path) -> dict[str, Any]:
-    """What is known of a policy: at least its `network`, and the `placement` in which it was trained.
-
-    Raises:
-      PoolError: as `read_record`, or these are not said.
-    """
-    record = read_record(path)
-    trained = record.get("placement")
-    numbers = [trained.get(name) for name in _TRAINED] if isinstance(trained, dict) else [None]
-    if not isinstance(record.get("network"), dict) or not all(type(number) is int for number in numbers):
-        raise PoolError(
-            f"{path / 'record.json'} does not say what network it holds, and how that was trained",
-            hint="a policy that `cluttergen train` of this version left",
-        )
     return record
 
 

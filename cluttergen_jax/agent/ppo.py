@@ -13,8 +13,8 @@ from flax import struct
 
 from cluttergen_jax.agent.advantages import generalised_advantages
 from cluttergen_jax.agent.config import PPOConfig
-from cluttergen_jax.agent.devices import Devices, OneDevice
 from cluttergen_jax.agent.health import GradientSteps, Health, health_of, squares
+from cluttergen_jax.agent.sharding import Devices, OneDevice
 from cluttergen_jax.physics.brax_env import Env, State
 from cluttergen_jax.types import Array
 

@@ -105,7 +105,7 @@ class Train:
 
             return run_suite(self)
         from cluttergen_jax.assets.pool import composed
-        from cluttergen_jax.training.hosts import join
+        from cluttergen_jax.training.distributed import join
 
         join(self.coordinator, self.num_processes, self.process_id)
         dataclasses.replace(self, pool=composed(self.pool, self.exclude), exclude=()).train()
@@ -115,9 +115,8 @@ class Train:
         """One run, to its end."""
         # Brax takes seconds to import, and only who trains needs it.
         from cluttergen_jax.cli.training_evaluation import Evaluator
-        from cluttergen_jax.networks.config import NetworkConfig
         from cluttergen_jax.problem import ProblemConfig, make_problem
-        from cluttergen_jax.training.hosts import is_writer
+        from cluttergen_jax.training.distributed import is_writer
         from cluttergen_jax.training.run import Run, RunConfig
 
         settings = self.settings()
@@ -141,8 +140,8 @@ class Train:
             memory_limit=None if self.memory_limit is None else int(self.memory_limit * 1e9),
             wandb=self.wandb,
         )
-        is_pose = isinstance(settings.network, NetworkConfig)
-        is_sampled = is_pose if self.eval_action is None else self.eval_action == "sampled"
+        own = settings.network.is_sampled
+        is_sampled = own if self.eval_action is None else self.eval_action == "sampled"
         evaluate = Evaluator(problem, settings.network, self.eval_episodes, is_sampled, self.seed)
         Run(
             problem.rules,
@@ -165,7 +164,6 @@ class Train:
 
     def settings(self) -> Settings:
         """The preset with what the command line changes."""
-        from cluttergen_jax.networks.config import NetworkConfig
         from cluttergen_jax.training.encoder_weights import choose_encoder
         from cluttergen_jax.training.presets import make_settings
 
@@ -176,9 +174,7 @@ class Train:
         if self.reward is not None:
             placement = dataclasses.replace(placement, reward=self.reward)
         network = choose_encoder(settings.network, self.encoder, self.encoder_weights, self.encoder_frozen)
-        if isinstance(network, NetworkConfig) and network.history_length > 1:
-            # The full method looks back on every attempt that an object may have, however many those are.
-            network = dataclasses.replace(network, history_length=self.attempts)
+        network = network.with_attempts(self.attempts)
         changes = {"num_attempts": self.num_attempts, "num_envs": self.num_envs}
         given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
         ppo = dataclasses.replace(settings.ppo, **given)

@@ -11,8 +11,7 @@ import numpy as np
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.evaluation.proportion import wilson
-from cluttergen_jax.networks.config import NetworkConfig
-from cluttergen_jax.networks.ranking import RankerConfig
+from cluttergen_jax.networks.config import AgentConfig
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.policies.policy import make_policy
@@ -36,7 +35,7 @@ class Evaluator:
     """
 
     problem: Problem
-    network: NetworkConfig | RankerConfig
+    network: AgentConfig
     num_episodes: int = 256
     is_sampled: bool = True
     seed: int = 0

@@ -18,7 +18,7 @@ from cluttergen_jax.cli.train import Train, check_folder, recipe_of
 from cluttergen_jax.errors import ClutterGenError, ConfigError
 from cluttergen_jax.evaluation.published import BUDGET
 from cluttergen_jax.training.display import clock_text, short
-from cluttergen_jax.training.records import read_rows
+from cluttergen_jax.training.metrics_log import read_rows
 from cluttergen_jax.training.suite import PlannedRun, plan
 
 RATE = 450.0

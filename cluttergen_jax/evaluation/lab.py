@@ -32,6 +32,7 @@ from cluttergen_jax.physics.host import SwappablePhysics
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.progress import interruptible
 from cluttergen_jax.sampling import BlockSampler, Rollout
@@ -187,7 +188,7 @@ class Lab:
         )
         base = self._composed(trial)
         with _usable(checkpoint, trial):
-            config = suited(base.rules.config, checkpoint)
+            config = suited(base.rules.config, _read(checkpoint))
         # Stable steps, as the paper counts them, need whole attempts; a policy that was trained on attempts
         # cut off as soon as they were decided reads histories of that length.
         is_longer = is_cut and trial.whole_attempts
@@ -247,7 +248,7 @@ class Lab:
         """
         checkpoint = self.checkpoints.find(trial)
         with _usable(checkpoint, trial):
-            propose = proposer_of(trial.method, checkpoint, problem.rules)
+            propose = proposer_of(trial.method, _read(checkpoint), problem.rules)
         return BlockSampler(problem.rules, propose)
 
     def run(self, trial: Trial, judge_neighbours: bool = True) -> Outcome:
@@ -272,6 +273,10 @@ class Lab:
         known = {name: record[name] for name in names if name in record}
         head = record["network"].get("head") if "network" in record else None
         return known | {"max_attempts": record["placement"]["max_attempts"], "head": head}
+
+
+def _read(checkpoint: Path | None) -> Checkpoint | None:
+    return None if checkpoint is None else read_checkpoint(checkpoint)
 
 
 @contextmanager

@@ -98,7 +98,7 @@ class PlacementEnv(Env):
     def step(self, state: State, action: Array) -> State:
         """One attempt with `action`, f32[4] in (0, 1)."""
         before: Ongoing = state.pipeline_state
-        after, transition = self.rules.attempt(before.episode, action)
+        after, transition = self.rules.attempt(before.episode, self.pose_of(state.obs, action))
         ends = after.is_over & ~before.episode.is_over
         ongoing = before.replace(
             episode=after,
@@ -123,7 +123,7 @@ class PlacementEnv(Env):
         finished = ongoing.finished
         return {
             "pipeline_state": ongoing,
-            "obs": observe(self.rules, ongoing.episode, self.observation),
+            "obs": self.observe(ongoing.episode),
             "reward": reward,
             "done": is_over.astype(jnp.float32),
             "metrics": {
@@ -135,6 +135,15 @@ class PlacementEnv(Env):
                 "num_finished": ongoing.num_finished.astype(jnp.float32),
             },
         }
+
+    def observe(self, episode: Episode) -> dict[str, Any]:
+        """The observation of an episode (`placement.observation.observe`)."""
+        return observe(self.rules, episode, self.observation)
+
+    def pose_of(self, observation: dict[str, Any], action: Array) -> Array:
+        """The pose f32[4] that an action on an observation means: here the action itself."""
+        del observation
+        return action
 
     @property
     def observation_size(self) -> dict[str, Any]:

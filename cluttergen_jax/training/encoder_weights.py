@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.agent.checkpoint import read_policy, read_record, save_policy
-from cluttergen_jax.agent.learner import ENCODER
+from cluttergen_jax.agent.pose_agent import ENCODER
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.networks.config import NetworkConfig
-from cluttergen_jax.networks.ranking import RankerConfig
+from cluttergen_jax.networks.config import AgentConfig, NetworkConfig
 
 _SET_ENCODER = "PointNet_0"
 
@@ -40,8 +39,8 @@ def fitted(network: NetworkConfig, folder: Path) -> NetworkConfig:
 
 
 def choose_encoder(
-    network: NetworkConfig | RankerConfig, encoder: str | None, weights: str | None, is_frozen: bool
-) -> NetworkConfig | RankerConfig:
+    network: AgentConfig, encoder: str | None, weights: str | None, is_frozen: bool
+) -> AgentConfig:
     """The config with what the command line says of encoders.
 
     Raises:

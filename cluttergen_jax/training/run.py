@@ -13,18 +13,17 @@ from cluttergen_jax.agent.checkpoint import has_state, read_state
 from cluttergen_jax.agent.config import PPOConfig
 from cluttergen_jax.agent.health import explain
 from cluttergen_jax.agent.ppo import PPO, TrainState
+from cluttergen_jax.agents import make_agent
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.networks.config import NetworkConfig
-from cluttergen_jax.networks.ranking import RankerConfig
+from cluttergen_jax.networks.config import AgentConfig
 from cluttergen_jax.physics.memory import engine_bytes
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.task import make_task
+from cluttergen_jax.training.distributed import agree, gathered, is_writer
 from cluttergen_jax.training.encoder_weights import with_encoder
-from cluttergen_jax.training.hosts import agree, gathered, is_writer
 from cluttergen_jax.training.interrupt import Interrupt
-from cluttergen_jax.training.journal import Evaluate, Journal, RunConfig, Silence
 from cluttergen_jax.training.memory import Needs, check_memory
 from cluttergen_jax.training.places import devices_for, fresh_state, placed, shared
+from cluttergen_jax.training.run_logger import Evaluate, Journal, RunConfig, Silence
 from cluttergen_jax.training.updates import Updates, num_updates
 
 __all__ = ["DivergedError", "Run", "RunConfig"]
@@ -53,7 +52,7 @@ class Run:
     def __init__(
         self,
         rules: Rules,
-        network: NetworkConfig | RankerConfig,
+        network: AgentConfig,
         ppo: PPOConfig,
         config: RunConfig,
         folder: Path,
@@ -61,10 +60,10 @@ class Run:
         evaluate: Evaluate | None = None,
         encoder_weights: Path | None = None,
     ) -> None:
-        self.config, self.folder, self.recipe = config, folder, recipe
-        task = make_task(rules, network)
-        self.learner = task.learner
-        self.ppo = PPO(task.env, task.learner.apply, ppo, devices_for(ppo.num_envs), task.encode)
+        self.config, self.folder = config, folder
+        self.recipe = recipe | {"kind": network.kind}
+        env, self.agent = make_agent(rules, network)
+        self.ppo = PPO(env, self.agent.apply, ppo, devices_for(ppo.num_envs), self.agent.encode)
         self._encoder_weights = encoder_weights
         self._physics, self._evaluate = rules.physics, evaluate
         folder.mkdir(parents=True, exist_ok=True)
@@ -91,7 +90,7 @@ class Run:
         return placed(self.ppo, shared(read_state(last, whole) if is_writer() else whole))
 
     def _init(self, key: Any) -> Any:
-        params = self.learner.init(key, jax.eval_shape(self.ppo.env.reset, key).obs)
+        params = self.agent.init(key, jax.eval_shape(self.ppo.env.reset, key).obs)
         if self._encoder_weights is None:
             return params
         return with_encoder(params, self._encoder_weights)

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.agent.devices import ManyDevices
 from cluttergen_jax.agent.health import SOUND, Health
 from cluttergen_jax.agent.ppo import PPO, TrainState
+from cluttergen_jax.agent.sharding import ManyDevices
 from cluttergen_jax.training.places import places_of
 from cluttergen_jax.types import Array
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.errors import MissingExtraError
-from cluttergen_jax.training.records import Row
+from cluttergen_jax.training.metrics_log import Row
 
 PROJECT = "cluttergen"
 

@@ -14,7 +14,7 @@ from cluttergen_jax.agent.checkpoint import read_record, save_policy, save_state
 from cluttergen_jax.agent.config import PPOConfig
 from cluttergen_jax.agent.ppo import TrainState
 from cluttergen_jax.training.display import Display, short
-from cluttergen_jax.training.records import Records, Row, Sink, TensorBoard, draw_curve
+from cluttergen_jax.training.metrics_log import Records, Row, Sink, TensorBoard, draw_curve
 from cluttergen_jax.training.updates import Figures
 from cluttergen_jax.training.wandb_log import WandbLog
 
