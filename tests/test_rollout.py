@@ -8,6 +8,7 @@ import jax.monitoring
 import numpy as np
 import pytest
 
+from cluttergen_jax.agents import make_agent
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.baselines import make_proposer
 from cluttergen_jax.networks.ranking import RankerConfig
@@ -15,7 +16,6 @@ from cluttergen_jax.placement.changes import ChangedRegion, find_change
 from cluttergen_jax.policies.policy import make_policy
 from cluttergen_jax.sampling import BlockSampler, Rollout
 from cluttergen_jax.sampling import run as run_module
-from cluttergen_jax.task import make_task
 from tests.problems import HalfTable, made_up_rules
 from tests.runs import SMALL
 
@@ -41,9 +41,9 @@ def sampler_of(method, scale):
     if method in ("random", "drop"):
         return BlockSampler(rules, make_proposer(method, rules))
     network = NETWORKS[method]
-    task = make_task(rules, network)
-    seen = jax.eval_shape(task.env.reset, jax.random.key(0)).obs
-    params = task.learner.init(jax.random.key(int(10 * scale)), seen)
+    env, agent = make_agent(rules, network)
+    seen = jax.eval_shape(env.reset, jax.random.key(0)).obs
+    params = agent.init(jax.random.key(int(10 * scale)), seen)
     return BlockSampler(rules, make_policy(rules, network, params, is_sampled=True))
 
 

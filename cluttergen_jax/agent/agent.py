@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 from cluttergen_jax.agent.ppo import as_seen
 from cluttergen_jax.types import Array
@@ -17,8 +17,7 @@ from cluttergen_jax.types import Array
 Params = Any
 
 
-@dataclass(frozen=True, eq=False)
-class Agent(ABC):
+class Agent(struct.PyTreeNode, ABC, eq=False):
     """A network that knows a world's point clouds.
 
     A kind of agent says what its `network` is, and where needed how observations are prepared for it.
@@ -31,11 +30,11 @@ class Agent(ABC):
       region_side: of the larger regions to be expected, metres.
     """
 
-    config: Any
+    config: Any = struct.field(pytree_node=False)
     cloud: Array
     half_extents: Array
-    max_objects: int
-    region_side: float = 0.7
+    max_objects: int = struct.field(pytree_node=False)
+    region_side: float = struct.field(pytree_node=False, default=0.7)
 
     @property
     @abstractmethod

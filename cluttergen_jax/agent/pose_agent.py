@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 from cluttergen_jax.agent.agent import Agent, Params, blank_batch
 from cluttergen_jax.networks.actor_critic import ActorCritic
@@ -27,11 +26,19 @@ ENCODER = "encoder"
 """Where the weights of the two networks on clouds are."""
 
 
-@dataclass(frozen=True, eq=False)
-class PoseAgent(Agent):
-    """An actor-critic whose action is a pose, f32[4] (docs/contract.md)."""
+class PoseAgent(Agent, eq=False):
+    """An actor-critic whose action is a pose, f32[4] (docs/contract.md).
 
-    config: NetworkConfig
+    Attributes:
+      room: the objects' footprints, where the network reads them; made here if not given.
+    """
+
+    config: NetworkConfig = struct.field(pytree_node=False)
+    room: Room | None = None
+
+    def __post_init__(self) -> None:
+        if self.config.reads_room and self.room is None:
+            object.__setattr__(self, "room", self._footprints())
 
     @property
     def network(self) -> ActorCritic:
@@ -43,9 +50,7 @@ class PoseAgent(Agent):
         """The networks on clouds, if there are any."""
         return CloudEncoder(self.config, self.max_objects)
 
-    @cached_property
-    def room(self) -> Room:
-        """The objects' footprints."""
+    def _footprints(self) -> Room:
         config = self.config
         return Room.of(
             self.cloud,
@@ -59,7 +64,7 @@ class PoseAgent(Agent):
     def init(self, key: Array, observation: Any) -> Params:
         """See `Agent.init`."""
         blank = blank_batch(observation)
-        if self.config.reads_room:
+        if self.room is not None:
             blank |= {"room": jnp.zeros((1, *self.room.shape))}
         if not self.config.reads_clouds:
             return jax.jit(self.network.init)(key, self.cloud, self.half_extents, blank)
@@ -88,7 +93,7 @@ class PoseAgent(Agent):
         return self._with_room
 
     def _with_room(self, observation: Any) -> Any:
-        if not self.config.reads_room or "room" in observation:
+        if self.room is None or "room" in observation:
             return observation
         return observation | {"room": jax.vmap(self.room)(observation)}
 

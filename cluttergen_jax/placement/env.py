@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY
 from typing import Any
 
 import jax
@@ -36,6 +37,7 @@ class Ongoing(struct.PyTreeNode):
     num_finished: Array
 
 
+@struct.dataclass(eq=False)
 class PlacementEnv(Env):
     """`brax.envs.Env`: place objects one after another, an attempt a step.
 
@@ -47,7 +49,7 @@ class PlacementEnv(Env):
     `info["truncation"]` is 0 after a reset. `step` hands on `info`, and metrics that are not its own, as it
     finds them, which is what Brax's wrappers build on.
 
-    Args:
+    Attributes:
       rules: of the world.
       observation: how much of an episode is spelled out.
       auto_reset: begin the next episode in the step that ends one.
@@ -55,19 +57,12 @@ class PlacementEnv(Env):
       keep_out: where no object may come to lie.
     """
 
-    def __init__(
-        self,
-        rules: Rules,
-        observation: ObservationConfig | None = None,
-        *,
-        auto_reset: bool = True,
-        start: Start | None = None,
-        keep_out: KeepOut | None = None,
-    ) -> None:
-        self.rules = rules
-        self.observation = observation or ObservationConfig()
-        self.auto_reset = auto_reset
-        self.start, self.keep_out = start, keep_out
+    rules: Rules
+    observation: ObservationConfig = struct.field(pytree_node=False, default=ObservationConfig())
+    _: KW_ONLY
+    auto_reset: bool = struct.field(pytree_node=False, default=True)
+    start: Start | None = None
+    keep_out: KeepOut | None = None
 
     def reset(self, rng: Array, scene: Start | None = None, keep_out: KeepOut | None = None) -> State:
         """A new episode on an empty support, or around `scene`, outside `keep_out` (both optional).

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import jax.numpy as jnp
+from flax import struct
 
 from cluttergen_jax.placement.region import action_scale
 from cluttergen_jax.placement.types import Episode
@@ -14,8 +13,7 @@ from cluttergen_jax.search.fit import Candidates
 from cluttergen_jax.types import Array
 
 
-@dataclass(frozen=True, eq=False)
-class FilteredPolicy:
+class FilteredPolicy(struct.PyTreeNode, eq=False):
     """Many draws from a policy, lowered vertically to first contact; the cheapest by a search's cost.
 
     The policy says where and how turned; how high follows from what lies below.
@@ -28,7 +26,7 @@ class FilteredPolicy:
 
     policy: TrainedPolicy
     search: Search
-    num_draws: int = 64
+    num_draws: int = struct.field(pytree_node=False, default=64)
 
     def __call__(self, key: Array, episode: Episode) -> Array:
         """See `placement.rules.Proposer`."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
 from cluttergen_jax.agent.agent import Agent
 from cluttergen_jax.agent.checkpoint import read_policy
@@ -21,8 +22,7 @@ from cluttergen_jax.policies.checkpoint import Checkpoint
 from cluttergen_jax.types import Array
 
 
-@dataclass(frozen=True, eq=False)
-class TrainedPolicy:
+class TrainedPolicy(struct.PyTreeNode, eq=False):
     """A proposer that draws from an agent's distribution, or takes its mean (of candidates, the likeliest).
 
     Attributes:
@@ -35,8 +35,8 @@ class TrainedPolicy:
     env: PlacementEnv
     agent: Agent
     params: Any
-    is_sampled: bool
-    num_attempts: int
+    is_sampled: bool = struct.field(pytree_node=False)
+    num_attempts: int = struct.field(pytree_node=False)
 
     def __call__(self, key: Array, episode: Episode) -> Array:
         """See `placement.rules.Proposer`."""

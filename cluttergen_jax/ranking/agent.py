@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from flax import struct
 
 from cluttergen_jax.agent.agent import Agent
 from cluttergen_jax.networks.ranking import Ranker, RankerConfig
 
 
-@dataclass(frozen=True, eq=False)
-class RankingAgent(Agent):
+class RankingAgent(Agent, eq=False):
     """A ranker whose action is the number of a candidate in the observation's menu, i32."""
 
-    config: RankerConfig
+    config: RankerConfig = struct.field(pytree_node=False)
 
     @property
     def network(self) -> Ranker:

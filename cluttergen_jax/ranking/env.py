@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY
 from typing import Any
 
+from flax import struct
+
 from cluttergen_jax.placement.env import PlacementEnv
-from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.ranking.menu import with_menu
 from cluttergen_jax.search import LowestFit
@@ -14,23 +15,25 @@ from cluttergen_jax.search.search import Search
 from cluttergen_jax.types import Array
 
 
+@struct.dataclass(eq=False)
 class RankingEnv(PlacementEnv):
     """A `PlacementEnv` whose observation holds a menu of poses and whose action picks one of them.
 
-    Args:
-      rules, observation: see `PlacementEnv`.
-      search: finds the poses, bound to the same rules; `LowestFit` if None.
+    Attributes:
+      search: finds the poses, bound to the same rules; `LowestFit` if not given.
     """
 
-    def __init__(
-        self, rules: Rules, observation: ObservationConfig | None = None, search: Search | None = None
-    ) -> None:
-        super().__init__(rules, observation)
-        self.search = search or LowestFit(rules)
+    _: KW_ONLY
+    search: Search | None = None
+
+    def __post_init__(self) -> None:
+        if self.search is None:
+            object.__setattr__(self, "search", LowestFit(self.rules))
 
     def observe(self, episode: Episode) -> dict[str, Any]:
         """The observation with the menu for the next attempt, in place of the history."""
-        return with_menu(self.search, episode, super().observe(episode))
+        assert self.search is not None
+        return with_menu(self.search, episode, PlacementEnv.observe(self, episode))
 
     def pose_of(self, observation: dict[str, Any], action: Array) -> Array:
         """The pose f32[4] of candidate `action`, i32."""
