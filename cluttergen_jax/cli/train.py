@@ -114,6 +114,7 @@ class Train:
     def train(self) -> None:
         """One run, to its end."""
         # Brax takes seconds to import, and only who trains needs it.
+        from cluttergen_jax.agent.checkpoint import check_folder
         from cluttergen_jax.cli.training_evaluation import Evaluator
         from cluttergen_jax.problem import ProblemConfig, make_problem
         from cluttergen_jax.training.distributed import is_writer
@@ -221,32 +222,6 @@ def recipe_of(args: Train, settings: Settings) -> dict[str, Any]:
         "placement": placement_record(settings.placement),
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")},
     }
-
-
-def check_folder(folder: Path, recipe: dict[str, Any]) -> None:
-    """Refuses to continue a run that was made with other settings.
-
-    Raises:
-      ConfigError: there is one; the message says which settings differ.
-    """
-    from cluttergen_jax.agent.checkpoint import has_state, read_record
-
-    if not has_state(folder / "last"):
-        return
-    theirs = read_record(folder / "last")
-    changed = sorted(name for name, value in recipe.items() if theirs.get(name) != _as_json(value))
-    if changed:
-        raise ConfigError(
-            f"{folder} holds a run with another {', '.join(changed)}",
-            "the same settings, which continue it",
-            "another --out",
-        )
-
-
-def _as_json(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _as_json(each) for name, each in value.items()}
-    return list(value) if isinstance(value, tuple) else value
 
 
 def _say_nothing(text: str) -> None:
