@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import mujoco
@@ -14,6 +13,7 @@ from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.geometry import yaw_quaternion
 
 VISUAL_GROUP = 2
 COLLISION_GROUP = 3
@@ -61,10 +61,6 @@ def own_contact(friction: float, default: Sequence[float]) -> tuple[tuple[float,
     factor = friction / ContactConfig().friction[0]
     sliding, torsional, rolling = (factor * each for each in default)
     return (sliding, torsional, rolling), max(1, round(_HIGHEST_PRIORITY * (1 - friction / MAX_FRICTION)))
-
-
-def _yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
-    return (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
 
 
 def set_surface(mesh: mujoco.MjsMesh, piece: Piece) -> None:
@@ -162,7 +158,7 @@ def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = Fa
             name=f"support/box-{index}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=box.center,
-            quat=_yaw_quaternion(box.yaw),
+            quat=yaw_quaternion(box.yaw),
             size=box.half_extents,
             rgba=box.rgba,
             group=VISUAL_GROUP if is_drawn else COLLISION_GROUP,

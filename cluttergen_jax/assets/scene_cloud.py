@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.geometry import transformed, turned
 
 _DENSE = 8
 """Surface samples per cloud point from which a point's colour is taken."""
@@ -31,13 +31,6 @@ class Cloud:
     points: np.ndarray
     colours: np.ndarray
     labels: np.ndarray
-
-
-def posed(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """f64[P, 3]: points of an object's frame at `pose` f[7], world frame, metres."""
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, np.asarray(pose[3:], np.float64))
-    return np.asarray(points, np.float64) @ matrix.reshape(3, 3).T + np.asarray(pose[:3], np.float64)
 
 
 def cloud_colours(asset: ObjectAsset) -> np.ndarray:
@@ -99,7 +92,7 @@ def scene_points(objects: Sequence[ObjectAsset], poses: np.ndarray, support: Sup
     for number, (asset, pose) in enumerate(zip(objects, poses, strict=True)):
         if id(asset) not in known:
             known[id(asset)] = cloud_colours(asset)
-        points.append(posed(asset.cloud, pose))
+        points.append(transformed(pose, asset.cloud))
         colours.append(known[id(asset)])
         labels.append(np.full(len(asset.cloud), 2 + number, np.int32))
     return Cloud(np.concatenate(points).astype(np.float32), np.concatenate(colours), np.concatenate(labels))
@@ -112,9 +105,7 @@ def top_points(support: SupportAsset) -> np.ndarray:
     counts = np.maximum(np.round(2 * half * np.sqrt(_PER_SQUARE_METRE)), 2).astype(int)
     x, y = (np.linspace(-h, h, n) for h, n in zip(half, counts, strict=True))
     flat = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    along = np.array([np.cos(region.yaw), np.sin(region.yaw)])
-    turned = flat @ np.stack([along, [-along[1], along[0]]]) + region.center
-    return np.column_stack([turned, np.full(len(turned), support.top)])
+    return np.column_stack([turned(flat, region.yaw) + region.center, np.full(len(flat), support.top)])
 
 
 def ply_of(cloud: Cloud) -> bytes:

@@ -11,6 +11,7 @@ from scipy import sparse
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.support import Box
+from cluttergen_jax.geometry import yaw_matrix
 
 _CREASE = math.radians(40)
 
@@ -92,8 +93,6 @@ def box_mesh(box: Box) -> Mesh:
     """A support's box as triangles, world frame."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
     local = signs * box.half_extents
-    cosine, sine = math.cos(box.yaw), math.sin(box.yaw)
-    turn = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [tri for a, b, c, d in quads for tri in ((a, b, c), (a, c, d))]
-    return Mesh(local @ turn.T + np.array(box.center), np.array(faces))
+    return Mesh(local @ yaw_matrix(box.yaw).T + np.array(box.center), np.array(faces))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -43,11 +42,6 @@ def euler_of(quaternion: np.ndarray) -> np.ndarray:
     """f64[3]: roll, pitch and yaw about fixed axes, radians, of a quaternion wxyz (URDF's `rpy`)."""
     w, x, y, z = quaternion
     return Rotation.from_quat([x, y, z, w]).as_euler("xyz")
-
-
-def yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
-    """The quaternion wxyz of a turn about z, radians."""
-    return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
 
 
 def text(values: Sequence[float] | np.ndarray) -> str:

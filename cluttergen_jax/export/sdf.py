@@ -18,9 +18,10 @@ from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.export.frames import text, yaw_quaternion
+from cluttergen_jax.export.frames import text
 from cluttergen_jax.export.friction import friction_of, harmonic_of
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, drawn_pieces, object_folder, visual_name
+from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene import Camera, Scene
 
 VERSION = "1.9"

@@ -20,7 +20,7 @@ from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
-from cluttergen_jax.export.frames import principal_of, yaw_quaternion
+from cluttergen_jax.export.frames import principal_of
 from cluttergen_jax.export.friction import friction_of
 from cluttergen_jax.export.meshes import (
     SUPPORT_FOLDER,
@@ -31,6 +31,7 @@ from cluttergen_jax.export.meshes import (
     write_object_images,
     write_support_images,
 )
+from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene import Camera, Scene
 
 try:

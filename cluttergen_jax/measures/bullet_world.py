@@ -16,7 +16,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
-from cluttergen_jax.physics.rotation import rotate
+from cluttergen_jax.geometry import conjugate, product, rotate
 
 
 def load_pybullet(purpose: str) -> ModuleType:
@@ -53,20 +53,14 @@ class BodyFrames:
         """f64[n, 7], position and quaternion xyzw of bodies, from the objects' poses f[n, 7] (wxyz)."""
         objects = list(objects)
         position = poses[:, :3] + rotate(np, poses[:, 3:], self.center[objects])
-        turn = _product(poses[:, 3:], self.turn[objects])
+        turn = product(poses[:, 3:], self.turn[objects])
         return np.c_[position, turn[:, 1:], turn[:, 0]]
 
     def object_poses(self, objects: Sequence[int], bodies: np.ndarray) -> np.ndarray:
         """The inverse of `body_poses`."""
         objects = list(objects)
-        turn = _product(bodies[:, [6, 3, 4, 5]], self.turn[objects] * [1, -1, -1, -1])
+        turn = product(bodies[:, [6, 3, 4, 5]], conjugate(self.turn[objects]))
         return np.c_[bodies[:, :3] - rotate(np, turn, self.center[objects]), turn]
-
-
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Quaternion products, f[n, 4] wxyz each."""
-    w, v, u, x = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
-    return np.c_[w * u - (v * x).sum(1, keepdims=True), w * x + u * v + np.cross(v, x)]
 
 
 def body_friction(contact: ContactConfig) -> float:
@@ -80,7 +74,7 @@ def write_compound(path: Path, asset: ObjectAsset, frames: BodyFrames, index: in
     PyBullet makes one compound of the file's groups, each of them convex.
     """
     lines: list[str] = []
-    first, back = 1, frames.turn[index] * [1, -1, -1, -1]
+    first, back = 1, conjugate(frames.turn[index])
     for part in asset.parts:
         vertices = rotate(np, back, part.vertices - frames.center[index])
         faces = ConvexHull(part.vertices).simplices + first

@@ -15,6 +15,7 @@ from cluttergen_jax.assets.scene_cloud import cloud_colours, top_points
 from cluttergen_jax.assets.shading import linear, shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.placement.recording import Attempt, Recording
 
 if TYPE_CHECKING:
@@ -159,7 +160,7 @@ class Scenery:
                     color=_bytes(box.rgba),
                     dimensions=tuple(2 * np.array(box.half_extents)),
                     position=box.center,
-                    wxyz=(np.cos(box.yaw / 2), 0.0, 0.0, np.sin(box.yaw / 2)),
+                    wxyz=yaw_quaternion(box.yaw),
                 )
             )
         points = top_points(support) + np.array([0.0, 0.0, _LIFT])
@@ -285,10 +286,7 @@ def _hull(server: viser.ViserServer, name: str, part: Mesh, colour: tuple[int, i
 
 def _outline(rectangle: Rectangle, height: float) -> np.ndarray:
     """f32[4, 2, 3]: the sides of a rectangle at a height, world frame."""
-    along = np.array([np.cos(rectangle.yaw), np.sin(rectangle.yaw)])
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * rectangle.half_extents
-    corners = signs @ np.stack([along, [-along[1], along[0]]]) + rectangle.center
-    ring = np.column_stack([corners, np.full(4, height)])
+    ring = np.column_stack([rectangle.corners, np.full(4, height)])
     return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1).astype(np.float32)
 
 
