@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import cleaned, joined
 from cluttergen_jax.assets.readers import ReadOptions, find_sources, read_shape, read_source, ycb_sources
 from cluttergen_jax.assets.readers.convex import signed_volume
 from cluttergen_jax.assets.readers.materials import GREY
-from cluttergen_jax.assets.readers.mesh_file import cleaned
 from cluttergen_jax.errors import AssetError
 
 SIZE = np.array([0.06, 0.04, 0.11])

@@ -43,8 +43,7 @@ def shaded(mesh: Mesh, uv: np.ndarray | None = None, crease: float = _CREASE) ->
     """
     points, place = np.unique(np.round(mesh.vertices, 7), axis=0, return_inverse=True)
     faces = place.reshape(-1)[mesh.faces]
-    corners = points[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = Mesh(points, faces).normals
     area = np.linalg.norm(normals, axis=1)
     keep = area > 1e-14
     faces, normals, area = faces[keep], normals[keep] / area[keep, None], area[keep]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.parts import hull_of
 
 MAX_PARTS = 32
 
@@ -26,11 +26,8 @@ def convex_parts(meshes: list[Mesh], tolerance: float = 0.02) -> tuple[Mesh, ...
 
 def is_convex(mesh: Mesh, tolerance: float = 0.02) -> bool:
     """Whether the triangles enclose all of the hull but a share of `tolerance`."""
-    try:
-        hull = ConvexHull(mesh.vertices).volume
-    except (QhullError, ValueError):
-        return False
-    return abs(signed_volume(mesh)) > (1 - tolerance) * hull
+    hull = hull_of(mesh.vertices)
+    return hull is not None and bool(abs(signed_volume(mesh)) > (1 - tolerance) * hull.volume)
 
 
 def signed_volume(mesh: Mesh) -> float:
