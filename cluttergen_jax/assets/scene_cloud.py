@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from cluttergen_jax.assets.cloud import sample_faces
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
@@ -37,43 +38,26 @@ def cloud_colours(asset: ObjectAsset) -> np.ndarray:
     """uint8[1024, 3]: the colour of the surface next to each point of the asset's cloud."""
     if not asset.pieces:
         return np.full((len(asset.cloud), 3), 180, np.uint8)
-    rng = np.random.default_rng(0)
-    spots, shades = [], []
-    areas = [_areas(piece.mesh.vertices, piece.mesh.faces) for piece in asset.pieces]
-    total = sum(area.sum() for area in areas) or 1.0
-    for piece, area in zip(asset.pieces, areas, strict=True):
-        count = int(np.ceil(_DENSE * len(asset.cloud) * area.sum() / total)) if area.sum() > 0 else 0
-        points, shade = _surface_points(piece, area, count, rng)
-        spots.append(points)
-        shades.append(shade)
+    areas = np.array([np.linalg.norm(piece.mesh.normals, axis=1).sum() for piece in asset.pieces])
+    counts = np.ceil(_DENSE * len(asset.cloud) * areas / max(areas.sum(), 1e-30)).astype(int)
+    spots, shades = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    for seed, (piece, count) in enumerate(zip(asset.pieces, counts.tolist(), strict=True)):
+        if count:
+            points, shade = _coloured_points(piece, count, seed)
+            spots.append(points)
+            shades.append(shade)
     nearest = cKDTree(np.concatenate(spots)).query(asset.cloud)[1]
     return np.round(255 * np.clip(np.concatenate(shades)[nearest], 0, 1)).astype(np.uint8)
 
 
-def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-
-
-def _surface_points(
-    piece: Piece, areas: np.ndarray, count: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
+def _coloured_points(piece: Piece, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """f64[count, 3], even over the area, and f64[count, 3], the colours there, each in [0, 1]."""
-    if count == 0:
-        return np.zeros((0, 3)), np.zeros((0, 3))
-    vertices, faces = piece.mesh.vertices, piece.mesh.faces
-    face = faces[rng.choice(len(faces), count, p=areas / areas.sum())]
-    u, v = rng.random((2, count, 1))
-    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-
-    def between(values: np.ndarray) -> np.ndarray:
-        a, b, c = (values[face[:, k]] for k in range(3))
-        return a + u * (b - a) + v * (c - a)
-
+    points, faces, weights = sample_faces(piece.mesh, count, seed)
     shade = np.tile(np.array(piece.rgba[:3]), (count, 1))
     if piece.uv is not None and piece.texture is not None:
-        shade *= piece.texture.at(between(piece.uv))
-    return between(vertices), shade
+        uv = np.einsum("nk,nkd->nd", weights, piece.uv[piece.mesh.faces[faces]])
+        shade *= piece.texture.at(uv)
+    return points, shade
 
 
 def scene_points(objects: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None) -> Cloud:

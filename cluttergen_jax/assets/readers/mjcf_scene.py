@@ -10,9 +10,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import trimesh
 
-from cluttergen_jax.assets.cloud import farthest_first
+from cluttergen_jax.assets.cloud import farthest_first, sample_surface
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, RestingPose
 from cluttergen_jax.assets.readers.mjcf import compiled, geom_mesh, geom_piece, is_solid
@@ -91,8 +90,7 @@ def _root(model: mujoco.MjModel, geom: int) -> int:
 
 def _cloud(mesh: Mesh) -> np.ndarray:
     """f32[1024, 3], farthest-point ordered."""
-    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    points = np.asarray(trimesh.sample.sample_surface(surface, CLOUD_SIZE, seed=0)[0])
+    points = sample_surface(mesh, CLOUD_SIZE, 0)
     return points[farthest_first(points)].astype(np.float32)
 
 
