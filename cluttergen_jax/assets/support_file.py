@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from cluttergen_jax.assets.obj import parse_surface, surface_text
 from cluttergen_jax.assets.pool import embedded_root, user_root
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
-from cluttergen_jax.assets.surface_files import parse_surface, surface_text
 from cluttergen_jax.assets.texture import Texture, texture_name
 from cluttergen_jax.errors import PoolError, closest
 from cluttergen_jax.files import folder_whole, inside

@@ -14,7 +14,6 @@ import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.part_files import hull_of
 from cluttergen_jax.assets.shading import linear, shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
@@ -67,7 +66,7 @@ def write_object_usd(folder: Path, asset: ObjectAsset, contact: ContactConfig) -
     write_object_images(folder, asset)
     material = _add_contact(stage, friction_of(asset, contact)[0], contact)
     for index, part in enumerate(asset.parts):
-        mesh = _add_mesh(stage, f"{_collisions(stage)}/part_{index:02d}", hull_of(part))
+        mesh = _add_mesh(stage, f"{_collisions(stage)}/part_{index:02d}", part.hull())
         UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr("convexHull")
         _make_collider(mesh.GetPrim(), material)
     stage.GetRootLayer().Save()

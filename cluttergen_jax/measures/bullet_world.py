@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+from cluttergen_jax.assets import obj
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
@@ -78,11 +79,9 @@ def write_compound(path: Path, asset: ObjectAsset, frames: BodyFrames, index: in
     for part in asset.parts:
         vertices = rotate(np, back, part.vertices - frames.center[index])
         faces = ConvexHull(part.vertices).simplices + first
-        lines.append(f"o part-{first}")
-        lines += ["v {:.9g} {:.9g} {:.9g}".format(*vertex) for vertex in vertices]
-        lines += ["f {} {} {}".format(*face) for face in faces]
+        lines += [f"o part-{first}", *obj.lines("v", vertices, ".9g"), *obj.lines("f", faces, "d")]
         first += len(vertices)
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    path.write_text(obj.text(lines), encoding="ascii")
 
 
 def add_support(pybullet: ModuleType, client: int, support: SupportAsset, friction: float) -> None:

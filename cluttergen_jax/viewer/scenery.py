@@ -10,7 +10,6 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.part_files import hull_of
 from cluttergen_jax.assets.scene_cloud import cloud_colours, top_points
 from cluttergen_jax.assets.shading import linear, shaded
 from cluttergen_jax.assets.shape import Piece
@@ -221,7 +220,7 @@ class _Ghost:
         root = f"/failed/{number}"
         self.attempt = attempt
         self.frame = server.scene.add_frame(root, show_axes=False)
-        whole = joined([piece.mesh for piece in asset.pieces] or [hull_of(part) for part in asset.parts])
+        whole = joined([piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts])
         _surface(server, f"{root}/visual", Piece(whole, _GHOST))
         points = attempt.trajectory[:, :3].astype(np.float32)
         segments = np.stack([points[:-1], points[1:]], axis=1)
@@ -278,7 +277,7 @@ def textured_mesh(piece: Piece) -> trimesh.Trimesh:
 
 
 def _hull(server: viser.ViserServer, name: str, part: Mesh, colour: tuple[int, int, int]) -> Any:
-    mesh = hull_of(part)
+    mesh = part.hull()
     return server.scene.add_mesh_simple(
         name, mesh.vertices, mesh.faces, color=colour, flat_shading=True, visible=False
     )
