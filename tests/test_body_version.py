@@ -10,10 +10,10 @@ from cluttergen_jax.importing.cache import BODY_VERSION
 from cluttergen_jax.importing.solo import measured_object
 
 # By BODY_VERSION: the figures of each body below. Where the test fails after a change of code, and the new
-# bodies are meant: raise BODY_VERSION and put the new figures under its number, in place of the old ones. Where
-# no code was changed but a library was (its version is in the cache's key), or on another machine (the cup's
-# parts are CoACD's, which is not the same on all of them): look at the difference, and put the new figures
-# here, or widen the tolerance; the version stays.
+# bodies are meant: raise BODY_VERSION and put the new figures under its number, in place of the old ones.
+# Where no code was changed but a library was (its version is in the cache's key), or on another machine (the
+# cup's parts are CoACD's, which is not the same on all of them): look at the difference, and put the new
+# figures here, or widen the tolerance; the version stays.
 FIGURES = {
     1: {
         "crate.obj": """
