@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -12,7 +12,7 @@ from cluttergen_jax.assets.shading import shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.texture import Texture
-from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.geometry import yaw_quaternion
 
 VISUAL_GROUP = 2
@@ -22,6 +22,7 @@ SPECULAR, SHININESS = 0.25, 0.35
 MAX_FRICTION = 10.0
 """Sliding coefficients of objects from here on are all alike to MuJoCo's choice between two of them."""
 _HIGHEST_PRIORITY = 100_000
+_PARKING_START, _PARKING_HEIGHT, _PARKING_GAP = 50.0, 10.0, 0.1
 
 
 def new_spec(timestep: float, contact: ContactConfig) -> mujoco.MjSpec:
@@ -81,19 +82,23 @@ def _add_visuals(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pieces: t
     for index, piece in enumerate(pieces):
         mesh = spec.add_mesh(name=f"{name}/visual-{index}")
         set_surface(mesh, piece)
-        # A shell's volume is never singular, and a visual mesh carries no mass here.
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        body.add_geom(
-            name=f"{name}/visual-{index}",
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=mesh.name,
-            rgba=piece.rgba,
-            material=add_texture(spec, piece.texture),
-            contype=0,
-            conaffinity=0,
-            group=VISUAL_GROUP,
-            mass=0,
-        )
+        _add_visual(body, mesh, piece, add_texture(spec, piece.texture)).name = mesh.name
+
+
+def _add_visual(body: mujoco.MjsBody, mesh: mujoco.MjsMesh, piece: Piece, material: str) -> mujoco.MjsGeom:
+    """Adds a geom that is drawn and neither collides nor weighs anything."""
+    # A shell's volume is never singular.
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    return body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=mesh.name,
+        rgba=piece.rgba,
+        material=material,
+        contype=0,
+        conaffinity=0,
+        group=VISUAL_GROUP,
+        mass=0,
+    )
 
 
 def add_texture(spec: mujoco.MjSpec, texture: Texture | None, folder: str = "") -> str:
@@ -149,6 +154,17 @@ def add_object(spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bo
     return body
 
 
+def add_parked(
+    spec: mujoco.MjSpec, objects: Sequence[ObjectAsset], names: Sequence[str], *, visual: bool = False
+) -> None:
+    """Adds free bodies in a row far from the support, where objects wait until they are placed."""
+    x = _PARKING_START
+    for name, asset in zip(names, objects, strict=True):
+        x += asset.radius
+        add_object(spec, asset, name, visual=visual).pos = (x, 0.0, _PARKING_HEIGHT)
+        x += asset.radius + _PARKING_GAP
+
+
 def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = False) -> None:
     """Adds the support's boxes to the world body, and its visual pieces if asked for."""
     body = spec.worldbody.add_body(name="support")
@@ -165,3 +181,28 @@ def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = Fa
         )
     if visual:
         _add_visuals(spec, body, "support", support.pieces)
+
+
+def object_xml(
+    asset: ObjectAsset, surfaces: tuple[str, ...], files: Mapping[str, bytes], images: str = ""
+) -> bytes:
+    """One object alone as MJCF text: a free body called after it, with default contact parameters.
+
+    Parts stand inline, surfaces are named by their files.
+
+    Args:
+      asset: the object.
+      surfaces: the name of each piece's OBJ file, relative to where the text will be saved.
+      files: their contents, by name.
+      images: where the images of the surfaces will lie, relative to the text; beside it if empty.
+    """
+    spec = new_spec(StabilityConfig().timestep, ContactConfig())
+    spec.modelname = asset.name
+    body = add_object(spec, asset, asset.name)
+    spec.worldbody.add_light(pos=(0, 0, 2), dir=(0, 0, -1))
+    for index, (piece, surface) in enumerate(zip(asset.pieces, surfaces, strict=True)):
+        mesh = spec.add_mesh(name=f"{asset.name}/visual-{index}", file=surface)
+        _add_visual(body, mesh, piece, add_texture(spec, piece.texture, images))
+    spec.assets = {**spec.assets, **{name: files[name] for name in surfaces}}
+    spec.compile()
+    return spec.to_xml().encode()
