@@ -46,6 +46,12 @@ class Mesh:
         corners = self.corners
         return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
+    @property
+    def volume(self) -> float:
+        """Cubic metres enclosed by a closed mesh, positive if its triangles face outwards."""
+        a, b, c = (self.corners[:, i] - self.vertices.mean(0) for i in range(3))
+        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+
     def hull(self) -> Mesh:
         """A convex part with its faces, counter-clockwise seen from outside."""
         hull = ConvexHull(self.vertices)

@@ -44,7 +44,6 @@ def toaster(rng: Rng = None) -> Shape:
     rise, low, span = deep + 0.002, floor - 0.002, long + 0.004
     return made(
         name="toaster",
-        label="toaster",
         pieces=(
             piece(difference(shell, *slots), shade(rng, BODIES, 0.04)),
             piece(difference(frame, shell, *slots), DARK),

@@ -75,7 +75,6 @@ def spray_bottle(rng: Rng = None) -> Shape:
     grip = upright(head, 0.024)
     return made(
         name="spray_bottle",
-        label="spray bottle",
         pieces=(
             piece(body + neck, shade(rng, (SKY, TEAL, *BRIGHT))),
             piece(collar - body, WHITE),
@@ -129,7 +128,6 @@ def soap_dispenser(rng: Rng = None) -> Shape:
     metal = shade(rng, (WHITE, STEEL, CHARCOAL))
     return made(
         name="soap_dispenser",
-        label="soap dispenser",
         pieces=(
             piece(body + neck, shade(rng, (TEAL, CREAM, *BRIGHT))),
             piece(union(cap, stem, hull(spout), hull(tip), press) - (body + neck), metal),

@@ -30,7 +30,6 @@ def cereal_box(rng: Rng = None) -> Shape:
     flap = box((0.30 * width, 0.30 * depth, 0.0008), z=height - 0.0002)
     return made(
         name="cereal_box",
-        label="cereal box",
         pieces=(
             piece(box((width, depth, height)), shade(rng, PRINTS)),
             *_breakfast(rng, width, height, -depth / 2, accent),
@@ -80,7 +79,6 @@ def milk_carton(rng: Rng = None) -> Shape:
     gable = [(x, y, z) for x in (-half, half) for y, z in (*right, *left)]
     return made(
         name="milk_carton",
-        label="milk carton",
         pieces=(
             piece(carton, hex_rgb("f3f3ee")),
             piece(stripe - carton, color),

@@ -102,7 +102,6 @@ def laptop(rng: Rng = None) -> Shape:
     shell = rounded_box((width, depth, base), 0.003) + raised(rounded_box(screen_size, 0.003))
     return made(
         name="laptop",
-        label="laptop",
         pieces=(
             piece(shell, shade(rng, (SILVER, GREY, CHARCOAL, STEEL, NAVY))),
             piece(keys, shade(rng, (BLACK, CHARCOAL), 0.02)),
@@ -219,7 +218,6 @@ def calculator(rng: Rng = None) -> Shape:
     tops = corners[corners[:, 2] > 0] * (0.86, 0.88, 1) + (0, 0, 0.003)
     return made(
         name="calculator",
-        label="calculator",
         pieces=(
             piece(hull(corners), shade(rng, (CHARCOAL, NAVY, TEAL, *BRIGHT))),
             *[piece(_on_slope(solid, front, back, slope), color) for solid, color in tinted],

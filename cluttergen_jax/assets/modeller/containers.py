@@ -60,7 +60,6 @@ def soup_can(rng: Rng = None) -> Shape:
     color = shade(rng, LABELS)
     return made(
         name="soup_can",
-        label="soup can",
         pieces=(
             piece(revolve([(0.0, 0.0), *tin]), STEEL),
             piece(_sleeve(radius, middle + band, high), color),

@@ -83,7 +83,6 @@ def frying_pan(rng: Rng = None) -> Shape:
     scales = np.interp(stations[:, 0], path[:, 0], sizes)
     return made(
         name="frying_pan",
-        label="frying pan",
         pieces=(
             piece(outside, shade(rng, (*ENAMELS[5:], *ENAMELS[:5]), 0.03)),
             piece(lining, hex_rgb("3a3d42")),
@@ -116,7 +115,6 @@ def colander(rng: Rng = None) -> Shape:
     legs = [cell for path in ears for cell in swept_parts(thinned(path, 3, 0.04), 0.0036, UP)]
     return made(
         name="colander",
-        label="colander",
         pieces=(piece(union(shell, *wires), shade(rng, METALS, 0.03)),),
         parts=(*body.parts(8), *legs),
         cavity=body.cavity(),

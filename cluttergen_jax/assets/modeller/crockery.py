@@ -49,7 +49,6 @@ def dinner_plate(rng: Rng = None) -> Shape:
     band = revolve([(near, low - 0.0010), (far, high - 0.0010), (far, high + 0.0003), (near, low + 0.0003)])
     return made(
         name="dinner_plate",
-        label="dinner plate",
         pieces=(piece(body.solid() - band, shade(rng, PORCELAIN, 0.02)), piece(band, shade(rng, GLAZES))),
         parts=body.parts(10),
         cavity=body.cavity(),

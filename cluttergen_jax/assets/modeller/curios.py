@@ -98,7 +98,6 @@ def globe(rng: Rng = None) -> Shape:
     bow = np.column_stack([1.03 * reach * np.cos(coarse), 0 * coarse, 1.03 * reach * np.sin(coarse)])
     return made(
         name="globe",
-        label="globe",
         pieces=(
             piece(skin.rotate(tilt).translate(at), sea),
             piece(
@@ -157,7 +156,6 @@ def eyeglasses(rng: Rng = None) -> Shape:
     tint = shade(rng, (SKY, (0.25, 0.27, 0.30), (0.55, 0.40, 0.25)))
     return made(
         name="eyeglasses",
-        label="eyeglasses",
         pieces=(
             piece(frame, shade(rng, (BLACK, CRIMSON, DARK_WOOD, NAVY))),
             piece(union(*panes) - frame, tint, 0.45),
@@ -204,7 +202,6 @@ def toy_car(rng: Rng = None) -> Shape:
     rollers = [turned(roller, (0, 0, 0), (x, y, axle)) for x, y in places]
     return made(
         name="toy_car",
-        label="toy car",
         pieces=(
             piece(shell, paint),
             piece(glass, SKY),
@@ -257,7 +254,6 @@ def photo_frame(rng: Rng = None) -> Shape:
     back = leaning(rim)
     return made(
         name="photo_frame",
-        label="photo frame",
         pieces=(
             piece(leaning(rim_open), shade(rng, (DARK_WOOD, WOOD, GOLD, BLACK, WHITE, SILVER))),
             piece(leaning(mat), WHITE),

@@ -39,9 +39,14 @@ def made_by(family: str) -> Provenance:
     return Provenance(f"cluttergen_jax modeller, family {family}", "Apache-2.0")
 
 
-def made(name: str, label: str, pieces: Sequence[Piece], **body: Any) -> Shape:
-    """A shape of the family `name`; `body` are more of the shape's fields: parts, mass, cavity."""
-    return Shape(name, label, tuple(pieces), made_by(name), **body)
+def made(name: str, pieces: Sequence[Piece], label: str = "", **body: Any) -> Shape:
+    """A shape of the family `name`.
+
+    Args:
+      label: what people call it; the name's words if empty.
+      body: more of the shape's fields: parts, mass, cavity.
+    """
+    return Shape(name, label or name.replace("_", " "), tuple(pieces), made_by(name), **body)
 
 
 def hex_rgb(code: str) -> Rgb:

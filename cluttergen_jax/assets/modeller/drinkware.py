@@ -67,7 +67,6 @@ def water_glass(rng: Rng = None) -> Shape:
     body = Vessel(outer, inner)
     return made(
         name="water_glass",
-        label="water glass",
         pieces=(piece(body.solid(), shade(rng, GLASS), 0.5),),
         parts=body.parts(8),
         cavity=body.cavity(),
@@ -90,7 +89,6 @@ def wine_glass(rng: Rng = None) -> Shape:
     cavity = revolve([(0.0, body.floor), *body.inner, (0.0, rim)])
     return made(
         name="wine_glass",
-        label="wine glass",
         pieces=(piece(revolve(profile), shade(rng, GLASS), 0.5),),
         parts=(
             disc_part([(foot, 0.0), (foot, 0.0022), (0.25 * foot, 0.0060)], 8, is_standing=True),

@@ -75,7 +75,6 @@ def alarm_clock(rng: Rng = None) -> Shape:
     stand = union(hammer, *[hull(part.vertices) for part in feet]) - case
     return made(
         name="alarm_clock",
-        label="alarm clock",
         pieces=(
             piece(body, shade(rng, (RED, TEAL, *BRIGHT, CHARCOAL))),
             piece(facing(radius - 0.006, 0.001, (0, middle), front + 0.0035), WHITE),
@@ -153,7 +152,6 @@ def camera(rng: Rng = None) -> Shape:
     trim = shade(rng, (SILVER, STEEL, CHARCOAL, GOLD))
     return made(
         name="camera",
-        label="camera",
         pieces=(
             piece(dark, shade(rng, (BLACK, *DARK, (0.42, 0.24, 0.15)), 0.02)),
             piece(union(shell, *rings), trim),
@@ -207,7 +205,6 @@ def remote_control(rng: Rng = None) -> Shape:
     ]
     return made(
         name="remote_control",
-        label="remote control",
         pieces=(piece(body, shade(rng, (CHARCOAL, *DARK, NAVY, STEEL))), *[piece(s, c) for s, c in tinted]),
         parts=(hull_part(footing + sides),),
         mass=vary(rng, 0.14, 0.2),

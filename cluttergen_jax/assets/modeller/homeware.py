@@ -63,7 +63,6 @@ def tissue_box(rng: Rng = None) -> Shape:
     coarse = knots[[0, 3, 6, 8, 11, 14]][:, [0, -1]].reshape(-1, 3)
     return made(
         name="tissue_box",
-        label="tissue box",
         pieces=(
             piece(box((width, depth, height)), shade(rng, (SKY, PINK, CREAM, *BRIGHT))),
             piece(lower, shade(rng, (BLUE, TEAL, RED, GREEN))),
@@ -131,7 +130,6 @@ def flower_pot(rng: Rng = None) -> Shape:
     clay = shade(rng, (TERRACOTTA, TERRACOTTA, (0.86, 0.82, 0.74), TEAL))
     return made(
         name="flower_pot",
-        label="flower pot",
         pieces=(
             piece(revolve(saucer) + pot.solid(), clay),
             piece(_trim(pot, band, height), (0.86 * clay[0], 0.86 * clay[1], 0.86 * clay[2])),
@@ -176,7 +174,6 @@ def basket(rng: Rng = None) -> Shape:
     )
     return made(
         name="basket",
-        label="basket",
         pieces=(
             piece(tub.solid(), shade(rng, (KRAFT, (0.62, 0.44, 0.27), CREAM))),
             piece(_weave(tub, edge), shade(rng, (CREAM, WOOD, TEAL, WHITE))),

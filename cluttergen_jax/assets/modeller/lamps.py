@@ -61,7 +61,6 @@ def desk_lamp(rng: Rng = None) -> Shape:
     ]
     return made(
         name="desk_lamp",
-        label="desk lamp",
         pieces=(
             piece(revolve([(0, 0), *base, (0, 0.020 * size)]), color),
             piece(arms, shade(rng, (SILVER, GOLD, CHARCOAL))),

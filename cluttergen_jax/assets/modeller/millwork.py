@@ -28,7 +28,6 @@ def pepper_mill(rng: Rng = None) -> Shape:
     steel = hex_rgb("c9ccd0")
     return made(
         name="pepper_mill",
-        label="pepper mill",
         pieces=(
             piece(revolve([*body, *smooth_path(ball, 20), (0.0, head)]), shade(rng, WOODS, 0.04)),
             piece(revolve(ring), steel),

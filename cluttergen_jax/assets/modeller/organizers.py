@@ -67,7 +67,6 @@ def pencil_cup(rng: Rng = None) -> Shape:
         parts.append(part)
     return made(
         name="pencil_cup",
-        label="pencil cup",
         pieces=tuple(pieces),
         parts=tuple(parts),
         cavity=cup.cavity(),
@@ -119,7 +118,6 @@ def pen_holder(rng: Rng = None) -> Shape:
     ruler = hull(upright_part(outline, **flat).vertices)
     return made(
         name="pen_holder",
-        label="pen holder",
         pieces=(*pieces, piece(ruler - box(*wall), YELLOW)),
         parts=(*parts, upright_part(outline, **flat)),
         cavity=Cavity(
@@ -161,7 +159,6 @@ def letter_tray(rng: Rng = None) -> Shape:
     inside = box((inner, depth - 2 * wall, height - floor), z=floor) - box(*papers[1])
     return made(
         name="letter_tray",
-        label="letter tray",
         pieces=(
             piece(frame, shade(rng, (WOOD, *DARK, DARK_WOOD, TEAL))),
             piece(box(*papers[0]), WHITE),

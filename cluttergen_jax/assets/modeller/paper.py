@@ -44,7 +44,6 @@ def hardback_book(rng: Rng = None) -> Shape:
     title = _cover_art(choose(rng, ("ATLAS", "FABLES", "DUNES", "TALES")), width, depth, height)
     return made(
         name="hardback_book",
-        label="hardback book",
         pieces=(
             piece(cover, shade(rng, (NAVY, *MUTED))),
             piece(pages - cover, shade(rng, (PAPER,), 0.03)),
@@ -94,7 +93,6 @@ def sticky_notes(rng: Rng = None) -> Shape:
         note += box((length * side, 0.0022, 0.0012), ((length - 0.74) * side / 2, row), -0.0006)
     return made(
         name="sticky_notes",
-        label="sticky notes",
         pieces=(
             piece(block, colors[0]),
             *pads,
@@ -149,7 +147,6 @@ def ring_binder(rng: Rng = None) -> Shape:
     lines = [box((0.5 * width, 0.001, 0.003), (0, front), z * height) for z in (0.54, 0.61, 0.68)]
     return made(
         name="ring_binder",
-        label="ring binder",
         pieces=(
             piece(union(spine, *sides), shade(rng, (CRIMSON, NAVY, FOREST, *BRIGHT[:3], CHARCOAL))),
             piece(pages, PAPER),

@@ -68,7 +68,6 @@ def stapler(rng: Rng = None) -> Shape:
     metal = union(upright(pivot, 0.36 * width), anvil, upright(rail, 0.7 * width))
     return made(
         name="stapler",
-        label="stapler",
         pieces=(
             piece(upright(base, width + 0.004), shade(rng, (CHARCOAL, BLACK, GREY))),
             piece(metal, STEEL),
@@ -113,7 +112,6 @@ def tape_dispenser(rng: Rng = None) -> Shape:
     ribbon = hull(upright_part(strip, 0.72 * slot).vertices)
     return made(
         name="tape_dispenser",
-        label="tape dispenser",
         pieces=(
             piece(frame, shade(rng, (CHARCOAL, *DARK, *BRIGHT))),
             piece(union(spool, ribbon), TAPE),
@@ -157,7 +155,6 @@ def hole_punch(rng: Rng = None) -> Shape:
     metal = union(box(*bar), box(*wall), *pins, *rests) - lid - tray
     return made(
         name="hole_punch",
-        label="hole punch",
         pieces=(
             piece(tray, shade(rng, (CHARCOAL, BLACK, GREY))),
             piece(metal, STEEL),
@@ -194,7 +191,6 @@ def scissors(rng: Rng = None) -> Shape:
     steel = union(*blades, cylinder(0.0045 * size, 0.0085, segments=24))
     return made(
         name="scissors",
-        label="scissors",
         pieces=(piece(handles, shade(rng, (RED, *BRIGHT, CHARCOAL))), piece(steel - handles, STEEL)),
         parts=tuple(parts),
         mass=vary(rng, 0.075, 0.2),

@@ -48,7 +48,6 @@ def teapot(rng: Rng = None) -> Shape:
     cells = thinned(spout, 2)
     return made(
         name="teapot",
-        label="teapot",
         pieces=(
             piece(vessel, shade(rng, GLAZES, 0.04)),
             piece(_lid(neck, height), trim),

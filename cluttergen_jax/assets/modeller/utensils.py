@@ -147,7 +147,6 @@ def wooden_spoon(rng: Rng = None) -> Shape:
     grip = [(x, y, z) for x, size in ends for y, z in _rod_corners(size)]
     return made(
         name="wooden_spoon",
-        label="wooden spoon",
         pieces=(piece(difference(union(bowl, stick), scoop), shade(rng, WOODS)),),
         parts=(hull_part(np.concatenate(corners) + np.array([center, 0, 0])), hull_part(grip)),
         mass=vary(rng, 0.045, 0.2),
@@ -185,7 +184,6 @@ def cutting_board(rng: Rng = None) -> Shape:
     dark = tuple(0.62 * channel for channel in wood)
     return made(
         name="cutting_board",
-        label="cutting board",
         pieces=(piece(difference(board, groove, hole, band), wood), piece(band, (dark[0], dark[1], dark[2]))),
         parts=(box_part((width, depth, thick)), prism_part(tip, thick - RAISE, RAISE)),
         mass=thick * (width * depth + handle * span) * vary(rng, 650.0, 0.1),
