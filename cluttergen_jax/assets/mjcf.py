@@ -122,6 +122,14 @@ def add_texture(spec: mujoco.MjSpec, texture: Texture | None, folder: str = "") 
     return name
 
 
+def add_part(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, vertices: np.ndarray) -> mujoco.MjsGeom:
+    """Adds a geom, and a mesh of the same name, which is the hull of f[V, 3]."""
+    mesh = spec.add_mesh(name=name)
+    mesh.uservert = vertices.astype(np.float32).ravel()
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    return body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
+
+
 def add_object(spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bool = False) -> mujoco.MjsBody:
     """Adds a free body called `name` whose frame is the object frame.
 
@@ -136,16 +144,8 @@ def add_object(spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bo
     body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     body.explicitinertial = True
     for index, part in enumerate(asset.parts):
-        mesh = spec.add_mesh(name=f"{name}/part-{index}")
-        mesh.uservert = part.vertices.astype(np.float32).ravel()
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-        body.add_geom(
-            name=f"{name}/part-{index}",
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=mesh.name,
-            group=COLLISION_GROUP,
-            rgba=(0.6, 0.6, 0.65, 1.0),
-        )
+        geom = add_part(spec, body, f"{name}/part-{index}", part.vertices)
+        geom.group, geom.rgba = COLLISION_GROUP, (0.6, 0.6, 0.65, 1.0)
     if asset.friction is not None:
         for geom in body.geoms:
             geom.friction, geom.priority = own_contact(asset.friction, spec.default.geom.friction)

@@ -112,10 +112,10 @@ def _add_object(
 def _add_camera(world: ET.Element, camera: Camera) -> None:
     """A sensor on a model that stands still; SDFormat's cameras look along +x, +z is up."""
     right, up, backward = camera.rotation.T
-    x, y, z, w = Rotation.from_matrix(np.stack([-backward, -right, up], axis=1)).as_quat()
+    turn = Rotation.from_matrix(np.stack([-backward, -right, up], axis=1)).as_quat(scalar_first=True)
     model = ET.SubElement(world, "model", name=f"camera-{camera.name}")
     _leaf(model, "static", "true")
-    _add_pose(model, camera.position, np.array([w, x, y, z]))
+    _add_pose(model, camera.position, turn)
     link = ET.SubElement(model, "link", name="body")
     sensor = ET.SubElement(link, "sensor", name=camera.name, type="camera")
     _leaf(sensor, "always_on", "true")

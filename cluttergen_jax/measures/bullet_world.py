@@ -47,7 +47,7 @@ class BodyFrames:
         """The frames of K objects."""
         inertia, axes = np.linalg.eigh(np.stack([asset.inertia for asset in objects]))
         axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
-        turn = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
+        turn = Rotation.from_matrix(axes).as_quat(scalar_first=True)
         return BodyFrames(np.stack([asset.center_of_mass for asset in objects]), turn, inertia)
 
     def body_poses(self, objects: Sequence[int], poses: np.ndarray) -> np.ndarray:
