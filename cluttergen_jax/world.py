@@ -6,10 +6,11 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.columns import Columns, cut_columns
-from cluttergen_jax.assets.mjcf import add_parked, add_support, new_spec
+from cluttergen_jax.assets.mjcf import add_object, add_support, new_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
@@ -19,6 +20,8 @@ from cluttergen_jax.physics.layout import Layout
 MAX_OBJECTS = 200
 COLUMN_SPACING = 0.0035
 NUM_COLUMN_SAMPLES = 512
+_PARKING_START = 50.0
+_PARKING_HEIGHT = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +84,13 @@ def make_world(
     names = unique_names([asset.name for asset in objects])
     spec = new_spec(stability.timestep, contact)
     add_support(spec, support)
-    add_parked(spec, objects, names)
-    model = spec.compile()
-    # Bodies keep their parking place as qpos0, at the identity orientation.
-    assert np.all(model.qpos0.reshape(-1, 7)[:, 3] == 1.0)
+    x = _PARKING_START
+    for name, asset in zip(names, objects, strict=True):
+        body = add_object(spec, asset, name)
+        x += asset.radius
+        body.pos = (x, 0.0, _PARKING_HEIGHT)
+        x += asset.radius + 0.1
+    model = _compile(spec)
     columns = {id(asset): cut_columns(asset, COLUMN_SPACING, NUM_COLUMN_SAMPLES) for asset in objects}
     return World(
         names=names,
@@ -93,3 +99,10 @@ def make_world(
         layout=Layout.of(model, support.top),
         columns=tuple(columns[id(asset)] for asset in objects),
     )
+
+
+def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    model = spec.compile()
+    # Bodies keep their parking place as qpos0, at the identity orientation.
+    assert np.all(model.qpos0.reshape(-1, 7)[:, 3] == 1.0)
+    return model

@@ -22,7 +22,6 @@ SPECULAR, SHININESS = 0.25, 0.35
 MAX_FRICTION = 10.0
 """Sliding coefficients of objects from here on are all alike to MuJoCo's choice between two of them."""
 _HIGHEST_PRIORITY = 100_000
-_PARKING_START, _PARKING_HEIGHT, _PARKING_GAP = 50.0, 10.0, 0.1
 
 
 def new_spec(timestep: float, contact: ContactConfig) -> mujoco.MjSpec:
@@ -152,17 +151,6 @@ def add_object(spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bo
     if visual:
         _add_visuals(spec, body, name, asset.pieces)
     return body
-
-
-def add_parked(
-    spec: mujoco.MjSpec, objects: Sequence[ObjectAsset], names: Sequence[str], *, visual: bool = False
-) -> None:
-    """Adds free bodies in a row far from the support, where objects wait until they are placed."""
-    x = _PARKING_START
-    for name, asset in zip(names, objects, strict=True):
-        x += asset.radius
-        add_object(spec, asset, name, visual=visual).pos = (x, 0.0, _PARKING_HEIGHT)
-        x += asset.radius + _PARKING_GAP
 
 
 def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = False) -> None:

@@ -9,12 +9,16 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import add_parked, add_support, new_spec
+from cluttergen_jax.assets.mjcf import add_object, add_support, new_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.scene.scene import Scene
 from cluttergen_jax.world import unique_names
+
+_START = 50.0
+_HEIGHT = 10.0
+_GAP = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +102,12 @@ def _compiled(
     spec = new_spec(scene.stability.timestep, scene.contact)
     spec.modelname = "cluttergen scenes"
     add_support(spec, scene.support, visual=visual)
-    add_parked(spec, objects, names, visual=visual)
+    x = _START
+    for name, asset in zip(names, objects, strict=True):
+        body = add_object(spec, asset, name, visual=visual)
+        x += asset.radius
+        body.pos = (x, 0.0, _HEIGHT)
+        x += asset.radius + _GAP
     return spec.compile()
 
 

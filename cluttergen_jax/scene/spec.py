@@ -10,7 +10,6 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import add_object, add_support, new_spec
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.geometry import compose
 from cluttergen_jax.scene.scene import Scene
 
 KEYFRAME = "scene"
@@ -113,7 +112,7 @@ def attach_to(
         raise ConfigError(
             f"a model that has bodies called {sorted(taken)}", "names that are free", "another prefix"
         )
-    poses = compose(np.concatenate([position, turn]), scene.poses)
+    poses = np.stack([_moved(pose, np.array(position, np.float64), turn) for pose in scene.poses])
     child = to_mjspec(scene, support=support)
     child.keys[0].qpos = poses.ravel()
     # The model's own options win; saying so here spares the user MuJoCo's warning about it.
@@ -121,3 +120,12 @@ def attach_to(
         setattr(child.option, option, getattr(spec.option, option))
     spec.attach(child, prefix=prefix, frame=spec.worldbody.add_frame(pos=position, quat=turn))
     return Attachment(prefix, tuple(prefix + name for name in scene.names), poses, prefix + KEYFRAME)
+
+
+def _moved(pose: np.ndarray, position: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """f64[7]: a pose in a frame that itself stands at `position`, `turn`."""
+    result = np.empty(7)
+    mujoco.mju_rotVecQuat(result[:3], pose[:3], turn)
+    result[:3] += position
+    mujoco.mju_mulQuat(result[3:], turn, pose[3:])
+    return result
