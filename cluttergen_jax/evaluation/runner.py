@@ -1,4 +1,4 @@
-"""Runs trials and keeps their rows: worlds, compiled programs and what trials name are made once."""
+"""Runs trials and keeps their rows: worlds, what is compiled and what trials name are made once."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ import numpy as np
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError, train_command
-from cluttergen_jax.evaluation.episodes import Outcome, run_episodes
-from cluttergen_jax.evaluation.patience import PatientPhysics, PatientRules
-from cluttergen_jax.evaluation.programs import Programs
+from cluttergen_jax.evaluation.episodes import Outcome, attempts_of, run_episodes
 from cluttergen_jax.evaluation.resolved import ResolvedTrial, Resolver
 from cluttergen_jax.evaluation.row import arrays_of, figures_of
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.methods import proposer_of, suited
 from cluttergen_jax.physics import make_physics
+from cluttergen_jax.physics.host import SwappablePhysics
+from cluttergen_jax.physics.native import NativePhysics
+from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.progress import Progress, interruptible
-from cluttergen_jax.sampling import BlockSampler
+from cluttergen_jax.sampling import BlockSampler, Rollout
 from cluttergen_jax.world import World
 
 Row = dict[str, Any]
@@ -50,10 +52,11 @@ class Runner:
     is_fresh: bool = False
 
     def __post_init__(self) -> None:
-        self.programs = Programs()
+        self.rollout = Rollout(attempts_of)
         self.resolve = Resolver(self.checkpoints, self.engine).resolve
         self.progress = Progress("evaluating", 0, "scene")
         self._setups: OrderedDict[Any, Problem] = OrderedDict()
+        self._swappable: dict[tuple[int, StabilityConfig], SwappablePhysics] = {}
         self._made: set[str] = set()
         self._num_rows = self._num_done = 0
 
@@ -164,7 +167,7 @@ class Runner:
         """The trial's episodes, whatever was kept."""
         trial = resolved.trial
         sampler = self.sampler(resolved, judge_neighbours)
-        return run_episodes(self.programs, sampler, trial.trials, trial.seed, self.progress.update)
+        return run_episodes(self.rollout, sampler, trial.trials, trial.seed, self.progress.update)
 
     def sampler(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> BlockSampler:
         """The trial's method in its setup.
@@ -174,27 +177,45 @@ class Runner:
         """
         rules = self.setup(resolved, judge_neighbours).rules
         with _usable(resolved):
-            propose = proposer_of(resolved.trial.method, resolved.checkpoint, rules)
+            propose = proposer_of(resolved.trial.method, _stored_policy(resolved), rules)
         return BlockSampler(rules, propose)
 
     def setup(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> Problem:
-        """The trial's compiled world and rules, ready for shared programs."""
+        """The trial's compiled world and rules, ready for what is compiled already."""
         trial, base = resolved.trial, self._base_setup(resolved)
         stability = StabilityConfig(
             stop_when_decided=resolved.is_cut and not trial.whole_attempts, judge_neighbours=judge_neighbours
         )
-        engine = make_physics(base.world.layout, stability, self.engine, self.num_threads)
-        physics = self.programs.switched(engine)
         with _usable(resolved):
-            config = suited(base.rules.config, resolved.checkpoint)
-        rules = replace(base.rules, config=config, physics=physics)
-        if resolved.is_cut and trial.whole_attempts:
-            rules = PatientRules(**vars(rules) | {"physics": PatientPhysics(physics)})
+            config = suited(base.rules.config, _stored_policy(resolved))
+        # Stable steps, as the paper counts them, need whole attempts; a policy that was trained on attempts
+        # cut off as soon as they were decided reads histories of that length.
+        is_longer = resolved.is_cut and trial.whole_attempts
+        rules = replace(
+            base.rules,
+            config=config,
+            physics=self._physics(base.world, stability),
+            history_steps=stability.decision_step if is_longer else None,
+        )
         return replace(base, config=replace(base.config, stability=stability), rules=rules)
 
     def world(self, resolved: ResolvedTrial) -> World:
         """The trial's compiled world."""
         return self._base_setup(resolved).world
+
+    def _physics(self, world: World, stability: StabilityConfig) -> Physics:
+        """The engine of a world. Worlds of equal sizes share what is compiled around a native one.
+
+        A shared one drives the world asked for last: one is at work at a time.
+        """
+        engine = make_physics(world.layout, stability, self.engine, self.num_threads)
+        if not isinstance(engine, NativePhysics):
+            return engine
+        sizes = (world.num_objects, stability)
+        if sizes not in self._swappable:
+            self._swappable[sizes] = SwappablePhysics(*sizes)
+        self._swappable[sizes].engine = engine
+        return self._swappable[sizes]
 
     def _base_setup(self, resolved: ResolvedTrial) -> Problem:
         """The trial's setup but for method and stability; the latest few are kept."""
@@ -217,6 +238,10 @@ class Runner:
                 self._setups.popitem(last=False)
         self._setups.move_to_end(config)
         return self._setups[config]
+
+
+def _stored_policy(resolved: ResolvedTrial) -> Checkpoint | None:
+    return None if resolved.checkpoint is None else read_checkpoint(resolved.checkpoint)
 
 
 @contextmanager

@@ -7,11 +7,11 @@ a cross-correlation, which a fast Fourier transform does for all places at once.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
 from cluttergen_jax.networks.clouds import BARE, placed_points
 from cluttergen_jax.types import Array
@@ -25,8 +25,7 @@ _UNSURE = 0.004
 """Metres by which an underside may lie lower than the points of a cloud tell."""
 
 
-@dataclass(frozen=True, eq=False)
-class Room:
+class Room(struct.PyTreeNode, eq=False):
     """Footprints of K objects, ready to be slid over scenes. Pictures have S x S cells, axis 0 along x.
 
     Attributes:
@@ -41,8 +40,8 @@ class Room:
     spectrum: np.ndarray
     below: np.ndarray
     cloud: np.ndarray
-    cell: float
-    num_cells: int
+    cell: float = struct.field(pytree_node=False)
+    num_cells: int = struct.field(pytree_node=False)
 
     @staticmethod
     def of(

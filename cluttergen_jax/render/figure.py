@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluttergen_jax.assets.scene_cloud import posed
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import transformed
 from cluttergen_jax.placement.recording import Attempt, Recording
 from cluttergen_jax.render.overlay import Ring, ring_around, with_rings
 from cluttergen_jax.render.stage import RED, Look, Shooting, Stage, open_stage, places
@@ -104,4 +104,5 @@ def _ring(
     number: int,
 ) -> Ring:
     vertices = np.concatenate([part.vertices for part in recording.objects[index].parts])
-    return ring_around(stage.project(posed(vertices, pose)), rgb, str(number), stage.shooting.height / 90)
+    outline = stage.project(transformed(pose, vertices))
+    return ring_around(outline, rgb, str(number), stage.shooting.height / 90)

@@ -23,7 +23,7 @@ from cluttergen_jax.sampling.record import rectangle_of
 
 SAMPLES = 16
 """Rays per pixel of small pictures."""
-_AROUND = [0, 1, 3, 2, 0]
+_AROUND = [0, 1, 2, 3, 0]
 """Corners of a rectangle one after another, and back to the first."""
 _LINE = 0.003
 _WHITE = (1.0, 1.0, 1.0)

@@ -14,7 +14,7 @@ from cluttergen_jax.evaluation.studies import table1
 from cluttergen_jax.evaluation.studies.study import Findings, Result, Scale, Study
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.tables import Table
-from cluttergen_jax.training.records import read_rows
+from cluttergen_jax.training.metrics_log import read_rows
 
 PAPER_ATTEMPTS, PAPER_SUCCESS = 2_300_000, 0.85
 """In the paper every group is above this success after so many attempts."""
