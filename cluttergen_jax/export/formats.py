@@ -14,12 +14,12 @@ from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.export.glb import glb_bytes
 from cluttergen_jax.export.maniskill import maniskill_json
 from cluttergen_jax.export.meshes import write_object_meshes, write_support_meshes
-from cluttergen_jax.export.mjcf import mjcf_text
 from cluttergen_jax.export.placement import placement_json
 from cluttergen_jax.export.robosuite import object_xml, support_xml
 from cluttergen_jax.export.sdf import sdf_text
 from cluttergen_jax.export.urdf import object_urdf, support_urdf
 from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene.xml import scene_xml
 
 WriteObject = Callable[[Path, ObjectAsset, ContactConfig], None]
 WriteSupport = Callable[[Path, SupportAsset, ContactConfig], None]
@@ -91,6 +91,18 @@ def _written(make: Callable[[Scene], bytes]) -> WriteScene:
     return write
 
 
+def _mjcf_text(scene: Scene) -> bytes:
+    return scene_xml(
+        scene.objects,
+        scene.poses,
+        scene.support,
+        scene.stability,
+        scene.contact,
+        names=scene.names,
+        cameras=scene.cameras,
+    )
+
+
 # USD's library takes a while to load, so that it is asked for only where USD is wanted.
 def _usd_object(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
     from cluttergen_jax.export.usd import write_object_usd
@@ -128,7 +140,7 @@ _ALL = (
         "xml",
         _meshes_only,
         _surfaces_only,
-        _written(mjcf_text),
+        _written(_mjcf_text),
     ),
     Format(
         "urdf",

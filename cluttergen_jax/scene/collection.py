@@ -9,16 +9,12 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import add_object, add_support, new_spec
+from cluttergen_jax.assets.mjcf import populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.scene.scene import Scene
 from cluttergen_jax.world import unique_names
-
-_START = 50.0
-_HEIGHT = 10.0
-_GAP = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +69,12 @@ def collect(scenes: Sequence[Scene], *, visual: bool = False) -> SceneCollection
         most |= Counter(asset.name for asset in scene.objects)
     objects = [assets[name] for name in assets for _ in range(most[name])]
     names = unique_names([asset.name for asset in objects])
-    model = _compiled(scenes[0], names, objects, visual)
+    first = scenes[0]
+    spec = populated_spec(
+        names, objects, first.support, first.stability.timestep, first.contact, visual=visual
+    )
+    spec.modelname = "cluttergen scenes"
+    model = spec.compile()
     return SceneCollection(model, names, tuple(objects), *_states(scenes, model, names))
 
 
@@ -94,21 +95,6 @@ def _check(scenes: Sequence[Scene]) -> None:
         known = digests.setdefault(asset.name, (asset, ""))
         if known[0] is not asset and object_hash(known[0]) != object_hash(asset):
             raise ConfigError(f"two different objects called {asset.name!r}", "scenes of one bank")
-
-
-def _compiled(
-    scene: Scene, names: Sequence[str], objects: Sequence[ObjectAsset], visual: bool
-) -> mujoco.MjModel:
-    spec = new_spec(scene.stability.timestep, scene.contact)
-    spec.modelname = "cluttergen scenes"
-    add_support(spec, scene.support, visual=visual)
-    x = _START
-    for name, asset in zip(names, objects, strict=True):
-        body = add_object(spec, asset, name, visual=visual)
-        x += asset.radius
-        body.pos = (x, 0.0, _HEIGHT)
-        x += asset.radius + _GAP
-    return spec.compile()
 
 
 def _states(
