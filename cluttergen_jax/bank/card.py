@@ -9,9 +9,9 @@ from typing import Any
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.bank.bank import Bank
-from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.bank.stats import BankStats, stats_of
 from cluttergen_jax.bank.table import CERTIFICATE, COUNTED, SCHEMA
+from cluttergen_jax.files import write_atomically
 from cluttergen_jax.types import Verdict, small_length
 
 CARD = "README.md"

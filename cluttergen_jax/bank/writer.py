@@ -30,10 +30,9 @@ from cluttergen_jax.bank.bank import (
     with_record,
 )
 from cluttergen_jax.bank.digests import digests_in
-from cluttergen_jax.bank.disk import remove_partial, writing
 from cluttergen_jax.bank.lock import LOCK, BankLock
 from cluttergen_jax.errors import BankError, ClutterGenError
-from cluttergen_jax.files import PARTIAL, folder_whole, inside, write_atomically
+from cluttergen_jax.files import PARTIAL, folder_whole, inside, remove_partial, write_atomically, writing
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.assets.scene_cloud import ply_of, scene_points
-from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.bank.reference import missing_text
 from cluttergen_jax.cli.parse import parse_numbers
 from cluttergen_jax.cli.render import Render
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
+from cluttergen_jax.files import write_atomically
 from cluttergen_jax.placement.recording import Recording
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.render.assets import render_scene
