@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import importlib.resources
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -61,14 +61,10 @@ def export_scenes(
     kind, out = find_format(format), Path(out)
     _check_place(out, overwrite)
     with folder_whole(out) as fresh:
-        _Folder(fresh, kind).write(_filmed(scenes, cameras) if cameras else scenes)
+        if cameras:
+            scenes = (replace(each, cameras=scene_cameras(each.support, cameras)) for each in scenes)
+        _Folder(fresh, kind).write(scenes)
     return out
-
-
-def _filmed(scenes: Iterable[Scene], names: Sequence[str]) -> Iterator[Scene]:
-    """The scenes with these cameras around them."""
-    for scene in scenes:
-        yield replace(scene, cameras=scene_cameras(scene.support, names))
 
 
 def _check_place(out: Path, overwrite: bool) -> None:

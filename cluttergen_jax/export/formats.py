@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -24,10 +25,6 @@ from cluttergen_jax.scene.xml import scene_xml
 WriteObject = Callable[[Path, ObjectAsset, ContactConfig], None]
 WriteSupport = Callable[[Path, SupportAsset, ContactConfig], None]
 WriteScene = Callable[[Path, Scene], None]
-
-
-def _nothing() -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -53,35 +50,33 @@ class Format:
     write_scene: WriteScene
     script: str = ""
     notes: str = ""
-    require: Callable[[], None] = _nothing
+    require: Callable[[], None] = lambda: None
 
 
-def _meshes_only(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
-    write_object_meshes(folder, asset)
+def _objects(
+    model: Callable[[ObjectAsset, ContactConfig], bytes] | None = None, ending: str = ""
+) -> WriteObject:
+    """Writes an object's meshes, and a model of it as NAME.ending."""
+
+    def write(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
+        write_object_meshes(folder, asset)
+        if model is not None:
+            (folder / f"{asset.name}.{ending}").write_bytes(model(asset, contact))
+
+    return write
 
 
-def _surfaces_only(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
-    write_support_meshes(folder, support)
+def _support(
+    model: Callable[[SupportAsset, ContactConfig], bytes] | None = None, ending: str = ""
+) -> WriteSupport:
+    """The same of the support."""
 
+    def write(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
+        write_support_meshes(folder, support)
+        if model is not None:
+            (folder / f"support.{ending}").write_bytes(model(support, contact))
 
-def _urdf_object(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
-    write_object_meshes(folder, asset)
-    (folder / f"{asset.name}.urdf").write_bytes(object_urdf(asset, contact))
-
-
-def _urdf_support(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
-    write_support_meshes(folder, support)
-    (folder / "support.urdf").write_bytes(support_urdf(support, contact))
-
-
-def _robosuite_object(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
-    write_object_meshes(folder, asset)
-    (folder / f"{asset.name}.xml").write_bytes(object_xml(asset, contact))
-
-
-def _robosuite_support(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
-    write_support_meshes(folder, support)
-    (folder / "support.xml").write_bytes(support_xml(support, contact))
+    return write
 
 
 def _written(make: Callable[[Scene], bytes]) -> WriteScene:
@@ -103,29 +98,9 @@ def _mjcf_text(scene: Scene) -> bytes:
     )
 
 
-# USD's library takes a while to load, so that it is asked for only where USD is wanted.
-def _usd_object(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
-    from cluttergen_jax.export.usd import write_object_usd
-
-    write_object_usd(folder, asset, contact)
-
-
-def _usd_support(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
-    from cluttergen_jax.export.usd import write_support_usd
-
-    write_support_usd(folder, support, contact)
-
-
-def _usd_scene(path: Path, scene: Scene) -> None:
-    from cluttergen_jax.export.usd import write_scene_usd
-
-    write_scene_usd(path, scene)
-
-
-def _require_usd() -> None:
-    from cluttergen_jax.export.usd import require_usd
-
-    require_usd()
+def _usd(function: str) -> Callable[..., None]:
+    """A function of `export.usd`, imported when it is called: USD's library takes a while to load."""
+    return lambda *args: getattr(importlib.import_module("cluttergen_jax.export.usd"), function)(*args)
 
 
 _DRAKE_NOTES = (
@@ -138,8 +113,8 @@ _ALL = (
         "mjcf",
         "MuJoCo: python -m mujoco.viewer --mjcf=scenes/NUMBER.xml; the keyframe `scene` holds the poses too.",
         "xml",
-        _meshes_only,
-        _surfaces_only,
+        _objects(),
+        _support(),
         _written(_mjcf_text),
     ),
     Format(
@@ -147,8 +122,8 @@ _ALL = (
         "PyBullet: python load_pybullet.py scenes/NUMBER.json (needs pybullet only; --direct opens no "
         "window). Objects and support are one URDF each.",
         "json",
-        _urdf_object,
-        _urdf_support,
+        _objects(object_urdf, "urdf"),
+        _support(support_urdf, "urdf"),
         _written(partial(placement_json, ending="urdf")),
         script="load_pybullet.py",
     ),
@@ -157,8 +132,8 @@ _ALL = (
         "Drake: Parser(plant).AddModels('scenes/NUMBER.sdf'), the plant made by "
         "AddMultibodyPlantSceneGraph(builder, time_step=1/240); Gazebo: gz sim scenes/NUMBER.sdf.",
         "sdf",
-        _meshes_only,
-        _surfaces_only,
+        _objects(),
+        _support(),
         _written(sdf_text),
         notes=_DRAKE_NOTES,
     ),
@@ -166,10 +141,10 @@ _ALL = (
         "usd",
         "Isaac Sim, Omniverse or usdview: open scenes/NUMBER.usda. Physics is UsdPhysics.",
         "usda",
-        _usd_object,
-        _usd_support,
-        _usd_scene,
-        require=_require_usd,
+        _usd("write_object_usd"),
+        _usd("write_support_usd"),
+        _usd("write_scene_usd"),
+        require=_usd("require_usd"),
     ),
     Format(
         "glb",
@@ -183,8 +158,8 @@ _ALL = (
         "maniskill",
         "ManiSkill 3: import cluttergen_maniskill, then gymnasium.make('ClutterGenScene-v1', scene='N').",
         "json",
-        _meshes_only,
-        _surfaces_only,
+        _objects(),
+        _support(),
         _written(maniskill_json),
         script="cluttergen_maniskill.py",
     ),
@@ -193,8 +168,8 @@ _ALL = (
         "robosuite 1.5: import cluttergen_robosuite, then robosuite.make('ClutterGenScene', robots='Panda', "
         "scene='N').",
         "json",
-        _robosuite_object,
-        _robosuite_support,
+        _objects(object_xml, "xml"),
+        _support(support_xml, "xml"),
         _written(partial(placement_json, ending="xml")),
         script="cluttergen_robosuite.py",
     ),
@@ -203,8 +178,8 @@ _ALL = (
         "LIBERO: import cluttergen_libero, then cluttergen_libero.make_env(N). python cluttergen_libero.py "
         "writes LIBERO's task descriptions and initial states.",
         "json",
-        _robosuite_object,
-        _robosuite_support,
+        _objects(object_xml, "xml"),
+        _support(support_xml, "xml"),
         _written(partial(placement_json, ending="xml")),
         script="cluttergen_libero.py",
     ),

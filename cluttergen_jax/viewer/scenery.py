@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 RED = (214, 30, 36)
 _GHOST = (RED[0] / 255, RED[1] / 255, RED[2] / 255, 0.45)
 _BLUE, _ORANGE = (40, 110, 220), (245, 130, 20)
-_CREASE = np.radians(40)
 _LIFT = 0.0015
 """Metres by which lines and points lie above the top, so that they are seen."""
 
@@ -248,12 +247,11 @@ def _surface(server: viser.ViserServer, name: str, piece: Piece) -> Any:
     if piece.texture is not None:
         return server.scene.add_mesh_trimesh(name, textured_mesh(piece))
     rgba = piece.rgba
-    surface = trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces, process=True)
-    surface = trimesh.graph.smooth_shade(surface, angle=_CREASE)
+    vertices, _, faces, _ = shaded(piece.mesh)
     return server.scene.add_mesh_simple(
         name,
-        np.asarray(surface.vertices),
-        np.asarray(surface.faces),
+        vertices,
+        faces,
         color=_bytes(rgba),
         opacity=None if rgba[3] >= 1 else float(rgba[3]),
         side="double",
@@ -263,7 +261,7 @@ def _surface(server: viser.ViserServer, name: str, piece: Piece) -> Any:
 def textured_mesh(piece: Piece) -> trimesh.Trimesh:
     """A piece that has an image as trimesh keeps one, seen from both sides."""
     assert piece.texture is not None
-    vertices, normals, faces, uv = shaded(piece.mesh, piece.uv, _CREASE)
+    vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
     material = trimesh.visual.material.PBRMaterial(
         baseColorTexture=piece.texture.image,
         baseColorFactor=np.round(255 * np.array(linear(piece.rgba))).astype(np.uint8),
@@ -285,10 +283,7 @@ def _hull(server: viser.ViserServer, name: str, part: Mesh, colour: tuple[int, i
 
 def _outline(rectangle: Rectangle, height: float) -> np.ndarray:
     """f32[4, 2, 3]: the sides of a rectangle at a height, world frame."""
-    along = np.array([np.cos(rectangle.yaw), np.sin(rectangle.yaw)])
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * rectangle.half_extents
-    corners = signs @ np.stack([along, [-along[1], along[0]]]) + rectangle.center
-    ring = np.column_stack([corners, np.full(4, height)])
+    ring = np.column_stack([rectangle.corners[[0, 1, 3, 2]], np.full(4, height)])
     return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1).astype(np.float32)
 
 
