@@ -15,8 +15,8 @@ from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.export.glb import glb_bytes
 from cluttergen_jax.export.maniskill import maniskill_json
 from cluttergen_jax.export.meshes import write_object_meshes, write_support_meshes
-from cluttergen_jax.export.placement import placement_json
 from cluttergen_jax.export.robosuite import object_xml, support_xml
+from cluttergen_jax.export.scene_json import scene_json
 from cluttergen_jax.export.sdf import sdf_text
 from cluttergen_jax.export.urdf import object_urdf, support_urdf
 from cluttergen_jax.scene import Scene
@@ -124,7 +124,7 @@ _ALL = (
         "json",
         _objects(object_urdf, "urdf"),
         _support(support_urdf, "urdf"),
-        _written(partial(placement_json, ending="urdf")),
+        _written(partial(scene_json, ending="urdf")),
         script="load_pybullet.py",
     ),
     Format(
@@ -170,7 +170,7 @@ _ALL = (
         "json",
         _objects(object_xml, "xml"),
         _support(support_xml, "xml"),
-        _written(partial(placement_json, ending="xml")),
+        _written(partial(scene_json, ending="xml")),
         script="cluttergen_robosuite.py",
     ),
     Format(
@@ -180,7 +180,7 @@ _ALL = (
         "json",
         _objects(object_xml, "xml"),
         _support(support_xml, "xml"),
-        _written(partial(placement_json, ending="xml")),
+        _written(partial(scene_json, ending="xml")),
         script="cluttergen_libero.py",
     ),
 )

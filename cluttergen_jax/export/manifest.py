@@ -12,7 +12,7 @@ from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import support_hash
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, object_folder
-from cluttergen_jax.export.placement import cameras_record, objects_record
+from cluttergen_jax.export.scene_json import cameras_record, objects_record
 from cluttergen_jax.scene import Scene
 
 MANIFEST = "MANIFEST.json"

@@ -56,7 +56,7 @@ def cameras_record(scene: Scene) -> dict[str, Any]:
     return {"cameras": cameras} if cameras else {}
 
 
-def placement_json(
+def scene_json(
     scene: Scene, ending: str = "", more: Mapping[str, Any] | None = None, support: Any = None
 ) -> bytes:
     """A scene's file for a loader; paths are relative to the export's folder.
