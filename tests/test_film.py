@@ -8,12 +8,13 @@ from PIL import Image
 
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.render import video
+from cluttergen_jax.render.assets import close_points
 from cluttergen_jax.render.config import FilmConfig
 from cluttergen_jax.render.figure import GREEN as GREEN_RING
 from cluttergen_jax.render.figure import closed_loop_figure, closed_loop_slot
 from cluttergen_jax.render.film import replay, replay_frames, turntable
 from cluttergen_jax.render.overlay import Ring, ring_around, with_caption, with_rings
-from cluttergen_jax.render.stage import RED, Look, Shooting, open_stage, places, swept
+from cluttergen_jax.render.stage import RED, Look, Shooting, open_stage, swept
 from cluttergen_jax.render.studio import Trail, thresholds
 from cluttergen_jax.render.video import save_film
 from tests.recordings import cubes
@@ -137,7 +138,7 @@ def test_closed_loop_figure_rings_failures_red_and_the_end_green():
 @needs_gl
 def test_one_picture_is_lit_as_many_are():
     recording = cubes()
-    points = places(recording.objects, recording.poses, recording.support)
+    points = close_points(recording.objects, recording.poses, recording.support)
     looks = [Look(pose) for pose in recording.poses]
 
     def brightness(samples):
@@ -151,7 +152,7 @@ def test_one_picture_is_lit_as_many_are():
 @needs_gl
 def test_looks_fade_tint_and_hide():
     recording = cubes()
-    points = places(recording.objects, recording.poses, recording.support)
+    points = close_points(recording.objects, recording.poses, recording.support)
     red, green = (Look(pose) for pose in recording.poses)
     with open_stage(recording.objects, recording.support, points, replace(SMALL, samples=8)) as stage:
         whole = stage.picture([red, green])

@@ -7,8 +7,9 @@ import numpy as np
 from cluttergen_jax.assets.scene_cloud import posed
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.recording import Attempt, Recording
+from cluttergen_jax.render.assets import close_points
 from cluttergen_jax.render.overlay import Ring, ring_around, with_rings
-from cluttergen_jax.render.stage import RED, Look, Shooting, Stage, open_stage, places
+from cluttergen_jax.render.stage import RED, Look, Shooting, Stage, open_stage
 from cluttergen_jax.render.studio import Trail
 
 GREEN = (0.13, 0.55, 0.25)
@@ -77,7 +78,7 @@ def closed_loop_figure(
     trails = [trail for each in failed for trail in trails_of(each)]
     poses = np.array([look.pose for look in looks])
     points = np.concatenate(
-        [places(actors, poses, recording.support), *(trail.points for trail in trails)], axis=0
+        [close_points(actors, poses, recording.support), *(trail.points for trail in trails)], axis=0
     )
     with open_stage(actors, recording.support, points, shooting) as stage:
         image = stage.picture(looks, trails)

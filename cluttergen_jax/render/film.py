@@ -10,10 +10,11 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.recording import Attempt, Recording
+from cluttergen_jax.render.assets import close_points
 from cluttergen_jax.render.config import FilmConfig
 from cluttergen_jax.render.figure import GREEN, trails_of
 from cluttergen_jax.render.overlay import with_caption
-from cluttergen_jax.render.stage import RED, Look, Shooting, open_stage, places, swept
+from cluttergen_jax.render.stage import RED, Look, Shooting, open_stage, swept
 from cluttergen_jax.render.studio import Trail
 
 _STEPS_PER_SECOND = 240
@@ -128,9 +129,7 @@ def replay(
     """The pictures of `replay_frames`, uint8[height, width, 3] each, drawn as they are asked for."""
     shooting = shooting or Shooting(samples=8)
     frames = replay_frames(recording, config)
-    poses = recording.poses[recording.placed]
-    placed = [recording.objects[i] for i in recording.placed]
-    points = places(placed, poses, recording.support)
+    points = _end_points(recording)
     with open_stage(recording.objects, recording.support, points, shooting) as stage:
         image, shown = None, None
         for frame in frames:
@@ -148,8 +147,7 @@ def turntable(
     config, shooting = config or FilmConfig(seconds=6.0), shooting or Shooting(samples=8)
     count = max(2, round(config.fps * config.seconds))
     looks = _standing(recording, recording.poses, recording.is_placed)
-    placed = [recording.objects[i] for i in recording.placed]
-    points = places(placed, recording.poses[recording.placed], recording.support)
+    points = _end_points(recording)
     with open_stage(recording.objects, recording.support, points, shooting) as stage:
         around = swept(stage.content if shooting.whole else points)
         for number in range(count):
@@ -157,3 +155,9 @@ def turntable(
             stage.aim(around, replace(shooting.view, azimuth=shooting.view.azimuth + turn))
             # The lights go with the camera: it is the table that turns.
             yield stage.picture(looks, light_yaw=math.radians(turn))
+
+
+def _end_points(recording: Recording) -> np.ndarray:
+    """f64[P, 3]: what the camera has to show, at the end."""
+    objects = [recording.objects[i] for i in recording.placed]
+    return close_points(objects, recording.poses[recording.placed], recording.support)

@@ -12,9 +12,10 @@ from PIL import Image
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.render.assets import close_points
 from cluttergen_jax.render.camera import axes
 from cluttergen_jax.render.picture import distinct_colour
-from cluttergen_jax.render.stage import Look, Shooting, open_stage, places
+from cluttergen_jax.render.stage import Look, Shooting, open_stage
 
 FLOOR, SUPPORT, FIRST_OBJECT = 0, 1, 2
 """Labels of a segmentation: nothing or the floor, the support, then object k of the scene as 2 + k."""
@@ -57,7 +58,7 @@ def sense(
     shooting = shooting or Shooting()
     poses = np.asarray(poses, np.float64).reshape(-1, 7)
     looks = [Look(pose) for pose in poses]
-    with open_stage(objects, support, places(objects, poses, support), shooting) as stage:
+    with open_stage(objects, support, close_points(objects, poses, support), shooting) as stage:
         rgb = stage.picture(looks)
         depth, actor = stage.measure(looks)
         turn = axes(stage.camera.azimuth, stage.camera.elevation) * np.array([[1.0], [-1.0], [1.0]])

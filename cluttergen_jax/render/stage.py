@@ -12,7 +12,7 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.render.assets import close_points, scene_spec
+from cluttergen_jax.render.assets import scene_spec
 from cluttergen_jax.render.camera import axes, corners, drawn_points, placed_camera
 from cluttergen_jax.render.config import View
 from cluttergen_jax.render.picture import DEFAULT_VIEW, prepared
@@ -190,8 +190,3 @@ def swept(points: np.ndarray, num_turns: int = 36) -> np.ndarray:
     ring = center[:2] + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     heights = corners(points.min(0), points.max(0))[:, 2]
     return np.concatenate([np.column_stack([ring, np.full(num_turns, z)]) for z in np.unique(heights)])
-
-
-def places(actors: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None) -> np.ndarray:
-    """f64[P, 3]: what a close view has to show of actors at `poses` f[N, 7] and of the support's region."""
-    return close_points(actors, poses, support)

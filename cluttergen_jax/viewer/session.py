@@ -6,9 +6,10 @@ import io
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
@@ -27,14 +28,6 @@ _SECONDS_PER_ATTEMPT = 0.8
 _DIRECTION = np.array([0.62, -0.88, 0.78])
 
 
-class Worker(Protocol):
-    """Where scenes are read and made, one after another for all browsers."""
-
-    def submit(self, work: Callable[..., None], /, *args: Any) -> Any:
-        """Does `work(*args)` when its turn has come."""
-        ...
-
-
 @dataclass(frozen=True)
 class Offer:
     """What all browsers are offered alike.
@@ -44,14 +37,14 @@ class Offer:
       methods: the source's, for new scenes.
       first: the scene to begin with.
       folder: where screenshots go.
-      worker: reads and makes scenes.
+      worker: reads and makes scenes, one after another for all browsers.
     """
 
     source: Source
     methods: tuple[str, ...]
     first: int
     folder: Path
-    worker: Worker
+    worker: Executor
 
 
 class Session:
