@@ -22,7 +22,7 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.render.camera import axes
 from cluttergen_jax.render.config import View
-from cluttergen_jax.render.dress import dress
+from cluttergen_jax.render.lighting import add_lighting
 from cluttergen_jax.render.picture import distinct_colour, render_model
 from cluttergen_jax.render.sheet import contact_sheet
 
@@ -64,7 +64,9 @@ def render_object(
     for index, part in enumerate(asset.parts):
         hull = Piece(Mesh.points(part.vertices), distinct_colour(index))
         _add_surface(spec, f"part-{index}", hull, lift + shift)
-    return render_model(dress(spec).compile(), camera=view, width=width, height=height, samples=samples)
+    return render_model(
+        add_lighting(spec).compile(), camera=view, width=width, height=height, samples=samples
+    )
 
 
 def object_sheet(objects: Sequence[ObjectAsset], columns: int = 4, samples: int = 16) -> np.ndarray:
@@ -77,7 +79,7 @@ def object_sheet(objects: Sequence[ObjectAsset], columns: int = 4, samples: int 
 def scene_spec(
     assets: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None
 ) -> tuple[mujoco.MjSpec, np.ndarray]:
-    """A dressed spec of objects on a support, and its qpos.
+    """A lit specification of objects on a support, and its qpos.
 
     Args:
       assets: K objects; the same one may come twice.
@@ -95,7 +97,7 @@ def scene_spec(
     spec = populated_spec(
         names, assets, support, StabilityConfig().timestep, contact, poses=poses, visual=True
     )
-    return dress(spec), poses.ravel()
+    return add_lighting(spec), poses.ravel()
 
 
 def render_scene(
