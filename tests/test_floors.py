@@ -11,6 +11,7 @@ ROOT = Path(cluttergen_jax.__file__).parent
 # puts together whatever a scene takes. Both look down on the products; commands and programs use them.
 FLOORS = {
     "errors": 0,
+    "geometry": 0,
     "types": 0,
     "config": 0,
     "files": 0,

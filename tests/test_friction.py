@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.mjcf import own_contact
+from cluttergen_jax.assets.obj import write_parts
 from cluttergen_jax.assets.object_files import object_hash, read_object, write_object
-from cluttergen_jax.assets.part_files import write_parts
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import PoolError

@@ -6,7 +6,7 @@ import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.physics.rotation import turn_between
+from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.scene import Scene, collect
 from tests.test_export import spread
 from tests.worlds import box, trio

@@ -8,9 +8,10 @@ import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.scene_cloud import cloud_colours, ply_of, posed, scene_points, top_points
+from cluttergen_jax.assets.scene_cloud import cloud_colours, ply_of, scene_points, top_points
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import transformed
 from cluttergen_jax.render.config import View
 from cluttergen_jax.render.scene_renderer import PictureConfig
 from cluttergen_jax.render.sensors import (
@@ -110,7 +111,7 @@ def test_cloud_points_lie_on_objects_and_table():
     spun = trimesh.transformations.quaternion_matrix(turned[3:])
     expected = mug.cloud @ spun[:3, :3].T + turned[:3]
     np.testing.assert_allclose(cloud.points[cloud.labels == 2], expected, atol=1e-6)
-    np.testing.assert_allclose(posed(mug.cloud, turned), expected, atol=1e-9)
+    np.testing.assert_allclose(transformed(turned, mug.cloud), expected, atol=1e-9)
 
 
 def test_cloud_colours_are_those_of_the_surfaces():

@@ -29,15 +29,9 @@ class Overhead:
     is_level: np.ndarray
 
 
-def normals(mesh: Mesh) -> np.ndarray:
-    """f64[F, 3]: normals as long as twice each triangle's area."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
-
-
 def level_faces(mesh: Mesh) -> np.ndarray:
     """bool[F]: horizontal triangles, whichever side they were drawn from."""
-    normal = normals(mesh)
+    normal = mesh.normals
     return np.abs(normal[:, 2]) > _LEVEL * np.maximum(np.linalg.norm(normal, axis=1), 1e-15)
 
 
@@ -52,11 +46,11 @@ def look_down(mesh: Mesh, lower: np.ndarray, upper: np.ndarray, shape: np.ndarra
     cell = (upper - lower) / shape
     height, is_level = np.full(shape, -np.inf), np.zeros(shape, bool)
     level = level_faces(mesh)
-    triangles = mesh.vertices[mesh.faces]
+    triangles = mesh.corners
     spots = (triangles[:, :, :2] - lower) / cell - 0.5
     first = np.maximum(np.ceil(spots.min(1) - 1e-6), 0).astype(int)
     last = np.minimum(np.floor(spots.max(1) + 1e-6), shape - 1).astype(int)
-    upright = np.abs(normals(mesh)[:, 2]) < 1e-14
+    upright = np.abs(mesh.normals[:, 2]) < 1e-14
     for face in np.flatnonzero((first <= last).all(1) & ~upright):
         _draw(
             spots[face], triangles[face, :, 2], first[face], last[face], bool(level[face]), height, is_level

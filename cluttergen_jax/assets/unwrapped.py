@@ -28,7 +28,7 @@ def transferred(piece: Piece, mesh: Mesh) -> Piece:
     assert piece.uv is not None
     old, uv = piece.mesh, piece.uv.astype(np.float64)
     tree = cKDTree(old.vertices[old.faces].mean(1))
-    corners = mesh.vertices[mesh.faces]
+    corners = mesh.corners
     middle = corners.mean(1)
     places, away, owner = _candidates(old, uv, tree, middle)
     best = np.argmin(away, axis=1)
@@ -74,7 +74,7 @@ def _candidates(
 
 def _scale(mesh: Mesh, uv: np.ndarray) -> np.ndarray:
     """f64[F]: the most that the image moves on a triangle, in uv for each metre."""
-    corners, places = mesh.vertices[mesh.faces], uv[mesh.faces]
+    corners, places = mesh.corners, uv[mesh.faces]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     steps = np.linalg.norm(places - np.roll(places, 1, axis=1), axis=2)
     return (steps / np.maximum(sides, 1e-9)).max(1)

@@ -14,8 +14,8 @@ from cluttergen_jax.bank.bank import INDEX
 from cluttergen_jax.config import VerifyConfig
 from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.files import inside
+from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.physics.log import silent_log
-from cluttergen_jax.physics.rotation import turn_between
 
 _STRIDE = 12
 _SHORTEST_STEP, _LONGEST_STEP = 1e-4, 0.05

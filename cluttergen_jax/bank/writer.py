@@ -12,9 +12,9 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from cluttergen_jax.assets.obj import write_parts
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash, read_object, write_object
-from cluttergen_jax.assets.part_files import write_parts
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.bank.bank import (

@@ -33,7 +33,7 @@ _MAP_SCENES = 500
 _TRIED_SCENES = 8
 _EXAMPLES = 6
 _SAMPLES = 16
-_AROUND = [0, 1, 3, 2, 0]
+_AROUND = [0, 1, 2, 3, 0]
 """Corners of a rectangle one after another, and back to the first."""
 _LINE = 0.003
 _WHITE = (1.0, 1.0, 1.0)

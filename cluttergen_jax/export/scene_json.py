@@ -10,7 +10,7 @@ import numpy as np
 
 from cluttergen_jax.assets.shading import box_mesh
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, object_folder
-from cluttergen_jax.physics.rotation import rotate
+from cluttergen_jax.geometry import transformed
 from cluttergen_jax.scene import Scene
 
 
@@ -21,8 +21,7 @@ def scene_bounds(scene: Scene) -> np.ndarray:
     """
     points = [box_mesh(box).vertices for box in scene.support.boxes]
     for asset, pose in zip(scene.objects, scene.poses, strict=True):
-        vertices = np.concatenate([part.vertices for part in asset.parts])
-        points.append(rotate(np, pose[3:], vertices) + pose[:3])
+        points += [transformed(pose, part.vertices) for part in asset.parts]
     corners = np.concatenate(points)
     return np.stack([corners.min(0), corners.max(0)])
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.physics.rotation import norm, turn_between
+from cluttergen_jax.geometry import norm, turn_between
 from cluttergen_jax.types import Array, Verdict
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from flax import struct
 from scipy.ndimage import grey_closing
 
+from cluttergen_jax.geometry import rectangle_corners
 from cluttergen_jax.placement.region import Region, from_pose
 from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.types import Array
@@ -135,22 +136,20 @@ def _with_void_border(height: Array) -> Array:
 def _margin(geometry: Geometry, region: Region, boxes: np.ndarray) -> np.ndarray:
     """f64[2]: how far beyond the region's sides objects centred in it can find the support."""
     inverse = np.asarray(region.T_world_region.inverse().as_matrix(), np.float64)
-    local = np.concatenate([_corners(box) for box in boxes]) @ inverse[:2, :2].T + inverse[:2, 3]
+    local = _corners(boxes) @ inverse[:2, :2].T + inverse[:2, 3]
     beyond = np.abs(local).max(0) - np.asarray(region.half_extents)
     radius = np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max()
     return np.clip(beyond, 0.0, radius)
 
 
-def _corners(box: np.ndarray) -> np.ndarray:
-    """f64[4, 2]: a box of `Geometry.boxes` from above."""
-    cos, sin = np.cos(box[6]), np.sin(box[6])
-    signs = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
-    return box[:2] + (signs * box[3:5]) @ np.array([[cos, sin], [-sin, cos]])
+def _corners(boxes: np.ndarray) -> np.ndarray:
+    """f64[4 B, 2]: boxes of `Geometry.boxes` from above."""
+    return np.concatenate([rectangle_corners(box[:2], box[3:5], box[6]) for box in boxes])
 
 
 def _ground_of(boxes: np.ndarray, top: float) -> _Ground:
     """The highest box over each cell. Gaps too narrow to matter, as between planks, are bridged."""
-    corners = np.concatenate([_corners(box) for box in boxes])
+    corners = _corners(boxes)
     low, high = corners.min(0), corners.max(0)
     cell = max(_GROUND_CELL, float(np.sqrt((high - low).prod() / _MOST_GROUND_CELLS)))
     counts = np.ceil((high - low) / cell - 1e-4).astype(int)

@@ -20,6 +20,7 @@ from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import transformed
 from cluttergen_jax.render.camera import axes
 from cluttergen_jax.render.config import View
 from cluttergen_jax.render.lighting import add_lighting
@@ -148,9 +149,7 @@ def close_points(
     if support is not None:
         points.append(np.column_stack([support.region.corners, np.full(4, support.top)]))
     for asset, pose in zip(assets, np.asarray(poses, np.float64), strict=True):
-        matrix = np.zeros(9)
-        mujoco.mju_quat2Mat(matrix, pose[3:])
-        points.extend(part.vertices @ matrix.reshape(3, 3).T + pose[:3] for part in asset.parts)
+        points.extend(transformed(pose, part.vertices) for part in asset.parts)
     if not points:
         raise ConfigError("a close view of neither objects nor a support")
     return np.concatenate(points)

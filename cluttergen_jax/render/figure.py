@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluttergen_jax.assets.scene_cloud import posed
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import transformed
 from cluttergen_jax.placement.recording import Attempt, Recording
 from cluttergen_jax.render.assets import close_points
 from cluttergen_jax.render.overlay import Ring, ring_around, with_rings
@@ -111,4 +111,5 @@ def _ring(
     number: int,
 ) -> Ring:
     vertices = np.concatenate([part.vertices for part in recording.objects[index].parts])
-    return ring_around(renderer.project(posed(vertices, pose)), rgb, str(number), renderer.config.height / 90)
+    outline = renderer.project(transformed(pose, vertices))
+    return ring_around(outline, rgb, str(number), renderer.config.height / 90)

@@ -7,6 +7,7 @@ import math
 import mujoco
 import numpy as np
 
+from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.render.lighting import KEY_DIRECTION, KEY_LIGHT, SKY_LIGHT
 
 _KEY_SPREAD = 0.10
@@ -48,8 +49,7 @@ def shift_lights(
     Args:
       yaw: radians by which all of them are turned about the vertical besides, to follow a camera.
     """
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    key = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ KEY_DIRECTION
+    key = yaw_matrix(yaw) @ KEY_DIRECTION
     key /= np.linalg.norm(key)
     directions = {
         KEY_LIGHT: _around(key, u[0], u[1], _KEY_SPREAD),

@@ -13,6 +13,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import compose
 from cluttergen_jax.scene.cameras import Camera
 
 _UNIT = 1e-3
@@ -194,7 +195,7 @@ class Scene:
             raise ConfigError(
                 f"a model that has bodies called {sorted(taken)}", "names that are free", "another prefix"
             )
-        poses = np.stack([_moved(pose, np.array(position, np.float64), turn) for pose in self.poses])
+        poses = compose(np.concatenate([position, turn]), self.poses)
         child = self.to_mjspec(support=support)
         child.keys[0].qpos = poses.ravel()
         # The model's own options win; saying so here spares the user MuJoCo's warning about it.
@@ -202,12 +203,3 @@ class Scene:
             setattr(child.option, option, getattr(spec.option, option))
         spec.attach(child, prefix=prefix, frame=spec.worldbody.add_frame(pos=position, quat=turn))
         return Attachment(prefix, tuple(prefix + name for name in self.names), poses, prefix + KEYFRAME)
-
-
-def _moved(pose: np.ndarray, position: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """f64[7]: a pose in a frame that itself stands at `position`, `turn`."""
-    result = np.empty(7)
-    mujoco.mju_rotVecQuat(result[:3], pose[:3], turn)
-    result[:3] += position
-    mujoco.mju_mulQuat(result[3:], turn, pose[3:])
-    return result

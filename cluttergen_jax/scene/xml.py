@@ -11,7 +11,6 @@ element by element. `export.robosuite` is a dialect: groups, sites and missing j
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from xml.etree import ElementTree as ET
@@ -19,11 +18,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from cluttergen_jax.assets.mjcf import COLLISION_GROUP, SHININESS, SPECULAR, VISUAL_GROUP, own_contact
+from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene.cameras import Camera
 from cluttergen_jax.world import unique_names
 
@@ -137,7 +137,7 @@ def _add_support(assets: ET.Element, world: ET.Element, support: SupportAsset) -
             name=f"support/box-{index}",
             type="box",
             pos=_text(box.center),
-            quat=_text([math.cos(box.yaw / 2), 0, 0, math.sin(box.yaw / 2)]),
+            quat=_text(yaw_quaternion(box.yaw)),
             size=_text(box.half_extents),
             rgba=_text(box.rgba),
             group=str(COLLISION_GROUP if support.pieces else VISUAL_GROUP),

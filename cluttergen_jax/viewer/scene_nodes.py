@@ -10,11 +10,11 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.part_files import hull_of
 from cluttergen_jax.assets.scene_cloud import cloud_colours, top_points
 from cluttergen_jax.assets.shading import linear, shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.placement.recording import Attempt, Recording
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ class SceneNodes:
                     color=_bytes(box.rgba),
                     dimensions=tuple(2 * np.array(box.half_extents)),
                     position=box.center,
-                    wxyz=(np.cos(box.yaw / 2), 0.0, 0.0, np.sin(box.yaw / 2)),
+                    wxyz=yaw_quaternion(box.yaw),
                 )
             )
         points = top_points(support) + np.array([0.0, 0.0, _LIFT])
@@ -219,7 +219,7 @@ class _FailedAttempt:
         root = f"/failed/{number}"
         self.attempt = attempt
         self.frame = server.scene.add_frame(root, show_axes=False)
-        whole = joined([piece.mesh for piece in asset.pieces] or [hull_of(part) for part in asset.parts])
+        whole = joined([piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts])
         _surface(server, f"{root}/visual", Piece(whole, _GHOST))
         points = attempt.trajectory[:, :3].astype(np.float32)
         segments = np.stack([points[:-1], points[1:]], axis=1)
@@ -275,7 +275,7 @@ def textured_mesh(piece: Piece) -> trimesh.Trimesh:
 
 
 def _hull(server: viser.ViserServer, name: str, part: Mesh, colour: tuple[int, int, int]) -> Any:
-    mesh = hull_of(part)
+    mesh = part.hull()
     return server.scene.add_mesh_simple(
         name, mesh.vertices, mesh.faces, color=colour, flat_shading=True, visible=False
     )
@@ -283,7 +283,7 @@ def _hull(server: viser.ViserServer, name: str, part: Mesh, colour: tuple[int, i
 
 def _outline(rectangle: Rectangle, height: float) -> np.ndarray:
     """f32[4, 2, 3]: the sides of a rectangle at a height, world frame."""
-    ring = np.column_stack([rectangle.corners[[0, 1, 3, 2]], np.full(4, height)])
+    ring = np.column_stack([rectangle.corners, np.full(4, height)])
     return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1).astype(np.float32)
 
 

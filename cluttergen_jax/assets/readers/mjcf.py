@@ -13,8 +13,7 @@ from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers import primitives
-from cluttergen_jax.assets.readers.convex import MAX_PARTS
-from cluttergen_jax.assets.readers.model import Model, frozen, frozen_note
+from cluttergen_jax.assets.readers.model import MAX_PARTS, Model, frozen, frozen_note
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.stated_mass import combined
 from cluttergen_jax.assets.texture import Texture

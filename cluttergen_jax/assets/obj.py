@@ -1,12 +1,32 @@
-"""Surfaces as OBJ text, with the places in their images if they have some."""
+"""OBJ text: surfaces, shaded surfaces for other programs, and collision parts."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shading import shaded
 from cluttergen_jax.assets.shape import Piece
+
+
+def part_name(index: int) -> str:
+    """The file name of an asset's collision part number `index`."""
+    return f"part-{index:02d}.obj"
+
+
+def write_parts(folder: Path, asset: ObjectAsset) -> None:
+    """Writes the hull of every part of an asset into `folder`, which is made if need be."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for index, part in enumerate(asset.parts):
+        (folder / part_name(index)).write_text(mesh_text(part.hull()), encoding="ascii")
+
+
+def mesh_text(mesh: Mesh) -> str:
+    """A mesh as OBJ, vertices to eight digits."""
+    return text(lines("v", mesh.vertices, ".8g") + lines("f", mesh.faces + 1, "d"))
 
 
 def surface_text(piece: Piece, digits: int) -> str:
@@ -18,16 +38,12 @@ def surface_text(piece: Piece, digits: int) -> str:
     Args:
       digits: significant ones of a coordinate, none finer than a micrometre.
     """
-    rounded = np.round(piece.mesh.vertices, 6) + 0.0
-    vertices = [f"v {x:.{digits}g} {y:.{digits}g} {z:.{digits}g}" for x, y, z in rounded.tolist()]
+    vertices = lines("v", np.round(piece.mesh.vertices, 6) + 0.0, f".{digits}g")
     if piece.uv is None:
-        return (
-            "\n".join([*vertices, *(f"f {a} {b} {c}" for a, b, c in (piece.mesh.faces + 1).tolist())]) + "\n"
-        )
+        return text(vertices + lines("f", piece.mesh.faces + 1, "d"))
     number = _numbered(vertices)
     corners = [f"{number[line]}/{index}" for index, line in enumerate(vertices, 1)]
-    lines = [*number, *_uv_lines(piece.uv), *_face_lines(corners, piece.mesh.faces)]
-    return "\n".join(lines) + "\n"
+    return text([*number, *_uv_lines(piece.uv), *_face_lines(corners, piece.mesh.faces)])
 
 
 def shaded_text(piece: Piece, material: tuple[str, str] | None = None) -> str:
@@ -37,14 +53,24 @@ def shaded_text(piece: Piece, material: tuple[str, str] | None = None) -> str:
       material: an MTL file, and the name of a material in it.
     """
     vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
-    places = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in vertices.tolist()]
-    turns = [f"vn {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (normals + np.float32(0)).tolist()]
+    places, turns = lines("v", vertices, ".7g"), lines("vn", normals + np.float32(0), ".4f")
     shown = [] if uv is None else _uv_lines(uv)
     place, turn, show = _numbered(places), _numbered(turns), _numbered(shown)
     images = [str(show[line]) for line in shown] or [""] * len(places)
     corners = [f"{place[p]}/{i}/{turn[t]}" for p, i, t in zip(places, images, turns, strict=True)]
     head, use = ([f"mtllib {material[0]}"], [f"usemtl {material[1]}"]) if material else ([], [])
-    return "\n".join([*head, *place, *show, *turn, *use, *_face_lines(corners, faces)]) + "\n"
+    return text([*head, *place, *show, *turn, *use, *_face_lines(corners, faces)])
+
+
+def lines(key: str, rows: np.ndarray, number: str) -> list[str]:
+    """A line for each of the rows, such as `v 0 0.5 1`, its numbers in the format `number`."""
+    form = " ".join([key] + [f"{{:{number}}}"] * rows.shape[1])
+    return [form.format(*row) for row in rows.tolist()]
+
+
+def text(lines: list[str]) -> str:
+    """Lines as the text of a file."""
+    return "\n".join(lines) + "\n"
 
 
 def _numbered(lines: list[str]) -> dict[str, int]:
@@ -53,7 +79,7 @@ def _numbered(lines: list[str]) -> dict[str, int]:
 
 
 def _uv_lines(uv: np.ndarray) -> list[str]:
-    return [f"vt {u:.6g} {v:.6g}" for u, v in (uv + np.float32(0)).tolist()]
+    return lines("vt", uv + np.float32(0), ".6g")
 
 
 def _face_lines(corners: list[str], faces: np.ndarray) -> list[str]:
