@@ -147,7 +147,7 @@ class Bank:
 
 @contextmanager
 def _mended_by_generate() -> Iterator[None]:
-    """What heals a bank's own copy of an asset is what heals the rest of the bank."""
+    """Errors of the bank's own copy of an asset, with the hint that `generate` repairs it."""
     try:
         yield
     except PoolError as error:

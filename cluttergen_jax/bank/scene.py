@@ -77,7 +77,8 @@ def _scene(bank: Bank, record: SceneRecord, objects: Sequence[ObjectAsset]) -> S
             index=record.index,
             pool=public_name(recipe.get("pool", "")),
             method=recipe.get("method", ""),
-            checkpoint=None if recipe.get("checkpoint") is None else _named(recipe["checkpoint"]),
+            # The name alone: a path would tell where its owner keeps files.
+            checkpoint=None if recipe.get("checkpoint") is None else Path(recipe["checkpoint"]).name,
             seed=recipe.get("seed"),
             verdict=record.verdict,
             drift=record.drift,
@@ -85,11 +86,6 @@ def _scene(bank: Bank, record: SceneRecord, objects: Sequence[ObjectAsset]) -> S
             versions=recipe.get("versions", {}),
         ),
     )
-
-
-def _named(path: str) -> str:
-    """The last part of a path: where somebody's files lie is nobody else's business."""
-    return Path(path).name
 
 
 def config_of(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Config:

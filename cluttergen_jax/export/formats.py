@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
@@ -53,28 +54,17 @@ class Format:
     require: Callable[[], None] = lambda: None
 
 
-def _objects(
-    model: Callable[[ObjectAsset, ContactConfig], bytes] | None = None, ending: str = ""
-) -> WriteObject:
-    """Writes an object's meshes, and a model of it as NAME.ending."""
+def _files(
+    meshes: Callable[[Path, Any], None],
+    model: Callable[[Any, ContactConfig], bytes] | None = None,
+    ending: str = "",
+) -> Callable[[Path, Any, ContactConfig], None]:
+    """Writes what all scenes share of an object or of the support: meshes, and a model called as its folder."""
 
-    def write(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
-        write_object_meshes(folder, asset)
+    def write(folder: Path, asset: Any, contact: ContactConfig) -> None:
+        meshes(folder, asset)
         if model is not None:
-            (folder / f"{asset.name}.{ending}").write_bytes(model(asset, contact))
-
-    return write
-
-
-def _support(
-    model: Callable[[SupportAsset, ContactConfig], bytes] | None = None, ending: str = ""
-) -> WriteSupport:
-    """The same of the support."""
-
-    def write(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
-        write_support_meshes(folder, support)
-        if model is not None:
-            (folder / f"support.{ending}").write_bytes(model(support, contact))
+            (folder / f"{folder.name}.{ending}").write_bytes(model(asset, contact))
 
     return write
 
@@ -113,8 +103,8 @@ _ALL = (
         "mjcf",
         "MuJoCo: python -m mujoco.viewer --mjcf=scenes/NUMBER.xml; the keyframe `scene` holds the poses too.",
         "xml",
-        _objects(),
-        _support(),
+        _files(write_object_meshes),
+        _files(write_support_meshes),
         _written(_mjcf_text),
     ),
     Format(
@@ -122,8 +112,8 @@ _ALL = (
         "PyBullet: python load_pybullet.py scenes/NUMBER.json (needs pybullet only; --direct opens no "
         "window). Objects and support are one URDF each.",
         "json",
-        _objects(object_urdf, "urdf"),
-        _support(support_urdf, "urdf"),
+        _files(write_object_meshes, object_urdf, "urdf"),
+        _files(write_support_meshes, support_urdf, "urdf"),
         _written(partial(scene_json, ending="urdf")),
         script="load_pybullet.py",
     ),
@@ -132,8 +122,8 @@ _ALL = (
         "Drake: Parser(plant).AddModels('scenes/NUMBER.sdf'), the plant made by "
         "AddMultibodyPlantSceneGraph(builder, time_step=1/240); Gazebo: gz sim scenes/NUMBER.sdf.",
         "sdf",
-        _objects(),
-        _support(),
+        _files(write_object_meshes),
+        _files(write_support_meshes),
         _written(sdf_text),
         notes=_DRAKE_NOTES,
     ),
@@ -158,8 +148,8 @@ _ALL = (
         "maniskill",
         "ManiSkill 3: import cluttergen_maniskill, then gymnasium.make('ClutterGenScene-v1', scene='N').",
         "json",
-        _objects(),
-        _support(),
+        _files(write_object_meshes),
+        _files(write_support_meshes),
         _written(maniskill_json),
         script="cluttergen_maniskill.py",
     ),
@@ -168,8 +158,8 @@ _ALL = (
         "robosuite 1.5: import cluttergen_robosuite, then robosuite.make('ClutterGenScene', robots='Panda', "
         "scene='N').",
         "json",
-        _objects(object_xml, "xml"),
-        _support(support_xml, "xml"),
+        _files(write_object_meshes, object_xml, "xml"),
+        _files(write_support_meshes, support_xml, "xml"),
         _written(partial(scene_json, ending="xml")),
         script="cluttergen_robosuite.py",
     ),
@@ -178,8 +168,8 @@ _ALL = (
         "LIBERO: import cluttergen_libero, then cluttergen_libero.make_env(N). python cluttergen_libero.py "
         "writes LIBERO's task descriptions and initial states.",
         "json",
-        _objects(object_xml, "xml"),
-        _support(support_xml, "xml"),
+        _files(write_object_meshes, object_xml, "xml"),
+        _files(write_support_meshes, support_xml, "xml"),
         _written(partial(scene_json, ending="xml")),
         script="cluttergen_libero.py",
     ),
