@@ -59,7 +59,7 @@ def _files(
     model: Callable[[Any, ContactConfig], bytes] | None = None,
     ending: str = "",
 ) -> Callable[[Path, Any, ContactConfig], None]:
-    """Writes what all scenes share of an object or of the support: meshes, and a model called as its folder."""
+    """Writes what all scenes share of an object or the support: meshes, and a model named as its folder."""
 
     def write(folder: Path, asset: Any, contact: ContactConfig) -> None:
         meshes(folder, asset)
