@@ -79,12 +79,6 @@ def transformed(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.asarray(points, np.float64) @ rotation_matrix(pose[3:]).T + pose[:3]
 
 
-def compose(outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
-    """f64[N, 7]: poses `inner`, f[N, 7], of a frame that stands at `outer`, in the frame of that pose."""
-    place, turn = transformed(outer, inner[:, :3]), product(np.asarray(outer)[3:], inner[:, 3:])
-    return np.concatenate([place, turn], axis=1)
-
-
 def yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
     """The quaternion of a turn about z."""
     return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)

@@ -4,5 +4,5 @@ trial: what one row asks. programs, patience, episodes: running it. record: its 
 for measures. store: results on disk, found again by content. checkpoints: where policies lie. lab: all of
 these together. suites: the tables as data. studies, measuring, timing: running one of them. published: the
 paper's figures. layouts, honest_layouts, tables, plots, pictures, report, document: what people read.
-progress: what the terminal shows meanwhile. proportion, machine: intervals, and the machine that a result is of.
+progress: what the terminal shows meanwhile. machine: what a table was made on. proportion: intervals.
 """

@@ -19,7 +19,6 @@ from cluttergen_jax.physics.batching import one_scene
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.margin import MIN_SHIFT
 from cluttergen_jax.physics.mjx_scenes import MjxScenes, start_poses
-from cluttergen_jax.physics.protocol import Simulator
 from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
@@ -52,7 +51,7 @@ class _Checks(struct.PyTreeNode):
     standing: Standing
 
 
-class MjxPhysics(Simulator):
+class MjxPhysics:
     """`protocol.Physics` on MJX.
 
     Args:
@@ -77,7 +76,22 @@ class MjxPhysics(Simulator):
     ) -> None:
         self.layout, self.config = layout, config
         self.scenes = MjxScenes(layout, impl, num_contacts, num_rows)
-        super().__init__(one_scene(self.settle_batch), one_scene(self.stand_batch))
+        self._settle_one, self._stand_one = one_scene(self.settle_batch), one_scene(self.stand_batch)
+
+    def settle(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
+        """See `protocol.Physics.settle`."""
+        return self._settle_one(
+            jnp.asarray(poses, jnp.float32),
+            jnp.asarray(is_placed, bool),
+            jnp.asarray(focus, jnp.int32),
+            jnp.asarray(is_active, bool),
+        )
+
+    def stand(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
+        """See `protocol.Physics.stand`."""
+        return self._stand_one(
+            jnp.asarray(poses, jnp.float32), jnp.asarray(is_placed, bool), jnp.asarray(is_active, bool)
+        )
 
     def settle_batch(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
         """`settle` for scenes with one leading axis."""

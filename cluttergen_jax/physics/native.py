@@ -23,10 +23,9 @@ from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.margin import MIN_SHIFT
 from cluttergen_jax.physics.overlap import OverlapProbe
-from cluttergen_jax.physics.protocol import Simulator
 from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept
 from cluttergen_jax.physics.simulations import Simulations, sleeping_model
-from cluttergen_jax.types import Settling, Standing, Verdict
+from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 MAX_BATCHES = 3
 
@@ -45,7 +44,7 @@ class AtRest(NamedTuple):
     margin: np.ndarray
 
 
-class NativePhysics(Simulator):
+class NativePhysics:
     """`protocol.Physics` on MuJoCo's C engine: the default on a CPU.
 
     Args:
@@ -65,11 +64,26 @@ class NativePhysics(Simulator):
         self._probe = OverlapProbe(layout)
         self._lock = threading.Lock()
         num_objects = layout.num_objects
-        super().__init__(
-            host_function(
-                self.settle_batch, jax.eval_shape(lambda: empty_settling(jnp, (), num_objects, config))
-            ),
-            host_function(self.stand_batch, jax.eval_shape(lambda: empty_standing(jnp, (), num_objects))),
+        self._settle_one = host_function(
+            self.settle_batch, jax.eval_shape(lambda: empty_settling(jnp, (), num_objects, config))
+        )
+        self._stand_one = host_function(
+            self.stand_batch, jax.eval_shape(lambda: empty_standing(jnp, (), num_objects))
+        )
+
+    def settle(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
+        """See `protocol.Physics.settle`."""
+        return self._settle_one(
+            jnp.asarray(poses, jnp.float32),
+            jnp.asarray(is_placed, bool),
+            jnp.asarray(focus, jnp.int32),
+            jnp.asarray(is_active, bool),
+        )
+
+    def stand(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
+        """See `protocol.Physics.stand`."""
+        return self._stand_one(
+            jnp.asarray(poses, jnp.float32), jnp.asarray(is_placed, bool), jnp.asarray(is_active, bool)
         )
 
     def settle_batch(

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Protocol
-
-import jax.numpy as jnp
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.types import Array, Settling, Standing
@@ -35,25 +32,3 @@ class Physics(Protocol):
     def stand(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
         """The last check of a finished scene, everything awake (docs/contract.md: staged)."""
         ...
-
-
-class Simulator:
-    """`Physics` of two functions of one scene, which are given arrays of the types that they ask for."""
-
-    def __init__(self, settle: Callable[..., Settling], stand: Callable[..., Standing]) -> None:
-        self._settle_one, self._stand_one = settle, stand
-
-    def settle(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
-        """See `Physics.settle`."""
-        return self._settle_one(
-            jnp.asarray(poses, jnp.float32),
-            jnp.asarray(is_placed, bool),
-            jnp.asarray(focus, jnp.int32),
-            jnp.asarray(is_active, bool),
-        )
-
-    def stand(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
-        """See `Physics.stand`."""
-        return self._stand_one(
-            jnp.asarray(poses, jnp.float32), jnp.asarray(is_placed, bool), jnp.asarray(is_active, bool)
-        )
