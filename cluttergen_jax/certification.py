@@ -13,13 +13,13 @@ import pyarrow as pa
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.bank.bank import Bank, block_numbers, read_block
 from cluttergen_jax.bank.card import write_card
-from cluttergen_jax.bank.disk import writing
 from cluttergen_jax.bank.lock import BankLock
 from cluttergen_jax.bank.scene import config_of
 from cluttergen_jax.bank.table import CERTIFICATE, SCHEMA, is_fully_certified
 from cluttergen_jax.bank.writer import write_rows
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import BankError
+from cluttergen_jax.files import writing
 from cluttergen_jax.measures.arrangement import by_object
 from cluttergen_jax.measures.certificate import certificates
 from cluttergen_jax.measures.scene_models import SceneModels

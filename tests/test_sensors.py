@@ -13,6 +13,7 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import transformed
 from cluttergen_jax.render.config import View
+from cluttergen_jax.render.scene_renderer import PictureConfig
 from cluttergen_jax.render.sensors import (
     FIRST_OBJECT,
     FLOOR,
@@ -23,7 +24,6 @@ from cluttergen_jax.render.sensors import (
     segmentation_png,
     sense,
 )
-from cluttergen_jax.render.stage import Shooting
 from tests.recordings import cubes
 from tests.test_render import needs_gl
 
@@ -32,8 +32,8 @@ from tests.test_render import needs_gl
 def sensed():
     recording = cubes()
     view = View(azimuth=70, elevation=-50)
-    shooting = Shooting(width=200, height=150, samples=1, view=view)
-    return sense(recording.objects, recording.names, recording.poses, recording.support, shooting)
+    picture = PictureConfig(width=200, height=150, samples=1, view=view)
+    return sense(recording.objects, recording.names, recording.poses, recording.support, picture)
 
 
 def back_projected(sensed):

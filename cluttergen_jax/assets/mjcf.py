@@ -22,6 +22,8 @@ SPECULAR, SHININESS = 0.25, 0.35
 MAX_FRICTION = 10.0
 """Sliding coefficients of objects from here on are all alike to MuJoCo's choice between two of them."""
 _HIGHEST_PRIORITY = 100_000
+_PARKING_START, _PARKING_HEIGHT, _PARKING_GAP = 50.0, 10.0, 0.1
+"""Metres."""
 
 
 def new_spec(timestep: float, contact: ContactConfig) -> mujoco.MjSpec:
@@ -169,6 +171,41 @@ def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = Fa
         )
     if visual:
         _add_visuals(spec, body, "support", support.pieces)
+
+
+def populated_spec(
+    names: Sequence[str],
+    objects: Sequence[ObjectAsset],
+    support: SupportAsset | None,
+    timestep: float,
+    contact: ContactConfig,
+    *,
+    poses: np.ndarray | None = None,
+    visual: bool = False,
+) -> mujoco.MjSpec:
+    """A support and free objects on it, ready to be compiled; its only joints are theirs, in this order.
+
+    Args:
+      names: N unique names, of the bodies and their joints.
+      support: None leaves it out.
+      timestep: seconds.
+      poses: f[N, 7], T_world_object, metres, wxyz. None parks the objects in the air, unturned, far from the
+        support and from each other, so that they touch nothing.
+      visual: whether coloured surfaces come along.
+    """
+    spec = new_spec(timestep, contact)
+    if support is not None:
+        add_support(spec, support, visual=visual)
+    x = _PARKING_START
+    for index, (name, asset) in enumerate(zip(names, objects, strict=True)):
+        body = add_object(spec, asset, name, visual=visual)
+        if poses is not None:
+            body.pos, body.quat = poses[index, :3], poses[index, 3:]
+            continue
+        x += asset.radius
+        body.pos = (x, 0.0, _PARKING_HEIGHT)
+        x += asset.radius + _PARKING_GAP
+    return spec
 
 
 def object_xml(

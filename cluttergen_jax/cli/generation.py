@@ -16,14 +16,14 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.bank import BankWriter, read_bank
 from cluttergen_jax.bank.card import write_card
-from cluttergen_jax.bank.disk import writing
-from cluttergen_jax.bank.start import read_start, start_of
-from cluttergen_jax.bank.summary import summary_of
+from cluttergen_jax.bank.reference import read_start, start_of
+from cluttergen_jax.bank.stats import summary_of
 from cluttergen_jax.bank.table import table_of
 from cluttergen_jax.bank.writer import names_of
 from cluttergen_jax.cli.files import write_files
 from cluttergen_jax.cli.generate import Generate
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.files import writing
 from cluttergen_jax.methods import (
     FILTERED,
     checkpoint_hash,

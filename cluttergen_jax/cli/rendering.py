@@ -10,20 +10,20 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.assets.scene_cloud import ply_of, scene_points
-from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.bank.reference import missing_text
 from cluttergen_jax.cli.parse import parse_numbers
 from cluttergen_jax.cli.render import Render
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
+from cluttergen_jax.files import write_atomically
 from cluttergen_jax.placement.recording import Recording
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.render.assets import render_scene
 from cluttergen_jax.render.figure import closed_loop_figure
 from cluttergen_jax.render.film import replay, replay_frames, turntable
 from cluttergen_jax.render.gl import find_backend
+from cluttergen_jax.render.scene_renderer import PictureConfig
 from cluttergen_jax.render.sensors import depth_png, npz_of, segmentation_png, sense
 from cluttergen_jax.render.sheet import contact_sheet, save_png
-from cluttergen_jax.render.stage import Shooting
 from cluttergen_jax.render.video import check_format, save_film
 from cluttergen_jax.sources import BankSource, open_source
 from cluttergen_jax.viewer.source import Source
@@ -42,7 +42,7 @@ class Rendering(Render):
         """Makes everything that is asked for; the exit status."""
         if self.turntable or self.replay:
             check_format(self.film)
-        sizes = {size: self._shooting(size, _QUICK) for size in (_LARGE, _SMALL, _CELL)}
+        sizes = {size: self._picture(size, _QUICK) for size in (_LARGE, _SMALL, _CELL)}
         source, own = open_source(self.source)
         numbers = chosen_numbers(source, own, self.scenes, _SHEET if self.sheet else 1)
         if self.picture or self.sheet or self.turntable or self.replay or self.figure or self._is_sensed:
@@ -60,12 +60,12 @@ class Rendering(Render):
     def _is_sensed(self) -> bool:
         return self.depth or self.segmentation
 
-    def _shooting(self, size: tuple[int, int], samples: int) -> Shooting:
+    def _picture(self, size: tuple[int, int], samples: int) -> PictureConfig:
         width, height = parse_size(self.size) if self.size else size
         samples = samples if self.samples is None else self.samples
-        return Shooting(width, height, samples, self.view, self.whole, self.hulls)
+        return PictureConfig(width, height, samples, self.view, self.whole, self.hulls)
 
-    def _make(self, source: Source, number: int, small: Shooting) -> Iterator[_Failure]:
+    def _make(self, source: Source, number: int, small: PictureConfig) -> Iterator[_Failure]:
         """Makes everything that is asked for of one scene; what cannot be made costs nothing else."""
         stem = self.out / (f"{number:06d}" if isinstance(source, BankSource) else _stem(source, number))
         attempted = None
@@ -87,14 +87,14 @@ class Rendering(Render):
                 yield stem.name + ending, error
 
     def _products(
-        self, recording: Recording, has_attempts: bool, small: Shooting
+        self, recording: Recording, has_attempts: bool, small: PictureConfig
     ) -> Iterator[tuple[str, _Make]]:
         """The endings of the files that are asked for, and how each is made."""
-        large = self._shooting(_LARGE, _FINE)
+        large = self._picture(_LARGE, _FINE)
         if self.picture and not (self.sheet and not self.scenes):
             yield ".png", lambda path: [save_png(drawn(recording, large), path)]
         if self.figure and has_attempts:
-            yield "-figure.png", lambda path: [save_png(closed_loop_figure(recording, shooting=large), path)]
+            yield "-figure.png", lambda path: [save_png(closed_loop_figure(recording, picture=large), path)]
         if self._is_sensed:
             yield "-sensors.npz", lambda path: self._sensed(recording, path, large)
         if self.points:
@@ -108,10 +108,10 @@ class Rendering(Render):
             length = len(replay_frames(recording, self.pace))
             yield f"-replay.{self.film}", lambda path: [self._filmed(steps, length, path)]
 
-    def _sensed(self, recording: Recording, path: Path, shooting: Shooting) -> Iterator[Path]:
+    def _sensed(self, recording: Recording, path: Path, picture: PictureConfig) -> Iterator[Path]:
         placed = recording.placed
         names = [recording.names[index] for index in placed]
-        sensed = sense(_placed(recording), names, recording.poses[placed], recording.support, shooting)
+        sensed = sense(_placed(recording), names, recording.poses[placed], recording.support, picture)
         stem = path.with_name(path.name.removesuffix("-sensors.npz"))
         if self.depth:
             yield _written(_named(stem, "-depth.png"), depth_png(sensed.depth))
@@ -124,10 +124,10 @@ class Rendering(Render):
         return save_film(shown, path, self.pace.fps)
 
     def _sheet(self, source: Source, numbers: list[int]) -> np.ndarray:
-        shooting = self._shooting(_CELL, _QUICK if len(numbers) > _SHEET else _FINE)
+        picture = self._picture(_CELL, _QUICK if len(numbers) > _SHEET else _FINE)
         recordings = [source.still(number) for number in numbers]
         shown = tracked(recordings, "sheet.png", len(recordings), "picture")
-        images = [drawn(recording, shooting) for recording in shown]
+        images = [drawn(recording, picture) for recording in shown]
         captions = [
             f"{number:06d}" + ("" if recording.is_success else f" (failed: {recording.verdict})")
             for number, recording in zip(numbers, recordings, strict=True)
@@ -180,18 +180,18 @@ def failures_text(failures: Sequence[_Failure]) -> str:
     return "\n".join([*lines, *(f"Try: {hint}." for hint in hints)])
 
 
-def drawn(recording: Recording, shooting: Shooting) -> np.ndarray:
+def drawn(recording: Recording, picture: PictureConfig) -> np.ndarray:
     """uint8[height, width, 3]: the finished scene."""
     return render_scene(
         _placed(recording),
         recording.poses[recording.placed],
         recording.support,
-        camera=shooting.view,
-        close=not shooting.whole,
-        width=shooting.width,
-        height=shooting.height,
-        hulls=shooting.hulls,
-        samples=shooting.samples,
+        camera=picture.view,
+        close=not picture.whole,
+        width=picture.width,
+        height=picture.height,
+        hulls=picture.hulls,
+        samples=picture.samples,
     )
 
 

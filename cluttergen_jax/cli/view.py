@@ -114,7 +114,7 @@ def _show_native(args: View) -> int:
 def native_model(recording: Recording) -> tuple[mujoco.MjModel, np.ndarray]:
     """The finished scene as a model with surfaces, light and a floor that carries, and its qpos f64[nq]."""
     from cluttergen_jax.render.assets import scene_spec
-    from cluttergen_jax.render.dress import FLOOR
+    from cluttergen_jax.render.lighting import FLOOR
 
     placed = recording.placed
     poses = np.asarray(recording.poses[placed], np.float64)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.geometry import yaw_matrix
-from cluttergen_jax.render.dress import KEY_DIRECTION, KEY_LIGHT, SKY_LIGHT
+from cluttergen_jax.render.lighting import KEY_DIRECTION, KEY_LIGHT, SKY_LIGHT
 
 _KEY_SPREAD = 0.10
 
@@ -44,7 +44,7 @@ def shift_lights(
     reach: float,
     yaw: float = 0.0,
 ) -> None:
-    """Turns the dressed lights a little: averaged over many pictures, small lights become soft ones.
+    """Turns the lights of `lighting` a little: averaged over many pictures, small lights become soft ones.
 
     Args:
       yaw: radians by which all of them are turned about the vertical besides, to follow a camera.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.reach import check_keep_out
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.bank.start import read_start, start_of
+from cluttergen_jax.bank.reference import read_start, start_of
 from cluttergen_jax.placement.config import MAX_SLOTS
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.types import Start

@@ -13,8 +13,8 @@ import numpy as np
 from cluttergen_jax.assets.rectangle_text import parse_keep_out
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.bank.bank import Bank
+from cluttergen_jax.bank.reference import read_start, start_of
 from cluttergen_jax.bank.scene import config_of
-from cluttergen_jax.bank.start import read_start, start_of
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError

@@ -16,9 +16,9 @@ from cluttergen_jax.evaluation.studies.study import Findings
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.render.assets import close_points
 from cluttergen_jax.render.gl import renderer_status
+from cluttergen_jax.render.renderer import Trail
+from cluttergen_jax.render.scene_renderer import PictureConfig, RenderStyle, scene_renderer
 from cluttergen_jax.render.sheet import contact_sheet, save_png
-from cluttergen_jax.render.stage import Look, Shooting, open_stage
-from cluttergen_jax.render.studio import Trail
 from cluttergen_jax.sampling.record import rectangle_of
 
 SAMPLES = 16
@@ -64,8 +64,8 @@ def _outlined(runner: Runner, trial: Trial, scenes: Successes, scene: int) -> np
     here = np.flatnonzero(scenes.is_placed[scene])
     objects, poses = [scenes.world.objects[k] for k in here], scenes.poses[scene, here]
     seen = np.concatenate([outline, close_points(objects, poses, None)])
-    with open_stage(objects, scenes.world.support, seen, Shooting(480, 360, SAMPLES)) as stage:
-        return stage.picture([Look(pose) for pose in poses], [Trail(outline, _WHITE, radius=_LINE)])
+    with scene_renderer(objects, scenes.world.support, seen, PictureConfig(480, 360, SAMPLES)) as renderer:
+        return renderer.picture([RenderStyle(pose) for pose in poses], [Trail(outline, _WHITE, radius=_LINE)])
 
 
 def sheet(images: Sequence[Any], captions: Sequence[str], stem: Path) -> Findings:

@@ -7,10 +7,10 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import SHININESS, SPECULAR, VISUAL_GROUP
 
-KEY_LIGHT = "dress/key"
-SKY_LIGHT = "dress/sky"
-FLOOR = "dress/floor"
-_MATTE = "dress/matte"
+KEY_LIGHT = "lighting/key"
+SKY_LIGHT = "lighting/sky"
+FLOOR = "lighting/floor"
+_MATTE = "lighting/matte"
 _GROUND = (0.82, 0.82, 0.82)
 _HORIZON = (0.90, 0.905, 0.915)
 _ZENITH = (0.62, 0.69, 0.78)
@@ -20,7 +20,7 @@ KEY_DIRECTION = (-0.16, 0.55, -0.82)
 
 def _add_background(spec: mujoco.MjSpec) -> None:
     spec.add_texture(
-        name="dress/sky",
+        name="lighting/sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
         rgb1=_ZENITH,
@@ -77,7 +77,7 @@ def _add_materials(spec: mujoco.MjSpec) -> None:
             geom.material = _MATTE
 
 
-def dress(spec: mujoco.MjSpec, *, floor: bool = True) -> mujoco.MjSpec:
+def add_lighting(spec: mujoco.MjSpec, *, floor: bool = True) -> mujoco.MjSpec:
     """Adds light, a floor at z = 0, a background and matte surfaces to `spec`, and returns it.
 
     Nothing that is added touches anything or has mass: the physics stays what it was. Call it last, before

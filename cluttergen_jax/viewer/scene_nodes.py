@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 RED = (214, 30, 36)
 _GHOST = (RED[0] / 255, RED[1] / 255, RED[2] / 255, 0.45)
 _BLUE, _ORANGE = (40, 110, 220), (245, 130, 20)
-_CREASE = np.radians(40)
 _LIFT = 0.0015
 """Metres by which lines and points lie above the top, so that they are seen."""
 
@@ -47,7 +46,7 @@ class Shown:
     failures: bool = False
 
 
-class Scenery:
+class SceneNodes:
     """Draws one recording at a time.
 
     Args:
@@ -60,7 +59,7 @@ class Scenery:
         self._roots: list[Any] = []
         self._fixed: list[Any] = []
         self._objects: dict[int, _ObjectNodes] = {}
-        self._ghosts: dict[int, _Ghost] = {}
+        self._failed: dict[int, _FailedAttempt] = {}
         self._region: list[Any] = []
         self._top_cloud: Any = None
         server.scene.set_up_direction("+z")
@@ -82,7 +81,7 @@ class Scenery:
             for number, attempt in enumerate(recording.attempts):
                 if not attempt.is_stable:
                     asset = recording.objects[attempt.object_index]
-                    self._ghosts[number] = _Ghost(self.server, number, asset, attempt)
+                    self._failed[number] = _FailedAttempt(self.server, number, asset, attempt)
             self.at(len(recording.attempts), None)
 
     def at(self, number: int, progress: float | None) -> None:
@@ -99,11 +98,11 @@ class Scenery:
         poses, is_placed = self._state(number, attempt, progress)
         with self.server.atomic():
             for index, nodes in self._objects.items():
-                in_hand = attempt is not None and index == attempt.object_index
-                nodes.place(poses[index], bool(is_placed[index]), self.shown, in_hand)
-            for place, ghost in self._ghosts.items():
+                is_current = attempt is not None and index == attempt.object_index
+                nodes.place(poses[index], bool(is_placed[index]), self.shown, is_current)
+            for place, failed in self._failed.items():
                 is_chosen = place == number - 1
-                ghost.place(progress if is_chosen else None, is_chosen or self.shown.failures)
+                failed.place(progress if is_chosen else None, is_chosen or self.shown.failures)
             for node in self._region:
                 node.visible = self.shown.region
             self._top_cloud.visible = self.shown.scene_cloud
@@ -111,7 +110,7 @@ class Scenery:
     def _state(
         self, number: int, attempt: Attempt | None, progress: float | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Poses f[K, 7] and bool[K]: what stands where, the object in hand included if it is to stay."""
+        """Poses f[K, 7] and bool[K]: what stands where, the current object included if it is to stay."""
         recording = self.recording
         assert recording is not None
         if attempt is None:
@@ -132,7 +131,7 @@ class Scenery:
     def _clear(self) -> None:
         for node in [*self._fixed, *self._region, *([self._top_cloud] if self._top_cloud else [])]:
             node.remove()
-        for group in (self._objects, self._ghosts):
+        for group in (self._objects, self._failed):
             for nodes in group.values():
                 nodes.remove()
             group.clear()
@@ -198,7 +197,7 @@ class _ObjectNodes:
             f"{root}/own-cloud", asset.cloud.astype(np.float32), _ORANGE, point_size=0.005
         )
 
-    def place(self, pose: np.ndarray, is_there: bool, shown: Shown, in_hand: bool) -> None:
+    def place(self, pose: np.ndarray, is_there: bool, shown: Shown, is_current: bool) -> None:
         """Puts the object to `pose` f[7] and shows of it what is wanted."""
         self.frame.position, self.frame.wxyz, self.frame.visible = pose[:3], pose[3:], is_there
         for node in self.surfaces:
@@ -206,14 +205,14 @@ class _ObjectNodes:
         for node in self.hulls:
             node.visible = shown.hulls or not self.surfaces
         self.cloud.visible = shown.scene_cloud
-        self.own_cloud.visible = shown.object_cloud and in_hand
+        self.own_cloud.visible = shown.object_cloud and is_current
 
     def remove(self) -> None:
         """Takes the object and all that belongs to it out of the scene."""
         self.frame.remove()
 
 
-class _Ghost:
+class _FailedAttempt:
     """A failed attempt: the object in red where it ended, and its path."""
 
     def __init__(self, server: viser.ViserServer, number: int, asset: ObjectAsset, attempt: Attempt) -> None:
@@ -227,19 +226,19 @@ class _Ghost:
         self.trail = server.scene.add_line_segments(f"/trail/{number}", segments, RED, thickness=0.003)
 
     def place(self, progress: float | None, is_seen: bool) -> None:
-        """Shows the ghost at a moment of its attempt, None being the end."""
+        """Shows the object at a moment of its attempt, None being the end."""
         pose = _pose_at(self.attempt, 1.0 if progress is None else progress)
         self.frame.position, self.frame.wxyz = pose[:3], pose[3:]
         self.frame.visible = self.trail.visible = is_seen
 
     def remove(self) -> None:
-        """Takes the ghost and its path out of the scene."""
+        """Takes the object and its path out of the scene."""
         self.frame.remove()
         self.trail.remove()
 
 
 def _pose_at(attempt: Attempt, progress: float) -> np.ndarray:
-    """f[7]: where the object in hand is, `progress` in [0, 1] of the way through its attempt."""
+    """f[7]: where the current object is, `progress` in [0, 1] of the way through its attempt."""
     return attempt.trajectory[round(progress * attempt.num_steps), :7]
 
 
@@ -248,12 +247,11 @@ def _surface(server: viser.ViserServer, name: str, piece: Piece) -> Any:
     if piece.texture is not None:
         return server.scene.add_mesh_trimesh(name, textured_mesh(piece))
     rgba = piece.rgba
-    surface = trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces, process=True)
-    surface = trimesh.graph.smooth_shade(surface, angle=_CREASE)
+    vertices, _, faces, _ = shaded(piece.mesh)
     return server.scene.add_mesh_simple(
         name,
-        np.asarray(surface.vertices),
-        np.asarray(surface.faces),
+        vertices,
+        faces,
         color=_bytes(rgba),
         opacity=None if rgba[3] >= 1 else float(rgba[3]),
         side="double",
@@ -263,7 +261,7 @@ def _surface(server: viser.ViserServer, name: str, piece: Piece) -> Any:
 def textured_mesh(piece: Piece) -> trimesh.Trimesh:
     """A piece that has an image as trimesh keeps one, seen from both sides."""
     assert piece.texture is not None
-    vertices, normals, faces, uv = shaded(piece.mesh, piece.uv, _CREASE)
+    vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
     material = trimesh.visual.material.PBRMaterial(
         baseColorTexture=piece.texture.image,
         baseColorFactor=np.round(255 * np.array(linear(piece.rgba))).astype(np.uint8),

@@ -1,4 +1,4 @@
-"""What stands where as JSON: for the stand-alone loaders that travel with an export."""
+"""Scene files as JSON: poses, cameras and bounds for the stand-alone loaders that travel with an export."""
 
 from __future__ import annotations
 
@@ -26,6 +26,19 @@ def scene_bounds(scene: Scene) -> np.ndarray:
     return np.stack([corners.min(0), corners.max(0)])
 
 
+def objects_record(scene: Scene) -> list[dict[str, Any]]:
+    """What stands where: metres, wxyz."""
+    return [
+        {
+            "name": name,
+            "asset": asset.name,
+            "position": pose[:3].tolist(),
+            "quaternion_wxyz": pose[3:].tolist(),
+        }
+        for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True)
+    ]
+
+
 def cameras_record(scene: Scene) -> dict[str, Any]:
     """The entry `cameras` where there are any: each looks along its own -z, +y is up; degrees and pixels."""
     cameras = [
@@ -42,7 +55,7 @@ def cameras_record(scene: Scene) -> dict[str, Any]:
     return {"cameras": cameras} if cameras else {}
 
 
-def placement_json(
+def scene_json(
     scene: Scene, ending: str = "", more: Mapping[str, Any] | None = None, support: Any = None
 ) -> bytes:
     """A scene's file for a loader; paths are relative to the export's folder.
@@ -80,15 +93,7 @@ def placement_json(
             }
             for name in scene.assets
         },
-        "objects": [
-            {
-                "name": name,
-                "asset": asset.name,
-                "position": pose[:3].tolist(),
-                "quaternion_wxyz": pose[3:].tolist(),
-            }
-            for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True)
-        ],
+        "objects": objects_record(scene),
         **cameras_record(scene),
     }
     return (json.dumps(record, indent=1) + "\n").encode()

@@ -63,8 +63,8 @@ def thresholds(samples: int) -> np.ndarray:
     return (ranks + 0.5) / samples
 
 
-class Studio:
-    """See `open_studio`. The model's groups and colours may be changed between pictures."""
+class Renderer:
+    """See `open_renderer`. The model's groups and colours may be changed between pictures."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int, context: mujoco.MjrContext) -> None:
         self.model, self.width, self.height = model, width, height
@@ -167,8 +167,8 @@ class Studio:
 
 
 @contextmanager
-def open_studio(model: mujoco.MjModel, width: int, height: int) -> Iterator[Studio]:
-    """A studio for one model; `set_range` has been called on it before.
+def open_renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[Renderer]:
+    """A renderer for one model; `set_range` has been called on it before.
 
     Raises:
       RendererError: nothing here can draw.
@@ -177,7 +177,7 @@ def open_studio(model: mujoco.MjModel, width: int, height: int) -> Iterator[Stud
         context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         try:
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
-            yield Studio(model, width, height, context)
+            yield Renderer(model, width, height, context)
         finally:
             context.free()
 
