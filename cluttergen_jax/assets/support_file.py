@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.obj import parse_surface, surface_text
-from cluttergen_jax.assets.object_files import read_json
+from cluttergen_jax.assets.object_files import NAME_PATTERN, read_json
 from cluttergen_jax.assets.pool import embedded_root, folders_with, user_root
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
@@ -28,7 +28,6 @@ FORMAT = 1
 _RECORD = "support.json"
 _DIGITS = 7
 _CUBOID = re.compile(r"table-(\d*\.?\d+(?:x\d*\.?\d+){1,2})")
-_NAME = re.compile(r"[a-z0-9_-]+")
 _REWRITE = "writing the support again"
 
 
@@ -39,7 +38,7 @@ def write_support(folder: str | Path, support: SupportAsset, *, overwrite: bool 
       PoolError: a bad name, or something is there already that is not a support or may not be replaced.
     """
     folder = Path(folder)
-    if not _NAME.fullmatch(support.name):
+    if not NAME_PATTERN.fullmatch(support.name):
         raise PoolError(f"a support called {support.name!r}", "names of a-z, 0-9, '_' and '-'")
     if folder.exists() and not (overwrite and (folder / _RECORD).is_file()):
         raise PoolError(f"{folder} exists", "a support's folder" if overwrite else "a new folder")
@@ -65,7 +64,7 @@ def read_support(folder: str | Path) -> SupportAsset:
     record = read_json(path, _REWRITE)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PoolError(f"{path} is not a support of format {FORMAT}", hint=_REWRITE)
-    if not (isinstance(record.get("name"), str) and _NAME.fullmatch(record["name"])):
+    if not (isinstance(record.get("name"), str) and NAME_PATTERN.fullmatch(record["name"])):
         raise PoolError(f"{path}: a support called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'")
     try:
         return _support(record, Path(folder))
@@ -86,7 +85,7 @@ def support_hash(support: SupportAsset) -> str:
 
 def is_support_name(text: str) -> bool:
     """Whether a support may be called so: in the letters of names, and not as cuboids are."""
-    return bool(_NAME.fullmatch(text)) and not _CUBOID.fullmatch(text)
+    return bool(NAME_PATTERN.fullmatch(text)) and not _CUBOID.fullmatch(text)
 
 
 def user_supports() -> Path:

@@ -15,8 +15,7 @@ from scipy.spatial import ConvexHull
 
 from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.mesh import Mesh, joined
-from cluttergen_jax.assets.overhead import Overhead, level_faces, look_down
-from cluttergen_jax.assets.rectangles import Span, cover, largest_rectangle
+from cluttergen_jax.assets.overhead import Overhead, Span, cover, largest_rectangle, level_faces, look_down
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError

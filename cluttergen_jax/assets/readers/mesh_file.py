@@ -13,7 +13,6 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers.companions import Companions
 from cluttergen_jax.assets.readers.damage import check_whole, unreadable
 from cluttergen_jax.assets.readers.materials import Dresser, gltf_notes
-from cluttergen_jax.assets.readers.sizes import check_sizes
 from cluttergen_jax.assets.readers.text import opened
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
@@ -47,7 +46,6 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
     """
     if not path.is_file():
         raise AssetError(f"mesh file {path} is missing", hint="restoring the file or its name")
-    check_sizes(path)
     check_whole(path)
     beside = Companions(path)
     try:
