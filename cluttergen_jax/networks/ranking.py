@@ -58,12 +58,7 @@ class Ranker(nn.Module):
         features = PointNet((32,), config.object_features)(cloud[:, : config.object_points])
         focus = observation["focus"]
         scene = SetEncoder(config.token_width, config.num_heads, self.max_objects)(
-            features,
-            half_extents,
-            observation["T_region_object"],
-            observation["is_placed"],
-            focus,
-            observation["region"],
+            features, half_extents, observation
         )
         remaining = observation["is_placed"].sum(-1, keepdims=True) / self.max_objects
         state = jnp.concatenate(
