@@ -20,7 +20,7 @@ from cluttergen_jax.networks.cloud_encoder import (
 )
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.distributions import ActionDistribution
-from cluttergen_jax.networks.room import Room
+from cluttergen_jax.networks.footprint import FootprintFeatures
 from cluttergen_jax.types import Array
 
 ENCODER = "encoder"
@@ -44,10 +44,10 @@ class PoseAgent(Agent):
         return CloudEncoder(self.config, self.max_objects)
 
     @cached_property
-    def room(self) -> Room:
+    def room(self) -> FootprintFeatures:
         """The objects' footprints."""
         config = self.config
-        return Room.of(
+        return FootprintFeatures.of(
             self.cloud,
             self.region_side,
             config.num_cells,

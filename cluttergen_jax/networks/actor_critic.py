@@ -76,7 +76,7 @@ class ActorCritic(nn.Module):
             clouds are computed once for the whole batch.
           observation: of `placement.observation.observe`, with a leading axis B on every leaf. The learner
             adds what is made from it: where the scene is seen as a point cloud `encoded`, f32[B, E], the
-            features of the scene and of the current object; for a mixture `room` (see `room.Room`).
+            features of the scene and of the current object; for a mixture `room` (`FootprintFeatures`).
         """
         config = self.config
         focus = observation["focus"]

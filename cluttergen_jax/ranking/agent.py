@@ -10,7 +10,7 @@ from cluttergen_jax.networks.ranking import Ranker, RankerConfig
 
 @dataclass(frozen=True, eq=False)
 class RankingAgent(Agent):
-    """A ranker whose action is the number of a candidate in the observation's menu, i32."""
+    """A ranker whose action is the number of a candidate in the observation, i32."""
 
     config: RankerConfig
 

@@ -8,14 +8,14 @@ from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode
-from cluttergen_jax.ranking.menu import with_menu
+from cluttergen_jax.ranking.candidates import with_candidates
 from cluttergen_jax.search import LowestFit
 from cluttergen_jax.search.search import Search
 from cluttergen_jax.types import Array
 
 
 class RankingEnv(PlacementEnv):
-    """A `PlacementEnv` whose observation holds a menu of poses and whose action picks one of them.
+    """A `PlacementEnv` whose observation holds candidate poses and whose action picks one.
 
     Args:
       rules, observation: see `PlacementEnv`.
@@ -29,8 +29,8 @@ class RankingEnv(PlacementEnv):
         self.search = search or LowestFit(rules)
 
     def observe(self, episode: Episode) -> dict[str, Any]:
-        """The observation with the menu for the next attempt, in place of the history."""
-        return with_menu(self.search, episode, super().observe(episode))
+        """The observation with the candidates for the next attempt, in place of the history."""
+        return with_candidates(self.search, episode, super().observe(episode))
 
     def pose_of(self, observation: dict[str, Any], action: Array) -> Array:
         """The pose f32[4] of candidate `action`, i32."""
