@@ -18,8 +18,8 @@ from benchmarks.section import prose, report, table
 from benchmarks.trained import WINDOW
 from cluttergen_jax.agent.checkpoint import read_record
 from cluttergen_jax.cli.train import Train
+from cluttergen_jax.training.metrics_log import read_rows
 from cluttergen_jax.training.presets import Settings
-from cluttergen_jax.training.records import read_rows
 
 
 @dataclass(frozen=True)

@@ -26,9 +26,8 @@ FLOORS = {
     # Geometry for the products that propose poses; the ranking of its candidates stands on it.
     "search": 2.2,
     "ranking": 2.4,
-    "learners": 2.5,
-    # What is trained and what acts are the same pair of an environment and a network.
-    "task": 2.6,
+    # What is trained and what acts are the same pair of an environment and an agent.
+    "agents": 2.6,
     "problem": 3,
     "sampling": 3,
     "training": 3,

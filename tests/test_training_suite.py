@@ -12,11 +12,11 @@ from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.cli.train import Train, recipe_of
 from cluttergen_jax.cli.training_suite import command_of
+from cluttergen_jax.config import VARIANTS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.checkpoints import Checkpoints
 from cluttergen_jax.evaluation.suites import Scale, find_suite
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.training.presets import VARIANTS
 from cluttergen_jax.training.run import Run, RunConfig
 from cluttergen_jax.training.suite import ATTEMPTS, POOLS, PlannedRun, plan
 from tests.problems import made_up_rules

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from functools import partial
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,14 +25,14 @@ from cluttergen_jax.cli.generate import Generate
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import writing
 from cluttergen_jax.methods import (
-    SCREENED,
+    FILTERED,
     checkpoint_hash,
-    checkpoint_of,
-    default_method,
+    choose_method,
     proposer_of,
     suited,
 )
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig, placement_record
+from cluttergen_jax.policies.checkpoint import Checkpoint
 from cluttergen_jax.problem import Problem, ProblemConfig, check_number, crowding, keep_out_of, make_problem
 from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
 
@@ -45,7 +43,7 @@ _BETTER = {
     "clear": "--method drop",
     "drop": "fewer objects",
     "ranked": "fewer objects",
-    SCREENED: "--method drop",
+    FILTERED: "--method drop",
 }
 
 
@@ -60,20 +58,15 @@ def generate(args: Generate) -> int:
     args = dataclasses.replace(args, pool=composed(args.pool, args.exclude), exclude=())
     config = problem_config(args)
     num_objects = config.placement.num_objects
-    method = args.method or default_method(args.pool, args.support, num_objects, args.checkpoint)
-    checkpoint = checkpoint_of(method, args.pool, args.checkpoint)
+    method, checkpoint = choose_method(args.method, args.pool, args.support, num_objects, args.checkpoint)
     config = dataclasses.replace(config, placement=suited(config.placement, checkpoint))
     standing, poses = read_start(args.start)
     problem = make_problem(config, standing)
     start = start_of(problem.world, standing, poses)
     keep_out = [parse_keep_out(text) for text in args.keep_out]
     check_keep_out(keep_out, problem.region)
-    begin = partial(
-        problem.rules.begin,
-        keep_out=keep_out_of(keep_out),
-        start=start,
-    )
-    sampler = BlockSampler(problem.rules, proposer_of(method, checkpoint, problem.rules), begin)
+    propose = proposer_of(method, checkpoint, problem.rules)
+    sampler = BlockSampler(problem.rules, propose, keep_out_of(keep_out), start)
     _warn_of_flags(problem)
     _warn_of_crowding(problem)
     with BankWriter(
@@ -123,7 +116,7 @@ def problem_config(args: Generate) -> ProblemConfig:
     )
 
 
-def recipe_of(args: Generate, method: str, problem: Problem, checkpoint: Path | None) -> dict[str, Any]:
+def recipe_of(args: Generate, method: str, problem: Problem, checkpoint: Checkpoint | None) -> dict[str, Any]:
     """What decides the scenes of a bank; two equal recipes make equal scenes on one machine."""
     config = dataclasses.asdict(problem.config)
     # Neither decides a scene: threads do not, and every scene of a bank has the same region.
@@ -137,7 +130,7 @@ def recipe_of(args: Generate, method: str, problem: Problem, checkpoint: Path | 
         "keep_out": args.keep_out,
         "method": method,
         "checkpoint": args.checkpoint,
-        "checkpoint_hash": None if checkpoint is None else checkpoint_hash(checkpoint),
+        "checkpoint_hash": None if checkpoint is None else checkpoint_hash(checkpoint.path),
         "seed": args.seed,
         "block_size": BLOCK_SIZE,
         "names": problem.world.names,
@@ -159,7 +152,7 @@ def _advice(method: str, success: float) -> str:
     """What to try where few scenes succeed; nothing where most do."""
     if success >= _FEW:
         return ""
-    better = _BETTER.get(method, f"--method {SCREENED}")
+    better = _BETTER.get(method, f"--method {FILTERED}")
     return f"advice     few scenes succeed with {method} here; try {better} or a larger support"
 
 

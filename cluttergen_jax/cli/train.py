@@ -105,7 +105,7 @@ class Train:
 
             return run_suite(self)
         from cluttergen_jax.assets.pool import composed
-        from cluttergen_jax.training.hosts import join
+        from cluttergen_jax.training.distributed import join
 
         join(self.coordinator, self.num_processes, self.process_id)
         dataclasses.replace(self, pool=composed(self.pool, self.exclude), exclude=()).train()
@@ -114,10 +114,10 @@ class Train:
     def train(self) -> None:
         """One run, to its end."""
         # Brax takes seconds to import, and only who trains needs it.
+        from cluttergen_jax.agent.checkpoint import check_folder
         from cluttergen_jax.cli.training_evaluation import Evaluator
-        from cluttergen_jax.networks.config import NetworkConfig
         from cluttergen_jax.problem import ProblemConfig, make_problem
-        from cluttergen_jax.training.hosts import is_writer
+        from cluttergen_jax.training.distributed import is_writer
         from cluttergen_jax.training.run import Run, RunConfig
 
         settings = self.settings()
@@ -141,8 +141,8 @@ class Train:
             memory_limit=None if self.memory_limit is None else int(self.memory_limit * 1e9),
             wandb=self.wandb,
         )
-        is_pose = isinstance(settings.network, NetworkConfig)
-        is_sampled = is_pose if self.eval_action is None else self.eval_action == "sampled"
+        own = settings.network.is_sampled
+        is_sampled = own if self.eval_action is None else self.eval_action == "sampled"
         evaluate = Evaluator(problem, settings.network, self.eval_episodes, is_sampled, self.seed)
         Run(
             problem.rules,
@@ -165,7 +165,6 @@ class Train:
 
     def settings(self) -> Settings:
         """The preset with what the command line changes."""
-        from cluttergen_jax.networks.config import NetworkConfig
         from cluttergen_jax.training.encoder_weights import choose_encoder
         from cluttergen_jax.training.presets import make_settings
 
@@ -176,9 +175,7 @@ class Train:
         if self.reward is not None:
             placement = dataclasses.replace(placement, reward=self.reward)
         network = choose_encoder(settings.network, self.encoder, self.encoder_weights, self.encoder_frozen)
-        if isinstance(network, NetworkConfig) and network.history_length > 1:
-            # The full method looks back on every attempt that an object may have, however many those are.
-            network = dataclasses.replace(network, history_length=self.attempts)
+        network = network.with_attempts(self.attempts)
         changes = {"num_attempts": self.num_attempts, "num_envs": self.num_envs}
         given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
         ppo = dataclasses.replace(settings.ppo, **given)
@@ -225,32 +222,6 @@ def recipe_of(args: Train, settings: Settings) -> dict[str, Any]:
         "placement": placement_record(settings.placement),
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")},
     }
-
-
-def check_folder(folder: Path, recipe: dict[str, Any]) -> None:
-    """Refuses to continue a run that was made with other settings.
-
-    Raises:
-      ConfigError: there is one; the message says which settings differ.
-    """
-    from cluttergen_jax.agent.checkpoint import has_state, read_record
-
-    if not has_state(folder / "last"):
-        return
-    theirs = read_record(folder / "last")
-    changed = sorted(name for name, value in recipe.items() if theirs.get(name) != _as_json(value))
-    if changed:
-        raise ConfigError(
-            f"{folder} holds a run with another {', '.join(changed)}",
-            "the same settings, which continue it",
-            "another --out",
-        )
-
-
-def _as_json(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _as_json(each) for name, each in value.items()}
-    return list(value) if isinstance(value, tuple) else value
 
 
 def _say_nothing(text: str) -> None:

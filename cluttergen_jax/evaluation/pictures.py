@@ -27,7 +27,7 @@ from cluttergen_jax.render.renderer import Trail
 from cluttergen_jax.render.scene_renderer import PictureConfig, RenderStyle, scene_renderer
 from cluttergen_jax.render.sheet import contact_sheet, save_png
 from cluttergen_jax.sampling.record import Recorder, rectangle_of
-from cluttergen_jax.training.records import read_rows
+from cluttergen_jax.training.metrics_log import read_rows
 
 _MAP_SCENES = 500
 _TRIED_SCENES = 8

@@ -9,7 +9,7 @@ from typing import Never
 from cluttergen_jax.assets.pool import composed
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.methods import checkpoint_of, default_method, proposer_of, suited
+from cluttergen_jax.methods import choose_method, proposer_of, suited
 from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.problem import ProblemConfig
@@ -93,10 +93,9 @@ def make_sampler(
     if not 0 <= max_retries <= MAX_RETRIES:
         raise ConfigError(f"max_retries = {max_retries}", f"0 to {MAX_RETRIES}", "max_retries=5")
     ObservationConfig(num_scene_points=num_scene_points)
-    pool, given = composed(pool, exclude), None if checkpoint is None else str(checkpoint)
+    pool = composed(pool, exclude)
     num_objects = number_of(num_objects, pool, objects, repeat)
-    method = method or default_method(pool, str(support), num_objects, given)
-    policy = checkpoint_of(method, pool, given)
+    method, policy = choose_method(method, pool, str(support), num_objects, checkpoint)
     placement = PlacementConfig(
         num_objects=num_objects,
         max_attempts=max_attempts,

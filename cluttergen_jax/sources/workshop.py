@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.recording import Recording
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.types import Start
+from cluttergen_jax.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.problem import Problem, ProblemConfig, compose, keep_out_of
 from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler
 from cluttergen_jax.sampling.record import Recorder
@@ -39,13 +39,13 @@ class Workshop:
     Attributes:
       problem: the compiled world and its rules.
       keep_out, start: as episodes begin.
-      checkpoints: folders of trained methods, by the method's name.
+      checkpoints: of trained methods, by the method's name.
     """
 
     problem: Problem
     keep_out: KeepOut
     start: Start
-    checkpoints: dict[str, Path] = field(default_factory=dict)
+    checkpoints: dict[str, Checkpoint] = field(default_factory=dict)
     _made: dict[tuple[str, int], Recorder] = field(default_factory=dict)
     _used: set[str] = field(default_factory=set)
 
@@ -70,8 +70,8 @@ class Workshop:
             checkpoint = self.checkpoints.get(method)
             rules = self.problem.rules
             rules = dataclasses.replace(rules, config=suited(rules.config, checkpoint))
-            begin = partial(rules.begin, keep_out=self.keep_out, start=self.start)
-            sampler = BlockSampler(rules, proposer_of(method, checkpoint, rules), begin)
+            propose = proposer_of(method, checkpoint, rules)
+            sampler = BlockSampler(rules, propose, self.keep_out, self.start)
             self._made[method, width] = Recorder(sampler, self.problem.world, width)
         return self._made[method, width]
 
@@ -94,7 +94,8 @@ def workshop_of(bank: Bank) -> Workshop:
     standing, poses = read_start(recipe.get("start"))
     objects = [bank.object(base_name(name)) for name in names[: len(names) - len(standing)]]
     problem = compose(objects, bank.support, config, standing)
-    trained = checkpoint_of(method, pool, checkpoint)
+    given = None if checkpoint is None else read_checkpoint(Path(checkpoint))
+    trained = checkpoint_of(method, pool, given)
     return Workshop(
         problem=problem,
         keep_out=keep_out_of([parse_keep_out(text) for text in texts]),

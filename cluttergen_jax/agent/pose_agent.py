@@ -1,15 +1,15 @@
-"""The network bound to a world's objects: what PPO trains and what a trained policy proposes with."""
+"""The agent that proposes poses: an actor-critic on point clouds, heights and failed attempts."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 
+from cluttergen_jax.agent.agent import Agent, Params, blank_batch
 from cluttergen_jax.networks.actor_critic import ActorCritic
 from cluttergen_jax.networks.cloud_encoder import (
     CloudEncoder,
@@ -19,35 +19,30 @@ from cluttergen_jax.networks.cloud_encoder import (
 )
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.distributions import ActionDistribution
-from cluttergen_jax.networks.room import Room
+from cluttergen_jax.networks.footprint import FootprintFeatures
 from cluttergen_jax.types import Array
 
-Params = Any
 ENCODER = "encoder"
 """Where the weights of the two networks on clouds are."""
 
 
-@dataclass(frozen=True, eq=False)
-class Learner:
-    """An actor-critic that knows a world's clouds.
+class PoseAgent(Agent, eq=False):
+    """An actor-critic whose action is a pose, f32[4] (docs/contract.md).
 
     Attributes:
-      config: the network's sizes.
-      cloud: f32[K, P, 3], every object's, object frames, metres.
-      half_extents: f32[K, 3], metres.
-      max_objects: the most objects that can stand at once.
-      region_side: of the larger regions to be expected, metres; of a mixture (`room.Room`).
+      room: the objects' footprints, where the network reads them; made here if not given.
     """
 
-    config: NetworkConfig
-    cloud: Array
-    half_extents: Array
-    max_objects: int
-    region_side: float = 0.7
+    config: NetworkConfig = struct.field(pytree_node=False)
+    room: FootprintFeatures | None = None
+
+    def __post_init__(self) -> None:
+        if self.config.reads_room and self.room is None:
+            object.__setattr__(self, "room", self._footprints())
 
     @property
     def network(self) -> ActorCritic:
-        """The module; its parameters depend on sizes in the config alone, not on the world."""
+        """See `Agent.network`."""
         return ActorCritic(self.config, self.max_objects)
 
     @property
@@ -55,11 +50,9 @@ class Learner:
         """The networks on clouds, if there are any."""
         return CloudEncoder(self.config, self.max_objects)
 
-    @cached_property
-    def room(self) -> Room:
-        """The objects' footprints."""
+    def _footprints(self) -> FootprintFeatures:
         config = self.config
-        return Room.of(
+        return FootprintFeatures.of(
             self.cloud,
             self.region_side,
             config.num_cells,
@@ -69,9 +62,9 @@ class Learner:
         )
 
     def init(self, key: Array, observation: Any) -> Params:
-        """Fresh parameters; `observation` is one, or its shapes, without a leading axis."""
-        blank = jax.tree.map(lambda leaf: jnp.zeros((1, *leaf.shape), leaf.dtype), observation)
-        if self.config.reads_room:
+        """See `Agent.init`."""
+        blank = blank_batch(observation)
+        if self.room is not None:
             blank |= {"room": jnp.zeros((1, *self.room.shape))}
         if not self.config.reads_clouds:
             return jax.jit(self.network.init)(key, self.cloud, self.half_extents, blank)
@@ -83,17 +76,16 @@ class Learner:
         return {"params": params | {ENCODER: weights}}
 
     def apply(self, params: Params, observation: Any) -> tuple[ActionDistribution, Array]:
-        """The action distribution and the values f32[B] of observations with a leading axis B."""
+        """See `Agent.apply`."""
         observation = self._with_room(observation)
         if self.config.reads_clouds and "encoded" not in observation:
             observation = self._encode(params)(observation)
-        return self.network.apply(params, self.cloud, self.half_extents, observation)
+        return super().apply(params, observation)
 
     def encode(self, params: Params) -> Callable[[Any], Any]:
-        """A function that adds to observations with a leading axis what no later update changes.
+        """See `Agent.encode`: adds the room for the current object, and the features of a frozen encoder.
 
-        `apply` then takes it from there, however often it is called with that observation: the room for the
-        object in hand, and the features of a frozen encoder; those of one that learns change with every step.
+        Those of an encoder that learns change with every step.
         """
         if self.config.reads_clouds and self.config.encoder_frozen:
             encode = self._encode(params)
@@ -101,7 +93,7 @@ class Learner:
         return self._with_room
 
     def _with_room(self, observation: Any) -> Any:
-        if not self.config.reads_room or "room" in observation:
+        if self.room is None or "room" in observation:
             return observation
         return observation | {"room": jax.vmap(self.room)(observation)}
 

@@ -1,26 +1,37 @@
-"""What a run leaves and shows: records, checkpoints, evaluations, the curve, lines for people."""
+"""Loggers of a run: metrics, checkpoints, evaluations, the curve, a progress bar."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import numpy as np
+from tqdm import tqdm
 
 from cluttergen_jax.agent.checkpoint import read_record, save_policy, save_state
 from cluttergen_jax.agent.config import PPOConfig
 from cluttergen_jax.agent.ppo import TrainState
-from cluttergen_jax.training.display import Display, short
-from cluttergen_jax.training.records import Records, Row, Sink, TensorBoard, draw_curve
+from cluttergen_jax.progress import Progress
+from cluttergen_jax.training.metrics_log import MetricsLog, Row, Sink, TensorBoard, draw_curve
 from cluttergen_jax.training.updates import Figures
 from cluttergen_jax.training.wandb_log import WandbLog
 
 Evaluation = dict[str, Any]
 Evaluate = Callable[[Any], Evaluation]
 """From weights to JSON values, `success`, `low95`, `high95`, `episodes` and `action` among them."""
+
+_SHOWN = (
+    ("success", "success", ".2f"),
+    ("placed", "num_placed", ".2f"),
+    ("steps", "stable_steps", ".0f"),
+    ("value loss", "value_loss", ".3g"),
+    ("entropy", "entropy", ".2f"),
+    ("KL", "kl", ".4f"),
+)
+"""Label, metric, format."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +58,44 @@ class RunConfig:
     wandb: bool = False
 
 
-class Silence:
-    """The journal of a process that neither writes nor speaks; see `Journal`."""
+class Logger(Protocol):
+    """What a run tells while it is made."""
+
+    @property
+    def is_evaluated(self) -> bool:
+        """Whether the stored policy has been evaluated."""
+
+    def begin(self) -> None:
+        """Updates begin now: what came before was compilation."""
+
+    def say(self, text: str) -> None:
+        """A line for people."""
+
+    def add(self, rows: list[Figures], first: int, seconds: float) -> None:
+        """The figures of updates made in one call.
+
+        Args:
+          first: the number of the first of them; seconds: what each took.
+        """
+
+    def keep_best(self, state: TrainState) -> None:
+        """Stores the weights if training's success is higher than ever."""
+
+    def save_state(self, state: TrainState) -> None:
+        """Stores what the run goes on from."""
+
+    def save_policy(self, state: TrainState, evaluation: Evaluation | None = None) -> None:
+        """Stores the weights, what is known of how good they are, and the curve so far."""
+
+    def add_evaluation(self, state: TrainState, evaluation: Evaluation) -> None:
+        """Both rates side by side: training's own check of late, and the whole last check."""
+
+    def close(self) -> None:
+        """Nothing more is going to be shown or added."""
+
+
+class NullLogger:
+    """The `Logger` of a process that neither writes nor shows anything."""
 
     is_evaluated = False
 
@@ -69,8 +116,8 @@ class Silence:
     def close(self) -> None: ...
 
 
-class Journal(Silence):
-    """What a run leaves and shows.
+class RunLogger:
+    """A `Logger` that writes files into the run's folder and shows a progress bar.
 
     Args:
       folder: of the run.
@@ -91,49 +138,47 @@ class Journal(Silence):
     ) -> None:
         self._folder, self._recipe, self._show = folder, recipe, show
         self._batch, self._window = ppo.batch_size, config.window
-        self._display = Display(ppo.num_updates * ppo.batch_size, first * ppo.batch_size)
+        self._total, self._first = ppo.num_updates * ppo.batch_size, first * ppo.batch_size
+        self._progress: Progress | None = None
         self._sinks: list[Sink] = [TensorBoard(folder)]
         if config.wandb:
             self._sinks.append(WandbLog(folder, recipe))
-        self._updates = Records(folder / "progress.csv", first, self._sinks)
-        # An evaluation is of the weights after so many updates; that of those at hand stays.
-        self._evaluations = Records(folder / "evaluations.csv", first + 1, self._sinks, group="evaluation/")
+        self._updates = MetricsLog(folder / "progress.csv", first, self._sinks)
+        # An evaluation is of the weights after so many updates; that of the present ones stays.
+        evaluations = folder / "evaluations.csv"
+        self._evaluations = MetricsLog(evaluations, first + 1, self._sinks, group="evaluation/")
         best = folder / "best"
         self._best = float(read_record(best)["success"]) if (best / "record.json").exists() else -1.0
 
     def begin(self) -> None:
-        """Updates begin now: what came before was compilation."""
-        self._display.begin()
+        """See `Logger`."""
+        self._progress = Progress("training", self._total, "attempt", kept=self._first)
 
     def say(self, text: str) -> None:
-        """A line for people."""
-        self._display.close()
-        self._show(text)
+        """See `Logger`."""
+        with tqdm.external_write_mode():
+            self._show(text)
 
     def add(self, rows: list[Figures], first: int, seconds: float) -> None:
-        """The figures of updates made in one call.
-
-        Args:
-          first: the number of the first of them; seconds: what each took.
-        """
+        """See `Logger`."""
         for number, figures in enumerate(rows, first):
             self._updates.add(_row(number, self._batch, figures, seconds))
-        if rows:
-            self._display.show(self._updates.rows[-1])
+        if rows and self._progress is not None:
+            self._progress.update(len(rows) * self._batch, _note(self._updates.rows[-1]))
 
     def keep_best(self, state: TrainState) -> None:
-        """Stores the weights if training's success is higher than ever."""
+        """See `Logger`."""
         if self._success > self._best:
             self._best = self._success
             self._save("best", state, {"success": self._success})
 
     def save_state(self, state: TrainState) -> None:
-        """Stores what the run goes on from."""
+        """See `Logger`."""
         record = self._recipe | {"num_updates": int(state.num_updates)}
         save_state(self._folder / "last", state, record)
 
     def save_policy(self, state: TrainState, evaluation: Evaluation | None = None) -> None:
-        """Stores the weights, what is known of how good they are, and the curve so far."""
+        """See `Logger`."""
         rows = self._updates.rows
         if not rows:
             return
@@ -142,26 +187,27 @@ class Journal(Silence):
         draw_curve(rows, self._folder / "curve.png", self._folder.name, self._evaluations.rows)
 
     @property
-    def is_evaluated(self) -> bool:  # type: ignore[override]
-        """Whether the stored policy has been evaluated."""
+    def is_evaluated(self) -> bool:
+        """See `Logger`."""
         policy = self._folder / "policy"
         return (policy / "record.json").exists() and "evaluation" in read_record(policy)
 
     def add_evaluation(self, state: TrainState, evaluation: Evaluation) -> None:
-        """Both rates side by side: training's own check of late, and the whole last check."""
+        """See `Logger`."""
         number = int(state.num_updates)
         found = self._beside(evaluation)
         numbers = {name: float(value) for name, value in found.items() if isinstance(value, int | float)}
         self._evaluations.add({"update": number, "attempts": number * self._batch, **numbers})
         self.say(
-            f"evaluation {short(number * self._batch)} attempts: training's check "
+            f"evaluation {tqdm.format_sizeof(number * self._batch)} attempts: training's check "
             f"{found['training_success']:.3f}, whole last check {found['success']:.3f} "
             f"[{found['low95']:.3f}, {found['high95']:.3f}] ({found['episodes']} episodes, {found['action']})"
         )
 
     def close(self) -> None:
-        """Nothing more is going to be shown or added."""
-        self._display.close()
+        """See `Logger`."""
+        if self._progress is not None:
+            self._progress.close()
         for sink in self._sinks:
             sink.close()
 
@@ -183,3 +229,8 @@ def _row(number: int, batch_size: int, figures: Figures, seconds: float) -> Row:
     row = {name.removeprefix("env/"): float(value) for name, value in figures.items() if name != "env/reward"}
     attempts = (number + 1) * batch_size
     return {"update": number, "attempts": attempts, "attempts_per_second": batch_size / seconds, **row}
+
+
+def _note(row: Row) -> str:
+    """The figures that stand beside the bar."""
+    return "  ".join(f"{label} {row[name]:{form}}" for label, name, form in _SHOWN if name in row)

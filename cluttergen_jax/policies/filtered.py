@@ -1,37 +1,35 @@
-"""A policy whose proposals are looked at by geometry before physics is paid for."""
+"""A policy whose proposals are compared by geometry before physics is paid for."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import jax.numpy as jnp
+from flax import struct
 
 from cluttergen_jax.placement.region import action_scale
 from cluttergen_jax.placement.types import Episode
-from cluttergen_jax.policies.policy import Policy
+from cluttergen_jax.policies.policy import TrainedPolicy
 from cluttergen_jax.search import Search
 from cluttergen_jax.search.fit import Candidates
 from cluttergen_jax.types import Array
 
 
-@dataclass(frozen=True, eq=False)
-class Screened:
-    """Many draws from a policy, let down by geometry; the cheapest by a search's cost is proposed.
+class FilteredPolicy(struct.PyTreeNode, eq=False):
+    """Many draws from a policy, lowered vertically to first contact; the cheapest by a search's cost.
 
     The policy says where and how turned; how high follows from what lies below.
 
     Attributes:
-      policy: draws actions.
+      policy: draws poses.
       search: says what is cheap, with `clear`'s cost for instance.
       num_draws: how many.
     """
 
-    policy: Policy
+    policy: TrainedPolicy
     search: Search
-    num_draws: int = 64
+    num_draws: int = struct.field(pytree_node=False, default=64)
 
     def __call__(self, key: Array, episode: Episode) -> Array:
-        """See `placement.proposer.Proposer`."""
+        """See `placement.rules.Proposer`."""
         actions = self.policy.draw(key, episode, self.num_draws)
         rules = self.search.rules
         lower, size = action_scale(episode.region, rules.height_range(episode))

@@ -1,4 +1,4 @@
-"""What a run leaves to read: CSV files, TensorBoard events, and the learning curve as a picture."""
+"""Logs of a run's metrics: CSV files, TensorBoard events, and the learning curve as a picture."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Sink(Protocol):
         ...
 
 
-class Records:
+class MetricsLog:
     """Appends rows to a CSV file; a run that is taken up again continues it.
 
     Args:
@@ -82,7 +82,7 @@ class TensorBoard:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of a file of `Records`; none if there is no such file.
+    """The rows of a file of `MetricsLog`; none if there is no such file.
 
     A last row that was cut short, as by a full disk, is left out.
     """

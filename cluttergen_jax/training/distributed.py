@@ -1,13 +1,14 @@
-"""Several processes that train one policy together: who writes, and how they agree."""
+"""Several processes that train one policy together: who writes, how they agree, how they share a state."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from cluttergen_jax.agent.ppo import PPO, TrainState
+from cluttergen_jax.agent.sharding import state_sharding, with_keys, without_keys
 from cluttergen_jax.errors import ConfigError
 
 
@@ -52,9 +53,9 @@ def is_writer() -> bool:
     return jax.process_index() == 0
 
 
-def agree(*wishes: float) -> np.ndarray:
-    """What each process wishes, f64[num processes, num wishes], the same on all of them."""
-    mine = np.array(wishes, np.float64)
+def agree(*values: float) -> np.ndarray:
+    """The values of each process, f64[num processes, num values], the same on all of them."""
+    mine = np.array(values, np.float64)
     if jax.process_count() == 1:
         return mine[None]
     from jax.experimental.multihost_utils import process_allgather
@@ -68,10 +69,34 @@ def gathered(tree: Any) -> Any:
         return tree
     from jax.experimental.multihost_utils import process_allgather
 
-    def whole(leaf: Any) -> Any:
-        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-        data = jax.random.key_data(leaf) if is_key else leaf
-        data = np.asarray(process_allgather(data, tiled=True))
-        return jax.random.wrap_key_data(jnp.asarray(data)) if is_key else data
+    return with_keys(process_allgather(without_keys(tree), tiled=True), tree)
 
-    return jax.tree.map(whole, tree)
+
+def shared(tree: Any) -> Any:
+    """The first process's tree of arrays, on all of them."""
+    if jax.process_count() == 1:
+        return tree
+    from jax.experimental.multihost_utils import broadcast_one_to_all
+
+    return with_keys(broadcast_one_to_all(jax.tree.map(np.asarray, without_keys(tree))), tree)
+
+
+def fresh_state(ppo: PPO, key: Any, params: Any) -> TrainState:
+    """`ppo.start`, compiled, each environment made where it belongs."""
+    if ppo.mesh is None:
+        return jax.jit(ppo.start)(key, params)
+    data, params = np.asarray(jax.random.key_data(key)), jax.device_get(params)
+
+    def start(data: Any, params: Any) -> TrainState:
+        return ppo.start(jax.random.wrap_key_data(data), params)
+
+    sharding = state_sharding(ppo.mesh, jax.eval_shape(start, data, params))
+    return jax.jit(start, out_shardings=sharding)(data, params)
+
+
+def placed(ppo: PPO, state: TrainState) -> TrainState:
+    """A state that every process holds whole, put where it belongs."""
+    if ppo.mesh is None:
+        return state
+    data = jax.tree.map(np.asarray, without_keys(state))
+    return jax.jit(lambda data: with_keys(data, state), out_shardings=state_sharding(ppo.mesh, state))(data)
