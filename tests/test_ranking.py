@@ -19,8 +19,8 @@ from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.region import action_scale
 from cluttergen_jax.policies.checkpoint import read_checkpoint
 from cluttergen_jax.policies.policy import TrainedPolicy, load_policy
+from cluttergen_jax.ranking.candidates import PATCH_SIDE
 from cluttergen_jax.ranking.env import RankingEnv
-from cluttergen_jax.ranking.menu import PATCH_SIDE
 from cluttergen_jax.search import LowestFit, SearchConfig
 from tests.problems import trio_problem
 

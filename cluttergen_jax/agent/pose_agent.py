@@ -19,7 +19,7 @@ from cluttergen_jax.networks.cloud_encoder import (
 )
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.distributions import ActionDistribution
-from cluttergen_jax.networks.room import Room
+from cluttergen_jax.networks.footprint import FootprintFeatures
 from cluttergen_jax.types import Array
 
 ENCODER = "encoder"
@@ -34,7 +34,7 @@ class PoseAgent(Agent, eq=False):
     """
 
     config: NetworkConfig = struct.field(pytree_node=False)
-    room: Room | None = None
+    room: FootprintFeatures | None = None
 
     def __post_init__(self) -> None:
         if self.config.reads_room and self.room is None:
@@ -50,9 +50,9 @@ class PoseAgent(Agent, eq=False):
         """The networks on clouds, if there are any."""
         return CloudEncoder(self.config, self.max_objects)
 
-    def _footprints(self) -> Room:
+    def _footprints(self) -> FootprintFeatures:
         config = self.config
-        return Room.of(
+        return FootprintFeatures.of(
             self.cloud,
             self.region_side,
             config.num_cells,

@@ -44,7 +44,7 @@ class RankerConfig(AgentConfig):
 
 
 class Ranker(nn.Module):
-    """The distribution over a menu's poses, and the value of the scene."""
+    """The distribution over candidate poses, and the value of the scene."""
 
     config: RankerConfig
     max_objects: int
@@ -53,17 +53,12 @@ class Ranker(nn.Module):
     def __call__(
         self, cloud: Array, half_extents: Array, observation: Mapping[str, Any]
     ) -> tuple[Categorical, Array]:
-        """See `ActorCritic`; the observation holds a menu beside (`ranking.menu.menu_of`)."""
+        """See `ActorCritic`; the observation holds candidates, too (`candidate_features`)."""
         config, menu = self.config, observation["menu"]
         features = PointNet((32,), config.object_features)(cloud[:, : config.object_points])
         focus = observation["focus"]
         scene = SetEncoder(config.token_width, config.num_heads, self.max_objects)(
-            features,
-            half_extents,
-            observation["T_region_object"],
-            observation["is_placed"],
-            focus,
-            observation["region"],
+            features, half_extents, observation
         )
         remaining = observation["is_placed"].sum(-1, keepdims=True) / self.max_objects
         state = jnp.concatenate(

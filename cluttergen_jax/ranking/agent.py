@@ -9,7 +9,7 @@ from cluttergen_jax.networks.ranking import Ranker, RankerConfig
 
 
 class RankingAgent(Agent, eq=False):
-    """A ranker whose action is the number of a candidate in the observation's menu, i32."""
+    """A ranker whose action is the number of a candidate in the observation, i32."""
 
     config: RankerConfig = struct.field(pytree_node=False)
 

@@ -9,7 +9,7 @@ from flax import struct
 
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.types import Episode
-from cluttergen_jax.ranking.menu import with_menu
+from cluttergen_jax.ranking.candidates import with_candidates
 from cluttergen_jax.search import LowestFit
 from cluttergen_jax.search.search import Search
 from cluttergen_jax.types import Array
@@ -17,7 +17,7 @@ from cluttergen_jax.types import Array
 
 @struct.dataclass(eq=False)
 class RankingEnv(PlacementEnv):
-    """A `PlacementEnv` whose observation holds a menu of poses and whose action picks one of them.
+    """A `PlacementEnv` whose observation holds candidate poses and whose action picks one.
 
     Attributes:
       search: finds the poses, bound to the same rules; `LowestFit` if not given.
@@ -31,9 +31,9 @@ class RankingEnv(PlacementEnv):
             object.__setattr__(self, "search", LowestFit(self.rules))
 
     def observe(self, episode: Episode) -> dict[str, Any]:
-        """The observation with the menu for the next attempt, in place of the history."""
+        """The observation with the candidates for the next attempt, in place of the history."""
         assert self.search is not None
-        return with_menu(self.search, episode, PlacementEnv.observe(self, episode))
+        return with_candidates(self.search, episode, PlacementEnv.observe(self, episode))
 
     def pose_of(self, observation: dict[str, Any], action: Array) -> Array:
         """The pose f32[4] of candidate `action`, i32."""

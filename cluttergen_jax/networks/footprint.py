@@ -1,4 +1,4 @@
-"""How much room the object in hand would have at every place and turn, from point clouds alone.
+"""Footprint features: the room that the current object has at every place and turn, from point clouds alone.
 
 A scene is a picture of what is taken; an object is a picture of its footprint. Sliding one over the other is
 a cross-correlation, which a fast Fourier transform does for all places at once.
@@ -25,7 +25,7 @@ _UNSURE = 0.004
 """Metres by which an underside may lie lower than the points of a cloud tell."""
 
 
-class Room(struct.PyTreeNode, eq=False):
+class FootprintFeatures(struct.PyTreeNode, eq=False):
     """Footprints of K objects, ready to be slid over scenes. Pictures have S x S cells, axis 0 along x.
 
     Attributes:
@@ -51,7 +51,7 @@ class Room(struct.PyTreeNode, eq=False):
         num_turns: int,
         symmetry: int = 2,
         undersides: bool = False,
-    ) -> Room:
+    ) -> FootprintFeatures:
         """Takes the footprints of clouds f32[K, P, 3].
 
         Args:
@@ -81,7 +81,9 @@ class Room(struct.PyTreeNode, eq=False):
         layers = np.stack([pictures * (layer == number) for number in range(len(edges))], axis=2)
         spectrum = np.conj(np.fft.rfft2(np.fft.ifftshift(layers, axes=(-2, -1))))
         read = np.asarray(cloud)[:, :_POINTS]
-        return Room(spectrum.astype(np.complex64), below.astype(np.float32), read, cell, num_cells)
+        return FootprintFeatures(
+            spectrum.astype(np.complex64), below.astype(np.float32), read, cell, num_cells
+        )
 
     @property
     def shape(self) -> tuple[int, int, int, int]:

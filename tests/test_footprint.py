@@ -1,11 +1,11 @@
-"""Room for an object: shares of its footprint, counted here point by point and there by a transform."""
+"""Features of footprints: shares of its footprint, counted here point by point and there by a transform."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.networks.room import Room
+from cluttergen_jax.networks.footprint import FootprintFeatures
 
 CELL = 0.01
 SIDE = 48 * CELL
@@ -33,13 +33,13 @@ def observation(at=(0.1, -0.05, 0.02), turn=0.0, half=(0.24, 0.24)):
 
 @pytest.fixture(scope="module")
 def room():
-    return Room.of(jnp.array([cloud_of(PLATE), cloud_of(BLOCK)]), SIDE, 12, 4)
+    return FootprintFeatures.of(jnp.array([cloud_of(PLATE), cloud_of(BLOCK)]), SIDE, 12, 4)
 
 
 @pytest.mark.parametrize(("held", "symmetry"), [((PLATE, (0.0, 0.0)), 2), (PADDLE, 1)])
 def test_shares_are_those_of_the_footprint(held, symmetry):
     half, middle = held
-    room = Room.of(jnp.array([cloud_of(half, middle), cloud_of(BLOCK)]), SIDE, 12, 4, symmetry)
+    room = FootprintFeatures.of(jnp.array([cloud_of(half, middle), cloud_of(BLOCK)]), SIDE, 12, 4, symmetry)
     shares = np.asarray(jax.jit(room)(observation()))
     assert shares.shape == room.shape == (12, 12, 4, 2)
     line = (np.arange(12) + 0.5) / 12 * SIDE - SIDE / 2
@@ -59,7 +59,7 @@ def test_shares_are_those_of_the_footprint(held, symmetry):
 
 def test_both_ways_round_a_paddle_takes_both_sides():
     once, twice = (
-        Room.of(jnp.array([cloud_of(*PADDLE), cloud_of(BLOCK)]), SIDE, 12, num_turns, symmetry)
+        FootprintFeatures.of(jnp.array([cloud_of(*PADDLE), cloud_of(BLOCK)]), SIDE, 12, num_turns, symmetry)
         for num_turns, symmetry in [(8, 1), (4, 2)]
     )
     once, twice = (np.asarray(room(observation()))[..., 0] for room in (once, twice))
@@ -78,7 +78,7 @@ def test_what_is_lower_than_an_underside_is_not_in_its_way(height, is_in_the_way
     line = (np.arange(12) + 0.5) / 12 * SIDE - SIDE / 2
     spots = {"handle": (-0.035, -0.035), "pan": (0.07, 0.07)}
     for undersides in (False, True):
-        room = Room.of(jnp.array([held, block]), SIDE, 12, 4, 1, undersides)
+        room = FootprintFeatures.of(jnp.array([held, block]), SIDE, 12, 4, 1, undersides)
         shares = np.asarray(room(observation(at=(0.0, 0.0, height))))[..., 0, 0]
         for spot, (x, y) in spots.items():
             share = shares[np.abs(line - x).argmin(), np.abs(line - y).argmin()]

@@ -1,4 +1,4 @@
-"""What a chooser is told of each candidate pose."""
+"""Features of candidate poses, which the ranking agent reads."""
 
 from __future__ import annotations
 
@@ -24,17 +24,18 @@ _DEEPEST, _HIGHEST = -0.05, 0.3
 _FAR = 0.2
 
 
-def with_menu(search: Search, episode: Episode, observation: dict[str, Any]) -> dict[str, Any]:
-    """An observation with the menu for the next attempt, drawn with the episode's own key.
+def with_candidates(search: Search, episode: Episode, observation: dict[str, Any]) -> dict[str, Any]:
+    """An observation with the candidates for the next attempt, drawn with the episode's own key.
 
-    The history is left out: the menu says how far each pose is from those tried in vain.
+    They stand under "menu", a name that stored training states count on. The history is left out: each
+    candidate says how far it is from the failed attempts.
     """
     key = jax.random.fold_in(episode.key, jnp.sum(episode.counts.attempts))
     seen = {name: value for name, value in observation.items() if name != "history"}
-    return seen | {"menu": menu_of(search.rules, episode, search.shortlist(key, episode))}
+    return seen | {"menu": candidate_features(search.rules, episode, search.shortlist(key, episode))}
 
 
-def menu_of(rules: Rules, episode: Episode, found: Shortlist) -> dict[str, Array]:
+def candidate_features(rules: Rules, episode: Episode, found: Shortlist) -> dict[str, Array]:
     """A shortlist of M poses as a network reads it; lengths in decimetres, so that they are about 1.
 
     Returns:
