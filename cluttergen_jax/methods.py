@@ -55,11 +55,11 @@ def checkpoint_of(method: str, pool: str, checkpoint: str | None = None) -> Path
     """
     if method not in METHODS:
         raise ConfigError(
-            f"method {method!r}", ", ".join(METHODS), "--method clear", closest(method, METHODS)
+            f"method {method!r}", ", ".join(METHODS), "method='clear'", closest(method, METHODS)
         )
     if method in BASELINES:
         if checkpoint is not None:
-            raise ConfigError(f"--checkpoint with method {method!r}, which has none", ", ".join(VARIANTS))
+            raise ConfigError(f"`checkpoint` with method {method!r}, which has none", ", ".join(VARIANTS))
         return None
     if checkpoint is None:
         return find_policy(DEFAULT_METHOD if method == SCREENED else method, without_exclusions(pool))
@@ -75,7 +75,7 @@ def _check_variant(method: str, checkpoint: Path) -> None:
     raise ConfigError(
         f"method {method!r} with {checkpoint}, which was trained as {variant!r}",
         "a policy of poses" if method == SCREENED else f"method {variant!r}",
-        f"--method {variant}",
+        f"method={variant!r}",
     )
 
 

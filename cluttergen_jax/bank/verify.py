@@ -147,6 +147,6 @@ def scene_files(path: str | Path) -> list[Path]:
         raise BankError(
             f"{path} holds no scene files",
             _GIVEN,
-            "cluttergen generate --out DIR (it writes files for the first --max-files scenes)",
+            "cluttergen generate --out DIR, which writes files unless it is told otherwise",
         )
     return files

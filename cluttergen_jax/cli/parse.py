@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+from cluttergen_jax.cli.flags import ARGUMENTS
 from cluttergen_jax.errors import ConfigError
 
 _MOST = 1_000_000
@@ -30,6 +31,15 @@ def parse_numbers(text: str | None) -> list[int] | None:
             raise ConfigError(f"--scenes {text!r}", f"at most {_MOST:,} numbers in a range")
         numbers += range(first, last + 1)
     return list(dict.fromkeys(numbers))
+
+
+def keywords(command: Any, without: Sequence[str] = ()) -> dict[str, Any]:
+    """A command's options as keyword arguments of its function."""
+    return {
+        ARGUMENTS.get(field.name, field.name): getattr(command, field.name)
+        for field in dataclasses.fields(command)
+        if field.name not in without
+    }
 
 
 def refuse_given(command: Any, names: Sequence[str], where: str, hint: str) -> None:

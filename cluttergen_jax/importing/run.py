@@ -43,7 +43,7 @@ class ImportConfig:
     settings: Path | None = None
 
     def __post_init__(self) -> None:
-        check_workers("--jobs", self.jobs)
+        check_workers("jobs", self.jobs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ def _write(name: str, objects: tuple[ObjectAsset, ...], old: Pool | None, config
         raise PoolError(
             f"pool {name!r} exists and holds something else",
             "a new name",
-            "--add to add to it, or --force to replace it",
+            "`add` to add to it, or `force` to replace it",
         )
     return write_pool(path, pool, overwrite=config.force or old is not None)
 
@@ -173,7 +173,7 @@ def _added(old: Pool, objects: tuple[ObjectAsset, ...], config: ImportConfig) ->
     """The old objects, new ones in place of those of the same name, then the rest."""
     if old.tier != config.object.body.tier:
         raise PoolError(
-            f"pool {old.name!r} is of tier {old.tier}, not {config.object.body.tier}", f"--tier {old.tier}"
+            f"pool {old.name!r} is of tier {old.tier}, not {config.object.body.tier}", f"tier={old.tier!r}"
         )
     new = {asset.name: asset for asset in objects}
     changed = [n for n in old.names if n in new and object_hash(new[n]) != object_hash(old[n])]
@@ -181,7 +181,7 @@ def _added(old: Pool, objects: tuple[ObjectAsset, ...], config: ImportConfig) ->
         raise PoolError(
             f"pool {old.name!r} has other objects called {', '.join(changed)}",
             "objects of other names",
-            "--force to replace them, or another `name` in a settings file",
+            "`force` to replace them, or another `name` in a settings file",
         )
     kept = tuple(new.get(asset.name, asset) for asset in old.objects)
     return kept + tuple(asset for asset in objects if asset.name not in old)

@@ -48,14 +48,14 @@ def import_support(
             f"a support called {name!r}",
             "names of a-z, 0-9, '_' and '-' that are neither embedded nor a cuboid's: not "
             f"{', '.join(embedded_supports())}, table-WxD",
-            "--name my_table",
+            "name='my_table'",
         )
     support = replace(support_from_mesh(read_shape(sources[0], options)), name=name)
     folder = user_supports() / name
     if folder.exists() and not force:
         if _is_same(folder, support):
             return folder, support
-        raise PoolError(f"support {name!r} exists and is another", "a new --name", "--force to replace it")
+        raise PoolError(f"support {name!r} exists and is another", "a new `name`", "`force` to replace it")
     return write_support(folder, support, overwrite=force), support
 
 

@@ -108,7 +108,7 @@ def _attempt(before: Any, after: Any, action: np.ndarray, settling: Any) -> Atte
     if is_stable and not np.array_equal(settling.poses[focus], after.poses[focus]):
         raise BankError(
             f"object {focus} settled elsewhere when its attempt was made again",
-            hint="the stored scene, which is unharmed, or scenes made with --engine native",
+            hint="the stored scene, which is unharmed, or scenes made with engine='native'",
         )
     return Attempt(
         object_index=focus,

@@ -121,7 +121,7 @@ def check_memory(needs: Needs, limit: int | None = None) -> str:
     if memory.total <= limit:
         return f"{memory} (free: {amount(limit)})"
     fitting = needs.fitting(limit)
-    smaller = f"--num-envs {fitting}, which needs {amount(needs.memory(fitting).total)}"
+    smaller = f"num_envs={fitting}, which needs {amount(needs.memory(fitting).total)}"
     raise ConfigError(
         f"{config.num_envs} environments of {config.num_steps} steps need {memory}",
         f"{amount(limit)}, which is free",

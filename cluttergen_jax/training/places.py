@@ -27,7 +27,7 @@ def devices_for(num_envs: int) -> Devices:
         raise ConfigError(
             f"{num_envs} environments on {len(devices)} devices",
             f"a multiple of {len(devices)}",
-            f"--num-envs {near}, or fewer devices (CUDA_VISIBLE_DEVICES)",
+            f"num_envs={near}, or fewer devices (CUDA_VISIBLE_DEVICES)",
         )
     return ManyDevices.of(devices)
 

@@ -83,7 +83,7 @@ class Pretraining:
         self.fit = Fit(model, config.num_steps, config.learning_rate)
         if has_state(folder / "last") and read_record(folder / "last")["config"] != _as_json(asdict(config)):
             raise ConfigError(
-                f"{folder} holds a run with other settings", "the same settings", "another --out"
+                f"{folder} holds a run with other settings", "the same settings", "another `out`"
             )
         folder.mkdir(parents=True, exist_ok=True)
 

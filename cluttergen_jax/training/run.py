@@ -189,6 +189,6 @@ class Run:
         journal.save_policy(state)
         return DivergedError(
             f"update {number}: not finite: {where}",
-            hint=f"a smaller learning rate with another --out; the last good state, after "
+            hint=f"a smaller learning rate with another `out`; the last good state, after "
             f"{int(state.num_updates)} updates, is in {self.folder / 'last'}",
         )
