@@ -30,6 +30,7 @@ Containment = Literal["center", "footprint"]
 Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "all"]
 Reward = Literal["paper", "code", "compressed"]
 Encoder = Literal["set", "pointnet", "pointnet2"]
+EvalAction = Literal["sampled", "mean"]
 Suite = Literal["paper", "honest"]
 FilmFormat = Literal["gif", "mp4"]
 ExportFormat = Literal["mjcf", "urdf", "sdf", "usd", "glb", "maniskill", "robosuite", "libero"]
@@ -65,7 +66,9 @@ def check_workers(argument: str, number: int) -> None:
       ConfigError: it names the argument.
     """
     if not 0 <= number <= MAX_WORKERS:
-        raise ConfigError(f"{argument} = {number}", f"0 to {MAX_WORKERS}", f"{argument}=0, which takes every core")
+        raise ConfigError(
+            f"{argument} = {number}", f"0 to {MAX_WORKERS}", f"{argument}=0, which takes every core"
+        )
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,9 @@ class GeneratedBank(Bank):
     files_written: str = ""
 
     def __str__(self) -> str:
-        return "\n".join(each for each in (*self.notes, self.summary, self.advice, self.files_written) if each)
+        return "\n".join(
+            each for each in (*self.notes, self.summary, self.advice, self.files_written) if each
+        )
 
 
 def generate(
