@@ -119,7 +119,7 @@ def train(
     process_id: int | None = None,
     show: Callable[[str], None] = print,
 ) -> Path:
-    """Trains a placement policy with PPO; `cluttergen train`. The same call takes an interrupted run up again.
+    """Trains a placement policy with PPO (`cluttergen train`). The same call takes up an interrupted run.
 
     Args:
       pool, support, exclude, engine: as in `make_sampler`.
