@@ -74,7 +74,7 @@ def test_an_unchanged_pool_is_read_not_made(tree, here):
 
 def test_changed_content_needs_force(tree, here):
     import_sources([tree / "crate.obj"], "mine", QUICK)
-    with pytest.raises(PoolError, match="--force"):
+    with pytest.raises(PoolError, match="`force`"):
         import_sources([tree / "cube.stl"], "mine", QUICK)
     assert find_pool("mine").names == ("crate",)
     forced = ImportConfig(QUICK.object, 1, force=True, progress=False)

@@ -139,7 +139,7 @@ def test_adding_to_a_pool(tmp_path):
     assert find_pool("a").names == ("mug", "pan", "crate")
     # Another object of that name is refused, or replaced where it was.
     cube.replace(crate)
-    with pytest.raises(PoolError, match=r"other objects called crate.*--force"):
+    with pytest.raises(PoolError, match=r"other objects called crate.*`force`"):
         add(crate, add=True)
     assert find_pool("a")["crate"].half_extents[0] == pytest.approx(0.04, abs=1e-4)
     add(crate, add=True, force=True)

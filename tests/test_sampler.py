@@ -350,7 +350,7 @@ def test_the_default_method_follows_what_is_embedded(pool, monkeypatch):
 )
 def test_a_checkpoint_of_another_method_is_refused(method, trained):
     folder = str(list_policies()[f"dining-{trained}"])
-    with pytest.raises(ConfigError, match=f"--method {trained}"):
+    with pytest.raises(ConfigError, match=f"method={trained!r}"):
         checkpoint_of(method, "dining", folder)
     assert checkpoint_of(trained, "dining", folder) == Path(folder)
 

@@ -57,7 +57,7 @@ def test_memory_is_counted_by_hand():
 def test_run_that_will_not_fit_is_refused_with_the_size_that_would():
     whole = needs()
     limit = whole.memory(64).total + 100
-    with pytest.raises(ConfigError, match=r"128 environments .* rollout .* engine .*--num-envs 64") as error:
+    with pytest.raises(ConfigError, match=r"128 environments .* rollout .* engine .*num_envs=64") as error:
         check_memory(whole, limit)
     assert amount(limit) in str(error.value)
     fitting = whole.fitting(limit)

@@ -234,7 +234,7 @@ def test_display_check_reads_the_environment(monkeypatch):
     monkeypatch.setattr("platform.system", lambda: "Linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(DisplayError, match="without --native"):
+    with pytest.raises(DisplayError, match="without `native`"):
         check_display()
     monkeypatch.setenv("DISPLAY", ":0")
     check_display()

@@ -101,7 +101,8 @@ class Import:
         x, y = support.region.half_extents
         print(
             f"{user_supports() / support.name}: top at {support.top:.3f} m, "
-            f"made of {len(support.boxes)} boxes; the queried region is {2 * x:.3f} x {2 * y:.3f} m\nUse it: --support {support.name}"
+            f"made of {len(support.boxes)} boxes; "
+            f"the queried region is {2 * x:.3f} x {2 * y:.3f} m\nUse it: --support {support.name}"
         )
         return 0
 
