@@ -21,6 +21,7 @@ from cluttergen_jax.bank.disk import writing
 from cluttergen_jax.bank.summary import summary_of
 from cluttergen_jax.bank.table import table_of
 from cluttergen_jax.bank.writer import names_of
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.methods import SCREENED, checkpoint_hash, suited
 from cluttergen_jax.placement.config import MIN_MARGIN, placement_record
 from cluttergen_jax.problem import Problem, crowding
@@ -121,7 +122,8 @@ def generate(
     """
     check_range("num_scenes", num_scenes, 1, MAX_SCENES, 20)
     check_range("seed", seed, 0, _MOST, 0)
-    check_range("max_files", max_files, 0, MAX_SCENES, 0)
+    if max_files < 0:
+        raise ConfigError(f"max_files = {max_files}", "0 or more", "max_files=0 for none")
     boxes = [parse_keep_out(box) if isinstance(box, str) else box for box in keep_out]
     config = problem_config(
         pool=pool,
