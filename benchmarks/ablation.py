@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.section import prose, report, table
 from benchmarks.trained import WINDOW
 from cluttergen_jax.agent.checkpoint import read_record
-from cluttergen_jax.training.records import read_rows
+from cluttergen_jax.training.metrics_log import read_rows
 from cluttergen_jax.training.train import TrainConfig, run_training
 
 

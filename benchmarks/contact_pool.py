@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.host import HostPhysics
+from benchmarks.host import TimedPhysics
 from benchmarks.sampled import make_sampler, placed_poses
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
@@ -85,7 +85,7 @@ class SceneMaker:
     def __init__(self, objects: tuple[ObjectAsset, ...], support: SupportAsset, method: str) -> None:
         self._objects, self._support, config = objects, support, StabilityConfig()
         world = make_world(objects, support, config, ContactConfig())
-        self._physics = HostPhysics(world.num_objects, config)
+        self._physics = TimedPhysics(world.num_objects, config)
         rules = Rules(
             PlacementConfig(num_objects=min(10, world.num_objects), history_stride=0),
             self._physics,

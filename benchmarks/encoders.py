@@ -17,7 +17,7 @@ import numpy as np
 import tyro
 
 from benchmarks.section import prose, report, table
-from cluttergen_jax.agent.learner import Learner
+from cluttergen_jax.agent.pose_agent import PoseAgent
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.training.presets import paper
@@ -57,17 +57,17 @@ class Contender:
     def __init__(
         self, network: NetworkConfig, clouds: np.ndarray, half_extents: np.ndarray, batch: int
     ) -> None:
-        learner = Learner(network, jnp.asarray(clouds), jnp.asarray(half_extents), len(clouds))
+        agent = PoseAgent(network, jnp.asarray(clouds), jnp.asarray(half_extents), len(clouds))
         seen = observations(batch, half_extents)
-        params = learner.init(jax.random.key(0), jax.tree.map(lambda leaf: leaf[0], seen))
+        params = agent.init(jax.random.key(0), jax.tree.map(lambda leaf: leaf[0], seen))
         self.num_weights = sum(leaf.size for leaf in jax.tree.leaves(params))
-        kept = jax.jit(lambda params: learner.encode(params)(seen))(params)
+        kept = jax.jit(lambda params: agent.encode(params)(seen))(params)
 
         def loss(params: Any) -> Any:
-            dist, value = learner.apply(params, kept)
+            dist, value = agent.apply(params, kept)
             return jnp.sum(value**2) + jnp.sum(dist.log_prob(jnp.full((batch, 4), 0.4)))
 
-        forward, backward = jax.jit(lambda params: learner.apply(params, seen)), jax.jit(jax.grad(loss))
+        forward, backward = jax.jit(lambda params: agent.apply(params, seen)), jax.jit(jax.grad(loss))
         self._passes: tuple[Callable[[], Any], ...] = (lambda: forward(params), lambda: backward(params))
         self.wall: tuple[list[float], list[float]] = ([], [])
         self.cpu: tuple[list[float], list[float]] = ([], [])

@@ -17,13 +17,14 @@ import numpy as np
 import tyro
 
 from benchmarks import bullet
-from benchmarks.host import BatchEngine, HostPhysics
+from benchmarks.host import TimedPhysics
 from benchmarks.recorded import Replay, record, replay, small_attempts
 from benchmarks.sampled import Sampler, make_sampler, placed_poses
 from benchmarks.section import prose, report, table
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.physics.host import BatchEngine
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.rules import Rules
@@ -136,7 +137,7 @@ def compete(args: Engines) -> dict[str, Contender]:
     """The engines take turns at making scenes."""
     stability, support = StabilityConfig(), find_support(args.support)
     world = make_world(find_pool(args.pool).objects, support, stability, ContactConfig())
-    physics = HostPhysics(world.num_objects, stability)
+    physics = TimedPhysics(world.num_objects, stability)
     placement = PlacementConfig(num_objects=min(10, world.num_objects), history_stride=0)
     rules = Rules(placement, physics, geometry_of(world), region_of(support.region, support))
     contenders = make_contenders(world, rules, args)
@@ -153,7 +154,7 @@ def compete(args: Engines) -> dict[str, Contender]:
     return contenders
 
 
-def _turn(contender: Contender, physics: HostPhysics, num_scenes: int, seed: int) -> Turn:
+def _turn(contender: Contender, physics: TimedPhysics, num_scenes: int, seed: int) -> Turn:
     physics.use(contender.engine)
     started = time.process_time()
     scenes = contender.sample(num_scenes, seed)
@@ -167,7 +168,7 @@ def _turn(contender: Contender, physics: HostPhysics, num_scenes: int, seed: int
     )
 
 
-def _awake_steps(contender: Contender, physics: HostPhysics, args: Engines, world: World) -> float:
+def _awake_steps(contender: Contender, physics: TimedPhysics, args: Engines, world: World) -> float:
     """Steps per CPU-second of filled scenes, everything awake, for the length of the full last check.
 
     The scenes are made by the engine itself, which compiles what is to be timed later.

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.bodies import box
-from benchmarks.host import HostPhysics
+from benchmarks.host import TimedPhysics
 from benchmarks.sampled import make_sampler
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
@@ -78,7 +78,7 @@ def record(
     """The world of a pool, and `number` attempts of `clear` in it, early and late ones."""
     support = find_support(support_name)
     world = make_world(find_pool(pool).objects, support, stability, contact)
-    physics = HostPhysics(world.num_objects, stability)
+    physics = TimedPhysics(world.num_objects, stability)
     recorder = _Recorder(NativePhysics(world.layout, stability))
     physics.use(recorder)
     placement = PlacementConfig(num_objects=min(10, world.num_objects), history_stride=0)

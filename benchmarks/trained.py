@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.section import prose, report, table
 from cluttergen_jax.agent.checkpoint import read_record
-from cluttergen_jax.training.records import read_rows
+from cluttergen_jax.training.metrics_log import read_rows
 from cluttergen_jax.training.suite import DEFAULT_ATTEMPTS, DEFAULT_OBJECTS
 
 GOAL = 0.95

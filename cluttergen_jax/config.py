@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from numbers import Real
-from typing import Literal
+from typing import Literal, get_args
 
 from cluttergen_jax.errors import ConfigError
 
@@ -23,6 +23,10 @@ Method = Literal[
     "policy-clear",
 ]
 Variant = Literal["policy", "beta", "normal", "open_loop", "short_memory", "ranked"]
+VARIANTS: tuple[Variant, ...] = get_args(Variant)
+"""`policy` is the full method with the preset's head (a mixture; in `paper` a Beta a coordinate); `beta`
+and `normal` are the full method with the paper's heads; `open_loop` and `short_memory` look back on nothing
+and on one attempt; `ranked` chooses among poses that geometry has found."""
 Preset = Literal["cpu", "tight", "gpu", "paper"]
 Engine = Literal["auto", "native", "warp", "jax"]
 Order = Literal["random", "fixed"]

@@ -5,6 +5,7 @@ What was there before stays until what takes its place is whole.
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import shutil
@@ -13,10 +14,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from cluttergen_jax.errors import UnsafePathError
+from cluttergen_jax.errors import BankError, UnsafePathError
 
 PARTIAL = ".partial"
 """Ending of what is being written, in names that begin with a dot."""
+_ADVICE = {
+    errno.EEXIST: "another place: there is a file where a folder has to be",
+    errno.ENOTDIR: "another place: there is a file where a folder has to be",
+    errno.EISDIR: "another place: there is a folder where a file has to be",
+    errno.ENOENT: "a path that exists",
+    errno.ENOSPC: "making room on the disk",
+    errno.EDQUOT: "making room in your quota",
+    errno.EFBIG: "a file system or a limit (ulimit -f) that allows larger files",
+    errno.EACCES: "a folder that you may write to",
+    errno.EPERM: "a folder that you may write to",
+    errno.EROFS: "a folder on a disk that can be written",
+    errno.ENAMETOOLONG: "a shorter name",
+}
 _STRANGE = re.compile(r"[\\:\x00-\x1f\x7f]")
 
 
@@ -143,3 +157,33 @@ def put_back(folder: Path) -> None:
 
 def _aside(folder: Path) -> Path:
     return folder.with_name(f".{folder.name}.old")
+
+
+def advice_on(error: OSError) -> str:
+    """What to try about what the operating system refused."""
+    return _ADVICE.get(error.errno or 0, "removing its cause")
+
+
+def remove_partial(folder: Path) -> None:
+    """Removes what a writer that was killed left half written in `folder`."""
+    for path in folder.glob(f".*{PARTIAL}"):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Inside, an OSError becomes a BankError that says what to do.
+
+    Raises:
+      BankError: the disk is full, or `path` cannot be written for another reason.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise BankError(
+            f"{path} cannot be written: {error.strerror or error}. What was finished before is kept whole",
+            hint=f"{advice_on(error)}, then the same command: it goes on where it stopped",
+        ) from error

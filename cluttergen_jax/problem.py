@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,12 +19,11 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.margin import support_margin
-from cluttergen_jax.placement.changes import draw_region, find_change
+from cluttergen_jax.placement.changes import ChangedRegion, find_change
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.region import KeepOut, Region, make_region, no_keep_out
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Geometry
-from cluttergen_jax.types import Array
 from cluttergen_jax.world import World, make_world, repeated
 
 SMALLEST_REGION = 0.02
@@ -109,7 +107,7 @@ def compose(
     config: ProblemConfig,
     standing: Sequence[ObjectAsset] = (),
 ) -> Problem:
-    """`make_problem` for assets that are at hand already; the region may reach beyond the support.
+    """`make_problem` for assets that have been read already; the region may reach beyond the support.
 
     Args:
       standing: objects that stand there when an episode begins; they are the last ones of the world.
@@ -129,7 +127,9 @@ def compose(
         geometry=geometry_of(world),
         region=region_of(_largest_region(region, config.change, support), support),
         num_started=len(standing),
-        draw_region=_drawing(region, config.change, support),
+        draw_region=None
+        if config.change == "none"
+        else ChangedRegion(find_change(config.change), region, support.region, support.top),
     )
     return Problem(config, world, rules, region)
 
@@ -162,14 +162,6 @@ def _largest_region(base: Rectangle, change: str, support: SupportAsset) -> Rect
     expansion = find_change(change).expansion
     half = [min(side + expansion, max(support.region.half_extents)) for side in base.half_extents]
     return replace(base, half_extents=(half[0], half[1])) if expansion else base
-
-
-def _drawing(base: Rectangle, change: str, support: SupportAsset) -> Callable[[Array], Region] | None:
-    """Draws an episode's region; None where it is never changed."""
-    if change == "none":
-        return None
-    chosen, bounds = find_change(change), support.region
-    return partial(draw_region, change=chosen, base=base, bounds=bounds, top=support.top)
 
 
 def region_of(rectangle: Rectangle, support: SupportAsset) -> Region:

@@ -55,12 +55,18 @@ class Progress:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bar.close()
-        if self._is_log and error is None and self._told > self._started:
+        if error is None:
+            self.close()
+
+    def close(self) -> None:
+        """Nothing more is shown; a log that was told something is told that it ends."""
+        self._bar.close()
+        if self._is_log and self._told > self._started:
             passed = time_text(self._clock() - self._started)
             self.say(f"{self.title}: {self.done} of {self.total} {self.unit}s done in {passed}")
 
     def update(self, number: int = 1, note: str = "") -> None:
-        """So many more are done; a note stands beside the bar."""
+        """So many more are done; a note stands beside the bar, and in a log's lines."""
         self.done += number
         if note:
             self._bar.set_postfix_str(note, refresh=False)
@@ -68,7 +74,8 @@ class Progress:
         now = self._clock()
         if self._is_log and now - self._told >= EVERY:
             self._told = now
-            self.say(f"{self.title}: {self.done} of {self.total} {self.unit}s, {self._times(now)}")
+            text = f"{self.title}: {self.done} of {self.total} {self.unit}s, {self._times(now)}"
+            self.say(f"{text}, {note}" if note else text)
 
     def _times(self, now: float) -> str:
         passed, made = now - self._started, self.done - self.kept

@@ -6,11 +6,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.columns import Columns, cut_columns
-from cluttergen_jax.assets.mjcf import add_object, add_support, new_spec
+from cluttergen_jax.assets.mjcf import populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
@@ -20,8 +19,6 @@ from cluttergen_jax.physics.layout import Layout
 MAX_OBJECTS = 200
 COLUMN_SPACING = 0.0035
 NUM_COLUMN_SAMPLES = 512
-_PARKING_START = 50.0
-_PARKING_HEIGHT = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,15 +79,9 @@ def make_world(
     if not 1 <= len(objects) <= MAX_OBJECTS:
         raise ConfigError(f"a world of {len(objects)} objects", f"1 to {MAX_OBJECTS}", "a smaller pool")
     names = unique_names([asset.name for asset in objects])
-    spec = new_spec(stability.timestep, contact)
-    add_support(spec, support)
-    x = _PARKING_START
-    for name, asset in zip(names, objects, strict=True):
-        body = add_object(spec, asset, name)
-        x += asset.radius
-        body.pos = (x, 0.0, _PARKING_HEIGHT)
-        x += asset.radius + 0.1
-    model = _compile(spec)
+    model = populated_spec(names, objects, support, stability.timestep, contact).compile()
+    # Bodies keep their parking place as qpos0, at the identity orientation.
+    assert np.all(model.qpos0.reshape(-1, 7)[:, 3] == 1.0)
     columns = {id(asset): cut_columns(asset, COLUMN_SPACING, NUM_COLUMN_SAMPLES) for asset in objects}
     return World(
         names=names,
@@ -99,10 +90,3 @@ def make_world(
         layout=Layout.of(model, support.top),
         columns=tuple(columns[id(asset)] for asset in objects),
     )
-
-
-def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    model = spec.compile()
-    # Bodies keep their parking place as qpos0, at the identity orientation.
-    assert np.all(model.qpos0.reshape(-1, 7)[:, 3] == 1.0)
-    return model

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.agent.checkpoint import read_record
-from cluttergen_jax.training.records import draw_curve, read_rows
+from cluttergen_jax.training.metrics_log import draw_curve, read_rows
 
 MAX_BYTES = 1_000_000
 ROOT = Path(__file__).parent / "checkpoints"

@@ -150,7 +150,7 @@ def test_the_map_covers_what_rays_hit_and_little_else(crowded: tuple[Problem, li
     fullest = max(proposals, key=lambda proposal: proposal.is_placed.sum())
     assert fullest.is_placed.sum() >= 8
     region = problem.rules.region
-    mapper = jax.jit(HeightMapper(problem.rules.geometry, region).__call__)
+    mapper = jax.jit(HeightMapper.of(problem.rules.geometry, region).__call__)
     heights = mapper(region, fullest.poses, fullest.is_placed)
     hits = ray_heights(problem, data_of(problem, fullest.poses, fullest.is_placed), heights)
     mapped, middle = np.asarray(heights.height)[1:-1, 1:-1], hits[:, :, 1, 1]
@@ -270,7 +270,7 @@ def test_the_bare_top_is_found_between_gaps_and_a_riser(method: str, most_over_g
 def test_off_the_support_the_map_is_void() -> None:
     problem = compose(trio(), table_with([(-0.1, 0.05)]), ProblemConfig(placement=PlacementConfig(3)))
     region = problem.rules.region
-    mapper = jax.jit(HeightMapper(problem.rules.geometry, region).__call__)
+    mapper = jax.jit(HeightMapper.of(problem.rules.geometry, region).__call__)
     heights = mapper(region, jnp.full((3, 7), jnp.nan), jnp.zeros(3, bool))
     x = jnp.array([-0.15, -0.02, 0.1, 0.3, 0.1])
     y = jnp.array([0.0, 0.0, 0.0, 0.0, -5.0])

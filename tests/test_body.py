@@ -8,9 +8,9 @@ import pytest
 import trimesh
 
 from cluttergen_jax.assets.body import BodyConfig, make_object
-from cluttergen_jax.assets.cloud import farthest_first
+from cluttergen_jax.assets.cloud import farthest_first, sample_surface
 from cluttergen_jax.assets.config import DecompositionConfig
-from cluttergen_jax.assets.deviation import deviation, is_inside, sample_surface
+from cluttergen_jax.assets.deviation import deviation, is_inside
 from cluttergen_jax.assets.inertia import mass_properties
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.object import CLOUD_SIZE, MAX_PART_VERTICES

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.agent.checkpoint import read_policy, save_policy
-from cluttergen_jax.agent.learner import ENCODER
+from cluttergen_jax.agent.pose_agent import ENCODER
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.training.encoder_weights import with_encoder
 

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
 from cluttergen_jax.agent.config import PPOConfig
-from cluttergen_jax.agent.learner import Learner
+from cluttergen_jax.agent.pose_agent import PoseAgent
 from cluttergen_jax.agent.ppo import PPO
 from cluttergen_jax.assets.cloud import farthest_first
 from cluttergen_jax.errors import ConfigError
@@ -256,11 +256,11 @@ def test_frozen_weights_keep_their_bits_through_an_update():
     config = dataclasses.replace(SMALL, scene_encoder="pointnet", encoder_frozen=True)
     rules = made_up_rules(history_stride=12, reward="compressed")
     geometry = rules.geometry.replace(cloud=jnp.tile(world()[0], (2, 1, 1))[:6])
-    learner = Learner(config, geometry.cloud, geometry.half_extents, 4)
+    agent = PoseAgent(config, geometry.cloud, geometry.half_extents, 4)
     numbers = PPOConfig(num_envs=4, num_steps=4, num_minibatches=2, num_epochs=2, num_attempts=64)
-    ppo = PPO(PlacementEnv(rules), learner.apply, numbers, encode=learner.encode)
+    ppo = PPO(PlacementEnv(rules), agent.apply, numbers, encode=agent.encode)
     observation = jax.eval_shape(ppo.env.reset, jax.random.key(0)).obs
-    start = ppo.start(jax.random.key(0), learner.init(jax.random.key(1), observation))
+    start = ppo.start(jax.random.key(0), agent.init(jax.random.key(1), observation))
     after, _ = jax.jit(ppo.update)(start)
     same = jax.tree.map(lambda a, b: bool((a == b).all()), start.params["params"], after.params["params"])
     assert all(jax.tree.leaves(same.pop("encoder")))
@@ -272,16 +272,16 @@ def test_frozen_encoders_get_no_gradient_and_keep_their_features(kind, is_frozen
     config = dataclasses.replace(
         SMALL, scene_encoder=kind, history_width=0, encoder_frozen=is_frozen, token_width=8
     )
-    learner = Learner(config, *world(), NUM_OBJECTS)
+    agent = PoseAgent(config, *world(), NUM_OBJECTS)
     seen = scenes(3) | {"focus": jnp.array([0, 2, 1])}
-    params = learner.init(jax.random.key(0), jax.tree.map(lambda leaf: leaf[0], seen))
+    params = agent.init(jax.random.key(0), jax.tree.map(lambda leaf: leaf[0], seen))
 
     @jax.jit
     def values(params):
-        kept = learner.encode(params)(seen)
+        kept = agent.encode(params)(seen)
         assert ("encoded" in kept) == (is_frozen and config.reads_clouds)
-        slope = jax.grad(lambda params: jnp.sum(learner.apply(params, kept)[1]))(params)
-        return learner.apply(params, seen)[1], learner.apply(params, kept)[1], slope["params"]
+        slope = jax.grad(lambda params: jnp.sum(agent.apply(params, kept)[1]))(params)
+        return agent.apply(params, seen)[1], agent.apply(params, kept)[1], slope["params"]
 
     whole, kept, slope = values(params)
     np.testing.assert_allclose(whole, kept, rtol=1e-5)
@@ -294,9 +294,9 @@ def test_frozen_encoders_get_no_gradient_and_keep_their_features(kind, is_frozen
 def test_renumbering_the_objects_leaves_actions_unchanged(kind):
     config = dataclasses.replace(SMALL, scene_encoder=kind, history_width=0, token_width=8)
     clouds, half = world()
-    learner = Learner(config, clouds, half, NUM_OBJECTS)
+    agent = PoseAgent(config, clouds, half, NUM_OBJECTS)
     seen = scenes(3) | {"focus": jnp.array([0, 2, 1])}
-    params = learner.init(jax.random.key(0), jax.tree.map(lambda leaf: leaf[0], seen))
+    params = agent.init(jax.random.key(0), jax.tree.map(lambda leaf: leaf[0], seen))
     order = jnp.array([3, 0, 1, 2])
     renumbered = seen | {
         "focus": jnp.argsort(order)[seen["focus"]],
@@ -306,7 +306,7 @@ def test_renumbering_the_objects_leaves_actions_unchanged(kind):
 
     @jax.jit
     def act(clouds, half, seen):
-        dist, value = Learner(config, clouds, half, NUM_OBJECTS).apply(params, seen)
+        dist, value = PoseAgent(config, clouds, half, NUM_OBJECTS).apply(params, seen)
         return dist.mean(), value
 
     one, two = act(clouds, half, seen), act(clouds[order], half[order], renumbered)

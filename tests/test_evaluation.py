@@ -18,16 +18,13 @@ from cluttergen_jax.cli.main import run
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ConfigError, MissingExtraError, PoolError
 from cluttergen_jax.evaluation import measuring, published
-from cluttergen_jax.evaluation import programs as programs_module
 from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError
 from cluttergen_jax.evaluation.document import document, read_results
-from cluttergen_jax.evaluation.episodes import Attempts, logged_step, run_episodes
+from cluttergen_jax.evaluation.episodes import Attempts, attempts_of, run_episodes
 from cluttergen_jax.evaluation.lab import Lab
 from cluttergen_jax.evaluation.layouts import LAYOUTS
 from cluttergen_jax.evaluation.measuring import MEASURES
-from cluttergen_jax.evaluation.patience import PatientPhysics, PatientRules
 from cluttergen_jax.evaluation.plots import at_least
-from cluttergen_jax.evaluation.programs import Programs
 from cluttergen_jax.evaluation.progress import Progress
 from cluttergen_jax.evaluation.proportion import spread_of, wilson
 from cluttergen_jax.evaluation.record import figures_of, steps_by_attempt
@@ -40,13 +37,14 @@ from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.measures.simulate import no_movement
 from cluttergen_jax.placement.changes import CHANGES, draw_region, find_change
 from cluttergen_jax.policies.embedded import list_policies
-from cluttergen_jax.sampling import BlockSampler, sample_blocks
+from cluttergen_jax.sampling import BlockSampler, Rollout, sample_blocks
 from tests.problems import HalfTable, made_up_rules
 
 DOCS = Path(__file__).parent.parent / "docs"
 SMALL = Trial(num_objects=2, trials=6)
 
 
+@jax.tree_util.Partial
 def uniform(key, episode):
     return jax.random.uniform(key, (4,))
 
@@ -128,46 +126,6 @@ def test_unknown_change_is_named():
         Trial(change="tilt")
 
 
-# Programs
-
-
-def test_programs_that_differ_in_constants_share_an_executable():
-    programs = Programs()
-    inner = jax.jit(lambda x, table: x @ table)
-    results = []
-    for seed in (0, 1):
-        table = jnp.asarray(np.random.default_rng(seed).normal(size=(3, 3)), jnp.float32)
-        results.append((programs.compile(lambda x, table=table: inner(x, table) + 1, jnp.ones(3)), table))
-    assert len(programs) == 1
-    for function, table in results:
-        x = jnp.arange(3.0)
-        np.testing.assert_allclose(function(x), x @ table + 1, rtol=1e-6)
-
-
-def test_programs_are_kept_up_to_a_number(monkeypatch):
-    monkeypatch.setattr(programs_module, "_KEPT", 2)
-    programs = Programs()
-    one = jnp.float32(1)
-    runs = [programs.compile(lambda x, k=k: x * (k + 2), one) for k in range(4)]
-    assert len(programs) == 2
-    # What was compiled and is at hand still runs.
-    assert [float(run(one)) for run in runs] == [2, 3, 4, 5]
-    # The latest used stays.
-    programs.compile(lambda x: x * 4, one)
-    programs.compile(lambda x: x - 7, one)
-    programs.compile(lambda x: x * 4, one)
-    assert len(programs) == 2
-
-
-def test_programs_that_do_something_else_share_nothing():
-    programs = Programs()
-    by_scale = [programs.compile(lambda x, s=s: x * s, jnp.ones(2)) for s in (2.0, 3.0)]
-    programs.compile(jnp.sin, jnp.ones(2))
-    programs.compile(jnp.sin, jnp.ones(3))
-    assert len(programs) == 4
-    assert [float(each(jnp.ones(2))[0]) for each in by_scale] == [2.0, 3.0]
-
-
 # Episodes and figures
 
 
@@ -175,7 +133,7 @@ def test_programs_that_do_something_else_share_nothing():
 def made_up():
     """A sampler over the made-up physics, and twenty of its episodes."""
     sampler = BlockSampler(made_up_rules(history_stride=0), uniform)
-    return sampler, run_episodes(Programs(), sampler, 20, seed=3)
+    return sampler, run_episodes(Rollout(attempts_of), sampler, 20, seed=3)
 
 
 def test_logged_episodes_are_the_samplers(made_up):
@@ -229,10 +187,10 @@ class SlowTable(HalfTable):
         return result.replace(num_steps=jnp.where(result.num_steps == 60, 240, result.num_steps))
 
 
-def test_patient_rules_count_all_steps_and_remember_what_decided():
+def test_whole_attempts_count_all_steps_and_the_history_tells_what_decided():
     whole = SlowTable(StabilityConfig(stop_when_decided=False))
     cut = made_up_rules(history_stride=12)
-    patient = PatientRules(**vars(cut) | {"physics": PatientPhysics(whole)})
+    patient = dataclasses.replace(cut, physics=whole, history_steps=whole.config.decision_step)
     assert patient.history_rows == cut.history_rows
     fails = jnp.array([0.1, 0.5, 0.1, 0.5])
     after, expected = (
@@ -247,7 +205,7 @@ def test_patient_rules_count_all_steps_and_remember_what_decided():
 
 def test_finished_episodes_make_no_attempt(made_up):
     sampler, is_wanted = made_up[0], np.array([True, False, True])
-    _, attempts = jax.jit(lambda key: logged_step(sampler, sampler.begin(key, np.arange(3), is_wanted)))(
+    _, attempts = jax.jit(lambda key: sampler.step(sampler.begin(key, np.arange(3), is_wanted)))(
         jax.random.key(0)
     )
     assert attempts.is_made.tolist() == [True, False, True]

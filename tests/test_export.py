@@ -22,8 +22,8 @@ from cluttergen_jax.cli.parse import parse_numbers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.export import FORMATS, export_scenes
 from cluttergen_jax.export.frames import euler_of, principal_of
-from cluttergen_jax.export.placement import scene_bounds
-from cluttergen_jax.physics.rotation import rotate
+from cluttergen_jax.export.scene_json import scene_bounds
+from cluttergen_jax.geometry import rotate
 from cluttergen_jax.scene import Origin, Scene
 from tests.shapes import slab
 from tests.worlds import trio

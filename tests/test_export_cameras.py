@@ -14,7 +14,7 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.export import FORMATS, export_scenes
 from cluttergen_jax.render.gl import gl_context
-from cluttergen_jax.scene import CAMERAS, scene_cameras, to_mjspec
+from cluttergen_jax.scene import CAMERAS, scene_cameras
 from tests.test_export import spread
 from tests.test_export_cli import bank  # noqa: F401
 from tests.test_render import needs_gl
@@ -193,7 +193,7 @@ def test_cameras_go_with_the_region_and_with_an_attached_scene(scene):
         np.testing.assert_allclose(seen_at(middle, camera.position, camera.rotation, *fovs), 0, atol=1e-9)
     with pytest.raises(ConfigError, match="overhead, front, side, wrist"):
         scene_cameras(turned, ("overhead", "above"))
-    assert to_mjspec(scene).compile().ncam == 0
+    assert scene.to_mjspec().compile().ncam == 0
 
 
 @pytest.mark.parametrize("format", sorted(set(FORMATS) - {"usd"}))

@@ -8,18 +8,19 @@ from PIL import Image
 
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.render import video
+from cluttergen_jax.render.assets import close_points
 from cluttergen_jax.render.config import FilmConfig
 from cluttergen_jax.render.figure import GREEN as GREEN_RING
 from cluttergen_jax.render.figure import closed_loop_figure, closed_loop_slot
 from cluttergen_jax.render.film import replay, replay_frames, turntable
 from cluttergen_jax.render.overlay import Ring, ring_around, with_caption, with_rings
-from cluttergen_jax.render.stage import RED, Look, Shooting, open_stage, places, swept
-from cluttergen_jax.render.studio import Trail, thresholds
+from cluttergen_jax.render.renderer import Trail, thresholds
+from cluttergen_jax.render.scene_renderer import RED, PictureConfig, RenderStyle, scene_renderer, swept
 from cluttergen_jax.render.video import save_film
 from tests.recordings import cubes
 from tests.test_render import needs_gl
 
-SMALL = Shooting(width=160, height=120, samples=2)
+SMALL = PictureConfig(width=160, height=120, samples=2)
 
 
 def is_reddish(image):
@@ -60,23 +61,23 @@ def test_replay_shows_the_trajectory_and_only_what_stood():
     recording = cubes()
     frames = replay_frames(recording, FilmConfig(fps=40, seconds=60))
     for frame in frames:
-        in_hand = [k for k, look in enumerate(frame.looks) if look is not None and look.strength > 0]
-        assert len(in_hand) <= 1
-        # What is tinted is the object in hand, and red itself is never tinted: it failed at nothing.
-        assert in_hand in ([], [1])
-    tinted = [f.looks[1] for f in frames if f.looks[1] is not None and f.looks[1].strength > 0]
+        current = [k for k, style in enumerate(frame.styles) if style is not None and style.strength > 0]
+        assert len(current) <= 1
+        # What is tinted is the current object, and red itself is never tinted: it failed at nothing.
+        assert current in ([], [1])
+    tinted = [f.styles[1] for f in frames if f.styles[1] is not None and f.styles[1].strength > 0]
     starts = [t.points[0] for f in frames for t in f.trails]
     for attempt in recording.failures:
-        ends = np.array([look.pose[:3] for look in tinted])
+        ends = np.array([style.pose[:3] for style in tinted])
         assert np.linalg.norm(ends - attempt.trajectory[-1, :3], axis=1).min() < 1e-6
         assert np.linalg.norm(np.array(starts) - attempt.trajectory[0, :3], axis=1).min() < 1e-6
     # Green is not there before red stands.
-    first_green = next(k for k, f in enumerate(frames) if f.looks[1] is not None)
-    np.testing.assert_array_equal(frames[first_green].looks[0].pose, recording.poses[0])
+    first_green = next(k for k, f in enumerate(frames) if f.styles[1] is not None)
+    np.testing.assert_array_equal(frames[first_green].styles[0].pose, recording.poses[0])
     last = frames[-1]
-    for look, pose in zip(last.looks, recording.poses, strict=True):
-        np.testing.assert_array_equal(look.pose, pose)
-        assert (look.alpha, look.strength) == (1.0, 0.0)
+    for style, pose in zip(last.styles, recording.poses, strict=True):
+        np.testing.assert_array_equal(style.pose, pose)
+        assert (style.alpha, style.strength) == (1.0, 0.0)
     assert last.caption == "2 objects, 4 attempts: the scene stands"
     assert any("fell below" in f.caption for f in frames)
 
@@ -126,7 +127,7 @@ def test_closed_loop_takes_the_object_that_failed_and_stood():
 
 @needs_gl
 def test_closed_loop_figure_rings_failures_red_and_the_end_green():
-    image = closed_loop_figure(cubes(), shooting=Shooting(width=320, height=240, samples=4))
+    image = closed_loop_figure(cubes(), picture=PictureConfig(width=320, height=240, samples=4))
     assert image.shape == (240, 320, 3)
     green = np.round(255 * np.array(GREEN_RING)).astype(int)
     assert (np.abs(image.astype(int) - green).max(-1) < 12).sum() > 20
@@ -137,13 +138,13 @@ def test_closed_loop_figure_rings_failures_red_and_the_end_green():
 @needs_gl
 def test_one_picture_is_lit_as_many_are():
     recording = cubes()
-    points = places(recording.objects, recording.poses, recording.support)
-    looks = [Look(pose) for pose in recording.poses]
+    points = close_points(recording.objects, recording.poses, recording.support)
+    styles = [RenderStyle(pose) for pose in recording.poses]
 
     def brightness(samples):
-        shooting = replace(SMALL, samples=samples)
-        with open_stage(recording.objects, recording.support, points, shooting) as stage:
-            return stage.picture(looks).mean()
+        picture = replace(SMALL, samples=samples)
+        with scene_renderer(recording.objects, recording.support, points, picture) as renderer:
+            return renderer.picture(styles).mean()
 
     assert brightness(1) == pytest.approx(brightness(8), rel=0.2)
 
@@ -151,20 +152,20 @@ def test_one_picture_is_lit_as_many_are():
 @needs_gl
 def test_looks_fade_tint_and_hide():
     recording = cubes()
-    points = places(recording.objects, recording.poses, recording.support)
-    red, green = (Look(pose) for pose in recording.poses)
-    with open_stage(recording.objects, recording.support, points, replace(SMALL, samples=8)) as stage:
-        whole = stage.picture([red, green])
-        hidden = stage.picture([None, green])
-        half = stage.picture([replace(red, alpha=0.5), green])
-        tinted = stage.picture([red, replace(green, strength=0.9)])
-        trail = stage.picture(
+    points = close_points(recording.objects, recording.poses, recording.support)
+    red, green = (RenderStyle(pose) for pose in recording.poses)
+    with scene_renderer(recording.objects, recording.support, points, replace(SMALL, samples=8)) as renderer:
+        whole = renderer.picture([red, green])
+        hidden = renderer.picture([None, green])
+        half = renderer.picture([replace(red, alpha=0.5), green])
+        tinted = renderer.picture([red, replace(green, strength=0.9)])
+        trail = renderer.picture(
             [red, green], [Trail(np.array([[-0.1, -0.1, 0.6], [0.1, -0.1, 0.6]]), (0, 0, 1))]
         )
-        again = stage.picture([red, green])
-        pixel = stage.project(recording.poses[:1, :3])[0].astype(int)
-        with pytest.raises(ConfigError, match="looks"):
-            stage.picture([red])
+        again = renderer.picture([red, green])
+        pixel = renderer.project(recording.poses[:1, :3])[0].astype(int)
+        with pytest.raises(ConfigError, match="styles"):
+            renderer.picture([red])
     np.testing.assert_array_equal(whole, again)
     at = (pixel[1], pixel[0])
     assert is_reddish(whole)[at]

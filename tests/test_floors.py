@@ -11,6 +11,7 @@ ROOT = Path(cluttergen_jax.__file__).parent
 # puts together whatever a scene takes. Both look down on the products; commands and programs use them.
 FLOORS = {
     "errors": 0,
+    "geometry": 0,
     "types": 0,
     "config": 0,
     "files": 0,
@@ -25,9 +26,8 @@ FLOORS = {
     # Geometry for the products that propose poses; the ranking of its candidates stands on it.
     "search": 2.2,
     "ranking": 2.4,
-    "learners": 2.5,
-    # What is trained and what acts are the same pair of an environment and a network.
-    "task": 2.6,
+    # What is trained and what acts are the same pair of an environment and an agent.
+    "agents": 2.6,
     # What is trained is evaluated as it is sampled: by a policy, in blocks, on a compiled world.
     "problem": 2.7,
     "sampling": 2.7,

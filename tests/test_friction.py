@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.mjcf import own_contact
+from cluttergen_jax.assets.obj import write_parts
 from cluttergen_jax.assets.object_files import object_hash, read_object, write_object
-from cluttergen_jax.assets.part_files import write_parts
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.measures.robustness import Change, changed
 from cluttergen_jax.measures.scene_models import SceneModels
-from cluttergen_jax.scene import Scene, attach_to, to_mjspec
+from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.xml import scene_xml
 from cluttergen_jax.world import make_world
 from tests.worlds import TOP, box
@@ -45,7 +45,7 @@ def slid(model, degrees):
 
 
 def by_spec(scene, folder):
-    return to_mjspec(scene).compile()
+    return scene.to_mjspec().compile()
 
 
 def by_file(scene, folder):
@@ -61,7 +61,7 @@ def beside_others(scene, folder):
     spec = mujoco.MjSpec.from_string(
         '<mujoco><default><geom friction="3 0.1 0.1"/></default><worldbody/></mujoco>'
     )
-    attach_to(spec, scene)
+    scene.attach_to(spec)
     return spec.compile()
 
 

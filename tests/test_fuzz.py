@@ -9,12 +9,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cluttergen_jax.agent.checkpoint import read_policy_record
 from cluttergen_jax.assets.object_files import read_object
 from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.support_file import read_support
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.policies.checkpoint import read_checkpoint
 from tests.fuzzing import CORPUS, READERS, Bench, mutated
 
 QUIET = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -58,7 +58,7 @@ JSON_READERS = {
     "object.json": read_object,
     "pool.json": read_pool,
     "support.json": read_support,
-    "record.json": read_policy_record,
+    "record.json": read_checkpoint,
 }
 anything = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),

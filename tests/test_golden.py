@@ -13,6 +13,7 @@ from cluttergen_jax.assets.support_file import read_support, support_hash
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.bank.verify import scene_files, verify_scene
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.policies.checkpoint import read_checkpoint
 from cluttergen_jax.policies.embedded import list_policies
 from cluttergen_jax.policies.policy import load_policy
 from cluttergen_jax.problem import ProblemConfig, make_problem
@@ -59,4 +60,6 @@ def test_a_bank_reads_stands_and_resets():
 
 @pytest.mark.parametrize("name", sorted(list_policies()))
 def test_a_shipped_checkpoint_loads(name, problem):
-    assert load_policy(list_policies()[name], problem.rules) is not None
+    checkpoint = read_checkpoint(list_policies()[name])
+    assert checkpoint.kind == ("ranking" if name.endswith("ranked") else "pose")
+    assert load_policy(checkpoint, problem.rules) is not None

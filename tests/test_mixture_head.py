@@ -7,20 +7,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cluttergen_jax.agents import make_agent
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.placement.observation import height_grid
-from cluttergen_jax.task import make_task
 from tests.problems import made_up_rules
 
 CONFIG = NetworkConfig(head="mixture", num_cells=6, num_turns=4, width=16, num_layers=2, object_points=8)
 
 
 def made_up(config=CONFIG):
-    """Rules of six thin objects, their task, fresh weights and one observation."""
+    """Rules of six thin objects, their agent, fresh weights and one observation."""
     rules = made_up_rules()
-    task = make_task(rules, config)
-    observation = task.env.reset(jax.random.key(0)).obs
-    return rules, task, task.learner.init(jax.random.key(1), observation), observation
+    env, agent = make_agent(rules, config)
+    observation = env.reset(jax.random.key(0)).obs
+    return rules, agent, agent.init(jax.random.key(1), observation), observation
 
 
 def test_height_grid_sees_what_stands_where():
@@ -34,12 +34,12 @@ def test_height_grid_sees_what_stands_where():
 
 
 def test_draws_lie_about_rest_on_what_is_below():
-    rules, task, params, observation = made_up()
+    rules, agent, params, observation = made_up()
     # A wall 3 cm high stands under the half of the region with x > 0.
     observation["heights"] = jnp.zeros((6, 6)).at[3:].set(0.03)
     observation["region"] = observation["region"].at[2].set(0.2)
     batch = jax.tree.map(lambda leaf: leaf[None], observation)
-    dist = task.learner.apply(params, batch)[0]
+    dist = agent.apply(params, batch)[0]
     draws = jax.vmap(dist.sample)(jax.random.split(jax.random.key(2), 2000))[:, 0]
     half = float(rules.geometry.half_extents[observation["focus"], 2])
     above = np.asarray(draws[:, 2]) * 0.2 - half - np.where(np.asarray(draws[:, 0]) > 0.5, 0.03, 0.0)
@@ -50,12 +50,12 @@ def test_draws_lie_about_rest_on_what_is_below():
 
 @pytest.mark.parametrize("config", [CONFIG, replace(CONFIG, turn_symmetry=1, undersides=True)])
 def test_no_draw_has_a_broken_density(config):
-    _, task, params, observation = made_up(config)
+    _, agent, params, observation = made_up(config)
     # An object as high as the whole range: the window has to give way at both ends.
     for height_range, height in ((0.004, 0.0), (0.05, 0.2)):
         observation["region"] = observation["region"].at[2].set(height_range)
         observation["heights"] = jnp.full((6, 6), height)
-        dist = task.learner.apply(params, jax.tree.map(lambda leaf: leaf[None], observation))[0]
+        dist = agent.apply(params, jax.tree.map(lambda leaf: leaf[None], observation))[0]
         draws = jax.vmap(dist.sample)(jax.random.split(jax.random.key(3), 2000))
         assert float(draws.min()) > 0
         assert float(draws.max()) < 1

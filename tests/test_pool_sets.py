@@ -14,7 +14,7 @@ from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.run import ImportConfig, import_sources
 from cluttergen_jax.importing.worker import ObjectConfig
-from cluttergen_jax.methods import checkpoint_of, default_method
+from cluttergen_jax.methods import choose_method
 from cluttergen_jax.sampler import make_sampler
 from cluttergen_jax.training.train import TrainConfig
 from tests.test_pool import make_box
@@ -78,8 +78,12 @@ def test_names_without_folders():
 
 
 def test_part_of_a_pool_has_its_policy():
-    assert default_method("dining~mug", "table", 9) == default_method("dining", "table", 9) == "policy"
-    assert checkpoint_of("policy", "dining~mug") == checkpoint_of("policy", "dining")
+    for method in (None, "policy"):
+        (name, part), (_, whole) = (
+            choose_method(method, pool, "table", 9) for pool in ("dining~mug", "dining")
+        )
+        assert name == "policy"
+        assert part.path == whole.path
 
 
 @pytest.mark.slow

@@ -115,7 +115,7 @@ def test_stopped_run_goes_on_to_the_same_bits(trained, tmp_path, monkeypatch):
 
 
 def test_folder_of_other_settings_is_refused(trained):
-    with pytest.raises(ConfigError, match="other settings"):
+    with pytest.raises(ConfigError, match="another config"):
         Pretraining(dataclasses.replace(CONFIG, seed=5), trained[0])
 
 

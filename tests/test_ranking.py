@@ -10,18 +10,18 @@ import pytest
 from cluttergen_jax.agent.checkpoint import save_policy
 from cluttergen_jax.agent.config import PPOConfig
 from cluttergen_jax.agent.ppo import PPO
+from cluttergen_jax.agents import make_agent
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.methods import make_screened
+from cluttergen_jax.methods import make_filtered
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.networks.ranking import RankerConfig
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.region import action_scale
-from cluttergen_jax.policies.policy import Policy, load_policy
-from cluttergen_jax.policies.ranked import Ranked
+from cluttergen_jax.policies.checkpoint import read_checkpoint
+from cluttergen_jax.policies.policy import TrainedPolicy, load_policy
+from cluttergen_jax.ranking.candidates import PATCH_SIDE
 from cluttergen_jax.ranking.env import RankingEnv
-from cluttergen_jax.ranking.menu import PATCH_SIDE
 from cluttergen_jax.search import LowestFit, SearchConfig
-from cluttergen_jax.task import make_task
 from tests.problems import trio_problem
 
 SEARCH = SearchConfig(num_candidates=64, num_finalists=8)
@@ -40,7 +40,7 @@ def search(rules):
 
 def look(search, episode):
     """What a ranker sees."""
-    return Ranked(search, None, None).look(episode)
+    return RankingEnv(search.rules, search=search).observe(episode)
 
 
 def with_one_placed(rules, search, key):
@@ -76,14 +76,16 @@ def test_failed_attempts_are_seen(rules, search):
 
 
 def test_untrained_ranking_is_the_searchs_own(rules, search):
-    learner = make_task(rules, CONFIG).learner
+    _, agent = make_agent(rules, CONFIG)
     seen = look(search, rules.begin(jax.random.key(0)))
-    params = learner.init(jax.random.key(3), seen)
+    params = agent.init(jax.random.key(3), seen)
+
+    policy = TrainedPolicy(RankingEnv(rules, search=search), agent, params, False, 5)
 
     def both(key):
         episode = with_one_placed(rules, search, key)
         menu = look(search, episode)["menu"]
-        mine = Ranked(search, learner, params)(key, episode)
+        mine = policy(key, episode)
         return mine, menu["action"][jnp.argmin(menu["cost"])]
 
     mine, theirs = jax.jit(jax.vmap(both))(jax.random.split(jax.random.key(4), 16))
@@ -91,11 +93,11 @@ def test_untrained_ranking_is_the_searchs_own(rules, search):
 
 
 def test_env_takes_the_chosen_candidate(rules, search):
-    env = RankingEnv(PlacementEnv(rules), search)
+    env = RankingEnv(rules, search=search)
     state = jax.jit(env.reset)(jax.random.key(5))
     chosen = 3
     after = jax.jit(env.step)(state, jnp.int32(chosen))
-    plain = jax.jit(env.env.step)(state, state.obs["menu"]["action"][chosen])
+    plain = jax.jit(PlacementEnv(rules).step)(state, state.obs["menu"]["action"][chosen])
     np.testing.assert_array_equal(after.pipeline_state.episode.poses, plain.pipeline_state.episode.poses)
     assert not np.array_equal(after.obs["menu"]["action"], state.obs["menu"]["action"])
     assert env.observation_size == jax.tree.map(lambda leaf: leaf.shape, state.obs)
@@ -103,31 +105,31 @@ def test_env_takes_the_chosen_candidate(rules, search):
 
 @pytest.mark.slow
 def test_learning_changes_the_order(rules, search):
-    learner = make_task(rules, CONFIG).learner
-    env = RankingEnv(PlacementEnv(rules), search)
+    _, agent = make_agent(rules, CONFIG)
+    env = RankingEnv(rules, search=search)
     config = PPOConfig(num_envs=4, num_steps=4, num_minibatches=2, num_epochs=2, num_attempts=16)
-    ppo = PPO(env, learner.apply, config)
-    params = learner.init(jax.random.key(0), jax.eval_shape(env.reset, jax.random.key(0)).obs)
+    ppo = PPO(env, agent.apply, config)
+    params = agent.init(jax.random.key(0), jax.eval_shape(env.reset, jax.random.key(0)).obs)
     state = jax.jit(ppo.start)(jax.random.key(1), params)
     after, figures = jax.jit(ppo.update)(state)
     assert all(np.isfinite(value) for value in jax.device_get(jax.tree.leaves(figures)))
-    before, after = learner.apply(params, state.env.obs)[0], learner.apply(after.params, state.env.obs)[0]
+    before, after = agent.apply(params, state.env.obs)[0], agent.apply(after.params, state.env.obs)[0]
     assert float(jnp.abs(jnp.exp(before.logits) - jnp.exp(after.logits)).max()) > 1e-5
 
 
-def test_screened_proposals_are_those_of_the_policy_on_free_ground(rules, search):
+def test_filtered_proposals_are_those_of_the_policy_on_free_ground(rules, search):
     network = NetworkConfig(head="mixture", num_cells=6, history_width=0, width=16, num_layers=2)
-    task = make_task(rules, network)
-    observation = jax.eval_shape(task.env.reset, jax.random.key(0)).obs
-    policy = Policy(rules, task.learner, task.learner.init(jax.random.key(0), observation), True, 5)
-    screened = make_screened(policy, rules)
+    env, agent = make_agent(rules, network)
+    observation = jax.eval_shape(env.reset, jax.random.key(0)).obs
+    policy = TrainedPolicy(env, agent, agent.init(jax.random.key(0), observation), True, 5)
+    filtered = make_filtered(policy, rules)
     half = rules.geometry.half_extents
 
     def verdicts(key):
         key_place, key_draw = jax.random.split(key)
         episode = with_one_placed(rules, search, key_place)
-        action = screened(key_draw, episode)
-        drawn = policy.draw(key_draw, episode, screened.num_draws)
+        action = filtered(key_draw, episode)
+        drawn = policy.draw(key_draw, episode, filtered.num_draws)
         is_drawn = jnp.any(jnp.all(jnp.abs(drawn[:, :2] - action[:2]) < 1e-5, axis=1))
         height = action[2] * rules.height_range(episode) - half[rules.focus(episode), 2]
         return is_drawn, height, rules.attempt(episode, action)[0].slot
@@ -142,9 +144,8 @@ def test_screened_proposals_are_those_of_the_policy_on_free_ground(rules, search
 def stored(rules, tmp_path):
     """Folders of a fresh ranker and a fresh policy of poses, trained with up to five attempts."""
     for name, network in (("ranked", CONFIG), ("policy", NetworkConfig(width=16, num_layers=2))):
-        task = make_task(rules, network)
-        observation = jax.eval_shape(task.env.reset, jax.random.key(0)).obs
-        params = task.learner.init(jax.random.key(0), observation)
+        env, agent = make_agent(rules, network)
+        params = agent.init(jax.random.key(0), jax.eval_shape(env.reset, jax.random.key(0)).obs)
         record = {"network": asdict(network), "placement": {"max_attempts": 5, "history_stride": 60}}
         save_policy(tmp_path / name, params, record)
     return tmp_path
@@ -158,21 +159,22 @@ def with_attempts(rules, number):
 def test_policies_act_with_fewer_attempts_than_they_were_trained_with(rules, stored):
     few = with_attempts(rules, 2)
     too_high = jnp.array([0.5, 0.5, 0.99, 0.5])
-    for name, kind in (("ranked", Ranked), ("policy", Policy)):
-        acting = {n: load_policy(stored / name, r, is_sampled=False) for n, r in ((2, few), (5, rules))}
-        assert isinstance(acting[2], kind)
+    for name, kind in (("ranked", "ranking"), ("policy", "pose")):
+        checkpoint = read_checkpoint(stored / name)
+        assert checkpoint.kind == checkpoint.network.kind == kind
+        acting = {n: load_policy(checkpoint, r, is_sampled=False) for n, r in ((2, few), (5, rules))}
         actions = []
         for number, its_rules in ((2, few), (5, rules)):
             failed = its_rules.attempt(its_rules.begin(jax.random.key(9)), too_high)[0]
             actions.append(acting[number](jax.random.key(1), failed))
         assert actions[0].shape == (4,)
-        if kind is Policy:
+        if kind == "pose":
             # What it is not allowed to try is as empty as what it has not tried yet.
             np.testing.assert_array_equal(*actions)
 
 
 def test_policies_of_poses_refuse_more_attempts(rules, stored):
     many = with_attempts(rules, 7)
-    assert isinstance(load_policy(stored / "ranked", many), Ranked)
+    load_policy(read_checkpoint(stored / "ranked"), many)
     with pytest.raises(ConfigError, match="max_attempts = 7"):
-        load_policy(stored / "policy", many)
+        load_policy(read_checkpoint(stored / "policy"), many)

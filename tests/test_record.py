@@ -1,12 +1,14 @@
 """Recordings: the same scene as the sampler makes, and every attempt as the rules counted it."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.baselines import make_proposer
-from cluttergen_jax.errors import BankError
+from cluttergen_jax.physics.host import SwappablePhysics
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.region import pose_of_action
 from cluttergen_jax.problem import ProblemConfig, compose
@@ -57,17 +59,23 @@ def test_recordings_end_as_the_sampler_does(scenes, recordings):
         assert recording.drift == scenes.drift[place]
 
 
-def test_an_attempt_that_settles_elsewhere_is_not_passed_off(problem, sampler, recordings, monkeypatch):
-    honest = Recorder._recorded_step
+class Counted(SwappablePhysics):
+    """Counts the attempts that an engine settles."""
 
-    def moved(self, episodes, row):
-        after, action, settling = honest(self, episodes, row)
-        return after, action, settling.replace(poses=settling.poses + 1e-6)
+    def __init__(self, engine):
+        super().__init__(engine.layout.num_objects, engine.config)
+        self.engine, self.number = engine, 0
 
-    monkeypatch.setattr(Recorder, "_recorded_step", moved)
-    index = next(place for place, each in enumerate(recordings) if len(each.placed))
-    with pytest.raises(BankError, match="settled elsewhere"):
-        Recorder(sampler, problem.world, WIDTH).record(7, index)
+    def settle_batch(self, poses, is_placed, focus, is_active):
+        self.number += int(is_active.sum())
+        return super().settle_batch(poses, is_placed, focus, is_active)
+
+
+def test_nothing_is_settled_twice(problem, sampler):
+    physics = Counted(problem.rules.physics)
+    sampler = dataclasses.replace(sampler, rules=dataclasses.replace(problem.rules, physics=physics))
+    recording = Recorder(sampler, problem.world, WIDTH).record(7, 2)
+    assert physics.number == len(recording.attempts)
 
 
 def test_attempts_are_those_that_the_rules_counted(scenes, recordings):

@@ -17,8 +17,8 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.render.assets import object_sheet, render_scene, scene_spec
 from cluttergen_jax.render.camera import axes, corners, fitted_eye
 from cluttergen_jax.render.config import View
-from cluttergen_jax.render.dress import dress
 from cluttergen_jax.render.gl import renderer_status
+from cluttergen_jax.render.lighting import add_lighting
 from cluttergen_jax.render.picture import contact_sheet, render_model, save_png
 
 IS_DRAWING, STATUS = renderer_status()
@@ -178,7 +178,7 @@ def test_pictures_repeat_exactly_and_shadows_are_cast():
     assert brightness.max() - brightness.min() > 30
 
 
-def test_dress_changes_no_physics():
+def test_lighting_changes_no_physics():
     def spec_of():
         spec = mujoco.MjSpec()
         body = spec.worldbody.add_body(pos=(0, 0, 1))
@@ -186,9 +186,9 @@ def test_dress_changes_no_physics():
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.1, 0.1, 0.1))
         return spec
 
-    plain, dressed = spec_of().compile(), dress(spec_of()).compile()
+    plain, lit = spec_of().compile(), add_lighting(spec_of()).compile()
     fallen = []
-    for model in (plain, dressed):
+    for model in (plain, lit):
         data = mujoco.MjData(model)
         mujoco.mj_step(model, data, 300)
         assert data.ncon == 0

@@ -22,9 +22,9 @@ def run(rules, actions, key=0):
     attempt = jax.jit(rules.attempt)
     episodes, rewards = [rules.begin(jax.random.key(key))], []
     for action in actions:
-        episode, reward = attempt(episodes[-1], action)
+        episode, transition = attempt(episodes[-1], action)
         episodes.append(episode)
-        rewards.append(float(reward))
+        rewards.append(float(transition.reward))
     return episodes, rewards
 
 

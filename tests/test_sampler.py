@@ -19,9 +19,11 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError, PoolError
-from cluttergen_jax.methods import FALLBACK_METHOD, checkpoint_of, default_method
+from cluttergen_jax.methods import FALLBACK_METHOD, choose_method, suited
+from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.region import KeepOut, make_region
 from cluttergen_jax.placement.rules import empty_start
+from cluttergen_jax.policies.checkpoint import Checkpoint
 from cluttergen_jax.policies.embedded import list_policies
 from cluttergen_jax.types import Verdict
 from tests.worlds import trio
@@ -318,6 +320,13 @@ def test_what_a_call_cannot_take_is_refused(sample, asked, says):
         sample(jax.random.key(0), **asked)
 
 
+def default_method(*args):
+    """The method's name where none is asked for; a policy comes with its checkpoint."""
+    method, checkpoint = choose_method(None, *args)
+    assert (checkpoint is None) == (method == FALLBACK_METHOD)
+    return method
+
+
 def test_the_default_method_follows_what_is_embedded(pool, monkeypatch):
     assert default_method(pool, "table", 2) == FALLBACK_METHOD
     assert default_method("dining", "table", 10) == "policy"
@@ -330,14 +339,12 @@ def test_the_default_method_follows_what_is_embedded(pool, monkeypatch):
     success = {"dining": 0.97, "kitchen": 0.4}
     embedded = {f"{name}-policy": name for name in (*success, "office")}
     monkeypatch.setattr("cluttergen_jax.methods.list_policies", lambda: embedded)
-    monkeypatch.setattr(
-        "cluttergen_jax.methods.read_policy_record",
-        lambda name: {
-            "support": "table",
-            "placement": {"num_objects": 10},
-            **({"evaluation": {"success": success[name]}} if name in success else {}),
-        },
-    )
+
+    def stored(name):
+        evaluation = {"evaluation": {"success": success[name]}} if name in success else {}
+        return Checkpoint(Path(name), {"support": "table", "placement": {"num_objects": 10}, **evaluation})
+
+    monkeypatch.setattr("cluttergen_jax.methods.read_checkpoint", stored)
     assert default_method("dining", "table", 10) == "policy"
     # A poor policy, one that was not evaluated, and none.
     assert [default_method(name, "table", 10) for name in ("kitchen", "office", "study")] == [
@@ -345,19 +352,38 @@ def test_the_default_method_follows_what_is_embedded(pool, monkeypatch):
     ] * 3
 
 
+def path_of(method, checkpoint):
+    """The folder of the checkpoint behind a method on dining."""
+    return choose_method(method, "dining", "table", 10, checkpoint)[1].path
+
+
 @pytest.mark.parametrize(
     ("method", "trained"), [("policy", "ranked"), ("normal", "policy"), ("policy-clear", "ranked")]
 )
 def test_a_checkpoint_of_another_method_is_refused(method, trained):
-    folder = str(list_policies()[f"dining-{trained}"])
+    folder = list_policies()[f"dining-{trained}"]
     with pytest.raises(ConfigError, match=f"method={trained!r}"):
-        checkpoint_of(method, "dining", folder)
-    assert checkpoint_of(trained, "dining", folder) == Path(folder)
+        path_of(method, str(folder))
+    assert path_of(trained, folder) == folder
 
 
-def test_the_screen_takes_every_policy_of_poses():
+def test_the_filter_takes_every_policy_of_poses():
     normal = list_policies()["dining-normal"]
-    assert checkpoint_of("policy-clear", "dining", str(normal)) == normal
+    assert path_of("policy-clear", normal) == normal
+
+
+def test_a_samplers_record_is_read_once(monkeypatch):
+    read, opened = Path.read_text, []
+
+    def noted(path, *args, **kwargs):
+        opened.append(path.name)
+        return read(path, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "read_text", noted)
+    method, checkpoint = choose_method(None, "dining", "table", 10)
+    assert suited(PlacementConfig(), checkpoint).history_stride == checkpoint.placement["history_stride"]
+    assert checkpoint.kind == checkpoint.network.kind == "pose"
+    assert (method, opened.count("record.json")) == ("policy", 1)
 
 
 def test_a_method_without_checkpoint_is_refused(pool):

@@ -6,8 +6,8 @@ import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.physics.rotation import turn_between
-from cluttergen_jax.scene import Scene, attach_to, collect, to_mjspec
+from cluttergen_jax.geometry import turn_between
+from cluttergen_jax.scene import Scene, collect
 from tests.test_export import spread
 from tests.worlds import box, trio
 
@@ -54,7 +54,7 @@ def test_alone_it_is_the_scene(scene, prefix):
 
 def test_beside_a_robot_poses_names_and_options_are_what_they_were(scene):
     spec = arm()
-    attachment = attach_to(spec, scene, "clutter/")
+    attachment = scene.attach_to(spec, "clutter/")
     model = spec.compile()
     assert model.opt.timestep == 0.002
     assert model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
@@ -101,15 +101,15 @@ def test_two_scenes_stand_elsewhere_in_one_model(scene):
 
 def test_a_name_that_is_taken_and_a_bad_turn_are_refused(scene):
     spec = arm()
-    attach_to(spec, scene, "clutter/")
+    scene.attach_to(spec, "clutter/")
     with pytest.raises(ConfigError, match="another prefix"):
-        attach_to(spec, scene, "clutter/")
+        scene.attach_to(spec, "clutter/")
     with pytest.raises(ConfigError, match="unit length"):
-        attach_to(spec, scene, "other/", quaternion=(2, 0, 0, 0))
+        scene.attach_to(spec, "other/", quaternion=(2, 0, 0, 0))
 
 
 def test_without_its_support(scene):
-    names = [body.name for body in to_mjspec(scene, support=False).bodies]
+    names = [body.name for body in scene.to_mjspec(support=False).bodies]
     assert "support" not in names
 
 

@@ -8,10 +8,12 @@ import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.scene_cloud import cloud_colours, ply_of, posed, scene_points, top_points
+from cluttergen_jax.assets.scene_cloud import cloud_colours, ply_of, scene_points, top_points
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import transformed
 from cluttergen_jax.render.config import View
+from cluttergen_jax.render.scene_renderer import PictureConfig
 from cluttergen_jax.render.sensors import (
     FIRST_OBJECT,
     FLOOR,
@@ -22,7 +24,6 @@ from cluttergen_jax.render.sensors import (
     segmentation_png,
     sense,
 )
-from cluttergen_jax.render.stage import Shooting
 from tests.recordings import cubes
 from tests.test_render import needs_gl
 
@@ -31,8 +32,8 @@ from tests.test_render import needs_gl
 def sensed():
     recording = cubes()
     view = View(azimuth=70, elevation=-50)
-    shooting = Shooting(width=200, height=150, samples=1, view=view)
-    return sense(recording.objects, recording.names, recording.poses, recording.support, shooting)
+    picture = PictureConfig(width=200, height=150, samples=1, view=view)
+    return sense(recording.objects, recording.names, recording.poses, recording.support, picture)
 
 
 def back_projected(sensed):
@@ -110,7 +111,7 @@ def test_cloud_points_lie_on_objects_and_table():
     spun = trimesh.transformations.quaternion_matrix(turned[3:])
     expected = mug.cloud @ spun[:3, :3].T + turned[:3]
     np.testing.assert_allclose(cloud.points[cloud.labels == 2], expected, atol=1e-6)
-    np.testing.assert_allclose(posed(mug.cloud, turned), expected, atol=1e-9)
+    np.testing.assert_allclose(transformed(turned, mug.cloud), expected, atol=1e-9)
 
 
 def test_cloud_colours_are_those_of_the_surfaces():

@@ -23,7 +23,7 @@ from cluttergen_jax.measures.simulate import horizons_of
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.problem import ProblemConfig, make_problem
 from cluttergen_jax.sampler import make_sampler
-from cluttergen_jax.scene import Scene, attach_to
+from cluttergen_jax.scene import Scene
 from tests.banks import two_scenes
 
 NOT_POSITIVE = (math.nan, math.inf, 0.0, -1.0)
@@ -154,10 +154,10 @@ def test_attaching_asks_for_objects_and_a_place():
         {"position": (0.0, math.nan, 0.0)},
     ):
         with pytest.raises(ConfigError, match=next(iter(wrong))):
-            attach_to(mujoco.MjSpec(), scene, **wrong)
+            scene.attach_to(mujoco.MjSpec(), **wrong)
     with pytest.raises(ConfigError, match="without objects"):
-        attach_to(mujoco.MjSpec(), Scene((), (), np.zeros((0, 7)), cuboid_table()))
-    assert attach_to(mujoco.MjSpec(), scene).bodies == ("clutter/mug",)
+        Scene((), (), np.zeros((0, 7)), cuboid_table()).attach_to(mujoco.MjSpec())
+    assert scene.attach_to(mujoco.MjSpec()).bodies == ("clutter/mug",)
 
 
 # The command line

@@ -9,7 +9,7 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.physics.rotation import turn_between
+from cluttergen_jax.geometry import turn_between
 from tests import banks
 
 

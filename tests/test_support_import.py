@@ -8,10 +8,8 @@ from shapely.ops import unary_union
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
-from cluttergen_jax.assets.overhead import look_down
+from cluttergen_jax.assets.overhead import cover, largest_rectangle, look_down
 from cluttergen_jax.assets.readers import primitives
-from cluttergen_jax.assets.readers.convex import signed_volume
-from cluttergen_jax.assets.rectangles import cover, largest_rectangle
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.support_import import support_from_mesh
 from cluttergen_jax.errors import AssetError
@@ -147,4 +145,4 @@ def test_an_inverted_table_is_drawn_the_right_way_round():
     table = primitives.box(np.array([0.4, 0.3, 0.35]))
     inverted = Piece(Mesh(table.vertices, table.faces[:, ::-1]))
     support = support_from_mesh(Shape("table", "table", (inverted,), SOURCE))
-    assert signed_volume(support.pieces[0].mesh) == pytest.approx(0.8 * 0.6 * 0.7)
+    assert support.pieces[0].mesh.volume == pytest.approx(0.8 * 0.6 * 0.7)

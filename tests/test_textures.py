@@ -26,7 +26,7 @@ from cluttergen_jax.bank.bank import read_bank
 from cluttergen_jax.bank.writer import BankWriter
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.importing.cache import source_digest
-from cluttergen_jax.viewer.scenery import textured_mesh
+from cluttergen_jax.viewer.scene_nodes import textured_mesh
 from tests import textured
 from tests.shapes import SOURCE
 

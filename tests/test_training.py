@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.agent.checkpoint import read_policy, read_record
-from cluttergen_jax.agent.learner import Learner
+from cluttergen_jax.agent.pose_agent import PoseAgent
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig, observe
+from cluttergen_jax.policies.checkpoint import read_checkpoint
 from cluttergen_jax.policies.policy import load_policy
-from cluttergen_jax.training.records import read_rows
+from cluttergen_jax.training.metrics_log import read_rows
 from tests.problems import made_up_rules
 from tests.runs import SMALL, Stopping, compiled_once, make_run, weights
 
@@ -34,6 +35,7 @@ def test_leaves_progress_curve_and_checkpoints(trained):
     assert (folder / "curve.png").stat().st_size > 1000
     assert read_record(folder / "last")["num_updates"] == 4
     for name in ("policy", "best"):
+        assert read_record(folder / name)["kind"] == "pose"
         assert (folder / name / "weights.npz").exists()
     assert list((folder / "tensorboard").iterdir())
 
@@ -52,7 +54,7 @@ def test_stopped_run_goes_on_to_the_same_bits(trained, tmp_path):
 def test_policy_reads_back_and_acts(trained):
     folder, state = trained
     rules = made_up_rules(history_stride=12)
-    policy = load_policy(folder / "policy", rules, is_sampled=False)
+    policy = load_policy(read_checkpoint(folder / "policy"), rules, is_sampled=False)
     episode = rules.begin(jax.random.key(0))
     action = jax.jit(policy)(jax.random.key(1), episode)
     assert action.shape == (4,)
@@ -64,23 +66,23 @@ def test_policy_reads_back_and_acts(trained):
     changed = {jax.tree_util.keystr(path).split("'")[3] for path, change in pairs if change > 1e-3}
     assert changed <= {"critic", "value"}
     seen = jax.tree.map(lambda leaf: leaf[None], observe(rules, episode, ObservationConfig()))
-    whole, _ = policy.learner.apply(state.params, seen)
+    whole, _ = policy.agent.apply(state.params, seen)
     np.testing.assert_allclose(action, whole.mean()[0], atol=0.01)
 
 
 def test_policy_that_remembers_otherwise_is_refused(trained):
     with pytest.raises(ConfigError, match="history_stride"):
-        load_policy(trained[0] / "policy", made_up_rules(history_stride=0))
+        load_policy(read_checkpoint(trained[0] / "policy"), made_up_rules(history_stride=0))
 
 
 def test_weights_of_another_network_are_refused(trained):
     other = NetworkConfig(width=24, num_layers=2)
     rules = made_up_rules(history_stride=12)
     geometry = rules.geometry
-    learner = Learner(other, geometry.cloud, geometry.half_extents, 4)
+    agent = PoseAgent(other, geometry.cloud, geometry.half_extents, 4)
     seen = jax.eval_shape(PlacementEnv(rules).reset, jax.random.key(0)).obs
     with pytest.raises(PoolError, match="another network"):
-        read_policy(trained[0] / "policy", learner.init(jax.random.key(0), seen))
+        read_policy(trained[0] / "policy", agent.init(jax.random.key(0), seen))
 
 
 def test_damaged_record_is_named(trained, tmp_path):
@@ -98,8 +100,8 @@ def test_renumbering_the_objects_leaves_actions_unchanged():
     for _ in range(2):
         episode, _ = rules.attempt(episode, jnp.array([0.9, 0.4, 0.5, 0.1]))
     seen = jax.tree.map(lambda leaf: leaf[None], observe(rules, episode, ObservationConfig()))
-    learner = Learner(SMALL, cloud, half, 4)
-    params = learner.init(jax.random.key(1), jax.tree.map(lambda leaf: leaf[0], seen))
+    agent = PoseAgent(SMALL, cloud, half, 4)
+    params = agent.init(jax.random.key(1), jax.tree.map(lambda leaf: leaf[0], seen))
     order = jnp.array([3, 0, 5, 1, 4, 2])
     new_number = jnp.argsort(order)
     renumbered = seen | {
@@ -107,7 +109,7 @@ def test_renumbering_the_objects_leaves_actions_unchanged():
         "is_placed": seen["is_placed"][:, order],
         "T_region_object": seen["T_region_object"][:, order],
     }
-    one = learner.apply(params, seen)
-    two = Learner(SMALL, cloud[order], half[order], 4).apply(params, renumbered)
+    one = agent.apply(params, seen)
+    two = PoseAgent(SMALL, cloud[order], half[order], 4).apply(params, renumbered)
     np.testing.assert_allclose(one[0].mean(), two[0].mean(), atol=1e-5)
     np.testing.assert_allclose(one[1], two[1], atol=1e-5)

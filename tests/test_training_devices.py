@@ -11,8 +11,8 @@ import pytest
 
 from cluttergen_jax.agent.checkpoint import read_record
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.training.hosts import agree, join
-from cluttergen_jax.training.records import read_rows
+from cluttergen_jax.training.distributed import agree, join
+from cluttergen_jax.training.metrics_log import read_rows
 
 ROOT = Path(__file__).parents[1]
 

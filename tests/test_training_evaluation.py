@@ -6,11 +6,11 @@ import jax
 import numpy as np
 import pytest
 
+from cluttergen_jax.agents import make_agent
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.problem import ProblemConfig, compose
-from cluttergen_jax.task import make_task
 from cluttergen_jax.training.evaluator import Evaluator
 from tests.runs import SMALL
 from tests.worlds import trio
@@ -27,9 +27,9 @@ def problem():
 
 @pytest.fixture(scope="module")
 def params(problem):
-    task = make_task(problem.rules, SMALL)
-    seen = jax.eval_shape(task.env.reset, jax.random.key(0)).obs
-    return jax.device_get(task.learner.init(jax.random.key(0), seen))
+    env, agent = make_agent(problem.rules, SMALL)
+    seen = jax.eval_shape(env.reset, jax.random.key(0)).obs
+    return jax.device_get(agent.init(jax.random.key(0), seen))
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Compiled updates: the same bits however many a call makes, and where numbers stop being finite."""
+"""Compiled updates: the same bits however many a call makes, and none after one that is not finite."""
 
 from dataclasses import replace
 
@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.agent.checkpoint import read_record, read_state
-from cluttergen_jax.agent.health import SOUND, GradientSteps, Health, explain
-from cluttergen_jax.agent.ppo import Transition
 from cluttergen_jax.training.run import DivergedError
 from cluttergen_jax.training.updates import Updates, num_updates
 from tests.probes import Bandit, Tiny, learner
@@ -59,7 +57,7 @@ def ill(state, illness):
 
 def test_three_at_once_are_one_by_one(sick):
     updates, state = sick
-    at_once, rows, health = updates(state, 3)
+    at_once, rows, is_finite = updates(state, 3)
     one_by_one, singly = state, []
     for _ in range(3):
         one_by_one, row, _ = updates(one_by_one, 1)
@@ -67,64 +65,41 @@ def test_three_at_once_are_one_by_one(sick):
     assert same_bits(at_once, one_by_one)
     assert len(rows) == 3
     assert rows == singly
-    assert explain(health) == ""
+    assert is_finite
     assert not same_bits(at_once.params, state.params)
 
 
 @pytest.mark.parametrize(
     ("illness", "where"),
     [
-        (OBSERVATION, "the environment's observation at step 3 of the rollout"),
-        (LAST, "the environment's observation at step 4 of the rollout"),
-        (REWARD, "the environment's reward at step 2 of the rollout"),
-        (LARGE, "value_loss at gradient step 0"),
+        (OBSERVATION, "_roll_out"),
+        (LAST, "_roll_out"),
+        (REWARD, "_roll_out"),
+        (LARGE, "checked_update"),
     ],
 )
-def test_origin_is_named_and_nothing_follows(sick, illness, where):
+def test_an_update_that_is_not_finite_is_the_last_and_its_place_is_named(sick, illness, where):
     updates, state = sick
-    after, rows, health = updates(ill(state, illness), 3)
-    assert explain(health) == where
+    after, rows, is_finite = updates(ill(state, illness), 3)
+    assert not is_finite
     assert len(rows) == 1
     assert int(after.num_updates) == 1
+    found = updates.where_not_finite(ill(state, illness), len(rows))
+    assert found.startswith(f"{where} (agent/ppo.py:")
+    assert not jax.config.jax_debug_nans
 
 
-def test_weights_that_are_not_finite_show_in_what_they_make(sick):
+def test_weights_that_are_not_finite_are_noticed(sick):
     updates, state = sick
     broken = jax.tree.map(lambda leaf: leaf * jnp.nan, state.params)
-    _, _, health = updates(state.replace(params=broken), 1)
-    assert explain(health).startswith("the network's")
-    assert "value" in explain(health)
+    assert not updates(state.replace(params=broken), 1)[2]
 
 
-def health(losses=(), gradients=(), weights=()):
-    def tree(names, given):
-        return {name: np.int32(dict(given).get(name, SOUND)) for name in names}
-
-    sound = np.int32(SOUND)
-    rollout = Transition(sound, sound, sound, sound, sound, sound)
-    layers = ("actor", "critic")
-    return Health(
-        rollout,
-        GradientSteps(
-            tree(("loss", "entropy", "kl", "gradient_norm"), losses),
-            {"params": tree(layers, gradients)},
-            {"params": tree(layers, weights)},
-        ),
-    )
-
-
-def test_earlier_step_is_the_cause():
-    after = health(losses={"loss": 4, "entropy": 4}, weights={"actor": 3})
-    assert explain(after) == "the weights actor at gradient step 3"
-    at_once = health(
-        losses={"loss": 4, "entropy": 4, "gradient_norm": 4}, gradients={"actor": 4}, weights={"actor": 4}
-    )
-    assert explain(at_once) == "entropy at gradient step 4"
-    assert explain(health(gradients={"critic": 2}, weights={"critic": 2, "actor": 2})) == (
-        "the gradient of critic at gradient step 2"
-    )
-    assert explain(health(losses={"loss": 1}, weights={"actor": 1})) == "loss at gradient step 1"
-    assert explain(health()) == ""
+def test_the_update_at_fault_may_be_a_later_one(sick):
+    updates, state = sick
+    later = updates(state, 2)[0]
+    assert updates.where_not_finite(state, 3) == ""
+    assert "_roll_out" in updates.where_not_finite(ill(later, REWARD), 1)
 
 
 def test_number_of_updates_follows_their_time():
@@ -147,7 +122,7 @@ def test_diverged_run_keeps_the_last_good_state(tmp_path, monkeypatch):
         return healthy(self, state, num)
 
     monkeypatch.setattr(Updates, "__call__", poisoned)
-    with pytest.raises(DivergedError, match=r"the network's .* at step 0 of the rollout"):
+    with pytest.raises(DivergedError, match=r"update \d+: numbers are not finite"):
         run.train()
     last = tmp_path / "run" / "last"
     kept = read_state(last, calls[2])

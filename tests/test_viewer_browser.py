@@ -198,7 +198,7 @@ def test_hulls_clouds_and_region_appear_and_go(page):
         ticked = page.changes(plain)
         page.tick(label)
         page.changes(ticked)
-    shown = page.session.scenery.shown
+    shown = page.session.nodes.shown
     assert (shown.hulls, shown.region, shown.scene_cloud, shown.object_cloud) == (False, True, False, False)
 
 
@@ -208,7 +208,7 @@ def test_failed_attempts_are_shown_in_red(page):
     page.tick("All failed attempts")
     assert num_red(page.changes(plain)) > num_red(plain) + 30
     page.tick("All failed attempts")
-    page.until(lambda: not page.session.scenery.shown.failures)
+    page.until(lambda: not page.session.nodes.shown.failures)
 
 
 def test_attempts_are_played_to_the_end(page):
@@ -268,12 +268,12 @@ def test_two_browsers_look_at_different_scenes(page, open_page):
     other.press("Next")
     other.until(lambda: "scene 1" in other.text())
     other.tick("Hulls")
-    other.until(lambda: other.session.scenery.shown.hulls)
+    other.until(lambda: other.session.nodes.shown.hulls)
     assert changed(before, other.picture())
     # The first browser has noticed nothing of it.
     assert "scene 0" in page.text()
     assert "scene 1" not in page.text()
-    assert not page.session.scenery.shown.hulls
+    assert not page.session.nodes.shown.hulls
     assert not changed(before, page.picture())
     assert (page.session.number, other.session.number) == (0, 1)
     other.browser.close()

@@ -93,12 +93,12 @@ def test_two_browsers_look_at_different_scenes_and_leave_alone(viewer):
             until(lambda: "**scene 0** stands" in said(other))
             other.step(1)
             other._seed_entry.value = 7
-            other.scenery.shown.hulls = True
+            other.nodes.shown.hulls = True
             until(lambda: "**scene 1** stands" in said(other))
             assert (one.number, other.number) == (0, 1)
             assert "**scene 0** stands" in said(one)
             assert (one._scene.value, one._seed_entry.value) == (0, 1)
-            assert not one.scenery.shown.hulls
+            assert not one.nodes.shown.hulls
             one.sample()
             until(lambda: "**random, seed 1** stands" in said(one))
             assert "**scene 1** stands" in said(other)

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
-from cluttergen_jax.errors import PoolError
+from cluttergen_jax.agent.sharding import with_keys, without_keys
+from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import folder_whole, put_back, write_atomically
 
 FORMAT = 1
-_TRAINED = ("max_attempts", "history_stride")
 _CRITIC = ("params/critic/", "params/value/")
 """What acting does not need; an attention layer has a `value` too, which it does."""
 _MOST_BYTES, _HEADER = 8, 4096
@@ -34,13 +34,9 @@ def _checkpointer() -> ocp.StandardCheckpointer:
     return ocp.StandardCheckpointer(multiprocessing_options=alone)
 
 
-def _is_key(leaf: Any) -> bool:
-    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-
-
 def _stored(tree: Any) -> dict[str, Any]:
     """The leaves that can be stored, by number: PRNG keys as plain arrays, empty arrays left out."""
-    leaves = [jax.random.key_data(leaf) if _is_key(leaf) else leaf for leaf in jax.tree.leaves(tree)]
+    leaves = jax.tree.leaves(without_keys(tree))
     if jax.process_count() > 1:
         # Among several processes Orbax takes a JAX array for something that all of them hold together.
         leaves = [np.asarray(leaf) for leaf in leaves]
@@ -49,12 +45,11 @@ def _stored(tree: Any) -> dict[str, Any]:
 
 def _restored(stored: dict[str, Any], like: Any) -> Any:
     """The inverse of `_stored`, guided by a tree of the same structure."""
-    leaves, structure = jax.tree.flatten(like)
+    leaves, structure = jax.tree.flatten(without_keys(like))
     for number, leaf in enumerate(leaves):
         if leaf.size:
-            value = stored[f"{number:05d}"]
-            leaves[number] = jax.random.wrap_key_data(jnp.asarray(value)) if _is_key(leaf) else value
-    return jax.tree.unflatten(structure, leaves)
+            leaves[number] = stored[f"{number:05d}"]
+    return with_keys(jax.tree.unflatten(structure, leaves), like)
 
 
 def save_state(path: Path, state: Any, record: dict[str, Any]) -> None:
@@ -89,21 +84,27 @@ def read_record(path: Path) -> dict[str, Any]:
     return record
 
 
-def read_policy_record(path: Path) -> dict[str, Any]:
-    """What is known of a policy: at least its `network`, and the `placement` in which it was trained.
+def check_folder(folder: Path, recipe: dict[str, Any]) -> None:
+    """Refuses to continue a run that was made with other settings.
 
     Raises:
-      PoolError: as `read_record`, or these are not said.
+      ConfigError: there is one; the message says which settings differ.
     """
-    record = read_record(path)
-    trained = record.get("placement")
-    numbers = [trained.get(name) for name in _TRAINED] if isinstance(trained, dict) else [None]
-    if not isinstance(record.get("network"), dict) or not all(type(number) is int for number in numbers):
-        raise PoolError(
-            f"{path / 'record.json'} does not say what network it holds, and how that was trained",
-            hint="a policy that `cluttergen train` of this version left",
+    if not has_state(folder / "last"):
+        return
+    theirs = read_record(folder / "last")
+    changed = sorted(name for name, value in recipe.items() if theirs.get(name) != _as_json(value))
+    if changed:
+        raise ConfigError(
+            f"{folder} holds a run with another {', '.join(changed)}",
+            "the same settings, which continue it",
+            "another `out`",
         )
-    return record
+
+
+def _as_json(value: Any) -> Any:
+    """As it comes back from a file: tuples are lists."""
+    return json.loads(json.dumps(value))
 
 
 def read_state(path: Path, like: Any) -> Any:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
+from jax.sharding import Mesh
 
 from cluttergen_jax.agent.advantages import generalised_advantages
 from cluttergen_jax.agent.config import PPOConfig
-from cluttergen_jax.agent.devices import Devices, OneDevice
-from cluttergen_jax.agent.health import GradientSteps, Health, health_of, squares
+from cluttergen_jax.agent.sharding import each, spread
 from cluttergen_jax.physics.brax_env import Env, State
 from cluttergen_jax.types import Array
 
@@ -66,14 +66,14 @@ class PPO:
       env: one environment, known only by Brax's protocol.
       apply: the network.
       config: the numbers.
-      devices: where the environments live.
+      mesh: the devices that share the environments (`sharding.make_mesh`); None for one device.
       encode: adds to observations, when they are made, what no later update will change.
     """
 
     env: Env
     apply: Apply
     config: PPOConfig
-    devices: Devices = field(default_factory=OneDevice)
+    mesh: Mesh | None = None
     encode: Encode = as_seen
 
     def optimizer(self) -> optax.GradientTransformation:
@@ -97,8 +97,8 @@ class PPO:
         """One rollout and its gradient steps; the new state and figures to show."""
         return self.checked_update(state)[:2]
 
-    def checked_update(self, state: TrainState) -> tuple[TrainState, dict[str, Array], Health]:
-        """`update`, and where in it numbers stopped being finite."""
+    def checked_update(self, state: TrainState) -> tuple[TrainState, dict[str, Array], Array]:
+        """`update`, and bool: whether all numbers of it were finite."""
         key_rollout, key_learn, key = jax.random.split(state.key, 3)
         env, batch = self._roll_out(state.params, state.env, key_rollout)
         last_seen = self.encode(state.params)(env.obs)
@@ -107,15 +107,14 @@ class PPO:
             batch.reward, batch.value, batch.done, last_value, self.config.discount, self.config.gae_lambda
         )
         flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), (batch, advantage, target))
-        (params, optimizer), steps = self._learn(state.params, state.optimizer, flat, key_learn)
-        steps = jax.tree.map(lambda x: x.reshape(-1), steps)
-        figures = {name: jnp.mean(values) for name, values in steps.losses.items()}
-        spread = jnp.var(target)
-        figures["explained_variance"] = 1 - jnp.var(target - batch.value) / jnp.maximum(spread, 1e-8)
+        (params, optimizer), losses = self._learn(state.params, state.optimizer, flat, key_learn)
+        figures = {name: jnp.mean(values.reshape(-1)) for name, values in losses.items()}
+        variance = jnp.maximum(jnp.var(target), 1e-8)
+        figures["explained_variance"] = 1 - jnp.var(target - batch.value) / variance
         figures |= {"reward": jnp.mean(batch.reward), "episodes": jnp.sum(batch.done)}
         figures |= {f"env/{name}": jnp.mean(value) for name, value in env.metrics.items()}
-        health = health_of(batch, (last_seen, last_value), steps)
-        return TrainState(params, optimizer, env, key, state.num_updates + 1), figures, health
+        is_finite = all_finite((batch, last_seen, last_value, losses, params))
+        return TrainState(params, optimizer, env, key, state.num_updates + 1), figures, is_finite
 
     def _roll_out(self, params: Params, env: State, key: Array) -> tuple[State, Transition]:
         encode = self.encode(params)
@@ -124,26 +123,25 @@ class PPO:
             seen = encode(env.obs)
             dist, value = self.apply(params, seen)
             action = dist.sample(key)
-            after = self.devices.each(self.env.step)(env, action)
+            after = each(self.env.step, self.mesh)(env, action)
             return after, Transition(seen, action, dist.log_prob(action), value, after.reward, after.done)
 
         return jax.lax.scan(step, env, jax.random.split(key, self.config.num_steps))
 
     def _learn(
         self, params: Params, optimizer: optax.OptState, flat: Any, key: Array
-    ) -> tuple[tuple[Params, optax.OptState], GradientSteps]:
+    ) -> tuple[tuple[Params, optax.OptState], dict[str, Array]]:
         config, transform = self.config, self.optimizer()
 
-        def minibatch(carry: Any, index: Array) -> tuple[Any, GradientSteps]:
+        def minibatch(carry: Any, index: Array) -> tuple[Any, dict[str, Array]]:
             params, optimizer = carry
-            chosen = self.devices.spread(jax.tree.map(lambda x: x[index], flat))
+            chosen = spread(jax.tree.map(lambda x: x[index], flat), self.mesh)
             gradient, losses = jax.grad(self._loss, has_aux=True)(params, *chosen)
             change, optimizer = transform.update(gradient, optimizer, params)
             losses["gradient_norm"] = optax.global_norm(gradient)
-            params = optax.apply_updates(params, change)
-            return (params, optimizer), GradientSteps(losses, squares(gradient), squares(params))
+            return (optax.apply_updates(params, change), optimizer), losses
 
-        def epoch(carry: Any, key: Array) -> tuple[Any, GradientSteps]:
+        def epoch(carry: Any, key: Array) -> tuple[Any, dict[str, Array]]:
             order = jax.random.permutation(key, config.batch_size)
             return jax.lax.scan(minibatch, carry, order.reshape(config.num_minibatches, -1))
 
@@ -170,3 +168,9 @@ class PPO:
             "kl": jnp.mean(ratio - 1 - log_ratio),
             "clipped": jnp.mean(jnp.abs(ratio - 1) > config.clip),
         }
+
+
+def all_finite(tree: Any) -> Array:
+    """bool: whether every number of a tree of arrays is finite."""
+    leaves = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
+from cluttergen_jax.assets.cloud import farthest_first
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import AssetError
@@ -61,7 +62,7 @@ def cut_columns(asset: ObjectAsset, spacing: float, num_samples: int) -> Columns
         raise AssetError(f"{asset.name}: no column of {spacing * 1000:g} mm meets it", hint="a finer spacing")
     weight = np.where(np.arange(len(xy)) < len(outline), _OUTLINE_WEIGHT, 1.0)
     xy, top = xy[hit], highest[hit]
-    sample = farthest_first(xy, weight[hit], num_samples)
+    sample = farthest_first(xy, num_samples, weight[hit])
     return Columns(xy, lowest[hit], top, sample, _grown(xy, top, asset.half_extents[:2]))
 
 
@@ -125,18 +126,3 @@ def _part_range(planes: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndar
     bottom = np.where(slope < -1e-9, crossing, -np.inf).max(0)
     outside = ((np.abs(slope) <= 1e-9) & (offset > 1e-9)).any(0)
     return ~outside & (bottom <= top), bottom, top
-
-
-def farthest_first(points: np.ndarray, weight: np.ndarray, number: int) -> np.ndarray:
-    """i64[M]: up to `number` indices, each next one the farthest from those before it.
-
-    Args:
-      points: f64[P, 2]; weight: f64[P], distances to points that are to lie denser count for more.
-    """
-    order = np.empty(min(number, len(points)), int)
-    order[0] = np.argmax(((points - points.mean(0)) ** 2).sum(1))
-    distance = np.full(len(points), np.inf)
-    for place in range(1, len(order)):
-        distance = np.minimum(distance, ((points - points[order[place - 1]]) ** 2).sum(1))
-        order[place] = np.argmax(distance * weight**2)
-    return order

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cluttergen_jax.errors import ConfigError
 
@@ -51,9 +51,9 @@ class DecompositionConfig:
     @property
     def finer(self) -> DecompositionConfig:
         """A slower search with a lower threshold, for objects that the first one served badly."""
-        return DecompositionConfig(
+        return replace(
+            self,
             threshold=max(0.01, self.threshold / 2.5),
-            max_parts=self.max_parts,
             resolution=2 * self.resolution,
             nodes=3 * self.nodes,
             iterations=4 * self.iterations,

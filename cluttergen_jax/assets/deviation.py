@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
+from cluttergen_jax.assets.cloud import sample_solid, sample_surface
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.solid import Solid
@@ -16,23 +17,6 @@ NUM_SAMPLES = 10_000
 _DENSITY = 20
 # Cells along the longest side: gaps of up to two of them, 1.4 % of it, count as closed.
 _FINE = 144
-
-
-def sample_surface(mesh: Mesh, count: int, seed: int) -> np.ndarray:
-    """f64[count, 3]: points on the mesh, uniform by area, the same for the same seed."""
-    return sample_faces(mesh, count, seed)[0]
-
-
-def sample_faces(mesh: Mesh, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """`sample_surface`'s points, and i64[count]: the triangle on which each lies."""
-    corners = mesh.vertices[mesh.faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.cumsum(np.linalg.norm(normal, axis=1))
-    rng = np.random.default_rng(seed)
-    which = np.searchsorted(area, rng.uniform(0, area[-1], count), side="right").clip(0, len(area) - 1)
-    root, along = np.sqrt(rng.uniform(size=count)), rng.uniform(size=count)
-    weights = np.stack([1 - root, root * (1 - along), root * along], axis=1)
-    return np.einsum("nk,nkd->nd", weights, corners[which]), which
 
 
 def sample_parts(parts: Sequence[np.ndarray], count: int, seed: int) -> np.ndarray:
@@ -61,17 +45,6 @@ def is_inside(points: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
         height = points[near] @ hull.equations[:, :3].T + hull.equations[:, 3]
         inside[near] = height.max(1, initial=-np.inf) < 0
     return inside
-
-
-def sample_solid(solid: Solid, count: int, seed: int) -> np.ndarray:
-    """f64[<= count, 3]: points of the object's own surface that can be seen from outside.
-
-    Of an exact solid all of its surface; else of all triangles those that a flood from outside reaches.
-    """
-    if solid.is_exact:
-        return sample_surface(solid.mesh, count, seed)
-    points = sample_surface(solid.surface, 3 * count, seed)
-    return points[Voxels.of(solid.surface).is_exposed(points)][:count]
 
 
 def deviation(parts: Sequence[np.ndarray], solid: Solid, seed: int = 0) -> float:

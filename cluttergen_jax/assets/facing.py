@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.deviation import sample_faces
+from cluttergen_jax.assets.cloud import sample_faces
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import Solid
@@ -49,14 +49,14 @@ class Skin:
     @staticmethod
     def of(solid: Solid) -> Skin:
         """The skin of a solid, to 1 mm or so on an object of 30 cm."""
-        points, faces = sample_faces(solid.mesh, _NUM_SAMPLES, 0)
+        points, faces, _ = sample_faces(solid.mesh, _NUM_SAMPLES, 0)
         normals = _directions(solid.mesh)[0][faces]
         return Skin(cKDTree(points), normals, _NEAR * solid.diagonal, solid.is_exact)
 
     def agreement(self, mesh: Mesh) -> np.ndarray:
         """f64[F]: for each triangle, 1 if it faces as the solid does, -1 if it faces inwards, 0 if hidden."""
         directions, _ = _directions(mesh)
-        spots = np.einsum("sk,fkd->fsd", _SPOTS, mesh.vertices[mesh.faces])
+        spots = np.einsum("sk,fkd->fsd", _SPOTS, mesh.corners)
         distance, nearest = self.tree.query(spots)
         along = np.einsum("fd,fsd->fs", directions, self.normals[nearest])
         is_told = (distance < self.reach) & (np.abs(along) > 0.5)
@@ -151,7 +151,7 @@ def _patches(mesh: Mesh) -> _Patches:
     area = np.bincount(label, _directions(mesh)[1], total)
     ends = np.where(is_turned[rim // 3], [end[rim], start[rim]], [start[rim], end[rim]])
     points = np.empty((int(corners.max()) + 1, 3))
-    points[corners] = mesh.vertices[mesh.faces]
+    points[corners] = mesh.corners
     holes = _hole_areas(points, ends, label[rim // 3], total) / np.maximum(area, 1e-30)
     return _Patches(total, label, is_turned, holes, is_one_sided)
 
@@ -187,8 +187,7 @@ def _reversed(mesh: Mesh, which: np.ndarray) -> Mesh:
 
 def _directions(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """f64[F, 3], f64[F]: unit normals, and areas."""
-    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    normals = np.cross(b - a, c - a)
+    normals = mesh.normals
     length = np.linalg.norm(normals, axis=1)
     return normals / np.maximum(length, 1e-30)[:, None], length / 2
 
@@ -199,7 +198,7 @@ def _sums(patches: _Patches, values: np.ndarray) -> np.ndarray:
 
 def _volumes(mesh: Mesh, patches: _Patches) -> np.ndarray:
     """f64[F]: each triangle's share of its patch's volume, taken about the patch's own middle."""
-    corners = mesh.vertices[mesh.faces]
+    corners = mesh.corners
     centers = _means(patches.label, corners.mean(1), patches.count)
     a, b, c = (corners[:, k] - centers[patches.label] for k in range(3))
     return np.einsum("ij,ij->i", a, np.cross(b, c)) / 6

@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.deviation import is_inside
-from cluttergen_jax.assets.mjcf import new_spec
+from cluttergen_jax.assets.mjcf import add_part, new_spec
 from cluttergen_jax.assets.shape import Cavity
 from cluttergen_jax.assets.solid import Solid
 from cluttergen_jax.assets.voxels import Voxels
@@ -80,10 +80,7 @@ def holds_ball(parts: Sequence[np.ndarray], hollow: Hollow) -> bool:
     """Whether a 10 mm ball let go just above the mouth comes to rest in the cavity of the fixed parts."""
     spec = new_spec(StabilityConfig().timestep / 2, ContactConfig())
     for index, points in enumerate(parts):
-        mesh = spec.add_mesh(name=f"part-{index}")
-        mesh.uservert = points.astype(np.float32).ravel()
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name)
+        add_part(spec, spec.worldbody, f"part-{index}", points)
     above = hollow.mouth + np.array([0, 0, 1.2 * BALL_RADIUS])
     ball = spec.worldbody.add_body(name="ball", pos=above)
     ball.add_freejoint()

@@ -1,10 +1,11 @@
-"""A triangle mesh as two arrays."""
+"""A triangle mesh as two arrays, and what can be told and mended of its triangles alone."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +35,30 @@ class Mesh:
         """f64[2, 3]: the lower and the upper corner of the axis-aligned box."""
         return np.stack([self.vertices.min(0), self.vertices.max(0)])
 
+    @property
+    def corners(self) -> np.ndarray:
+        """f64[F, 3, 3]: the three points of each triangle."""
+        return self.vertices[self.faces]
+
+    @property
+    def normals(self) -> np.ndarray:
+        """f64[F, 3]: each triangle's normal, twice as long as its area."""
+        corners = self.corners
+        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+    @property
+    def volume(self) -> float:
+        """Cubic metres enclosed by a closed mesh, positive if its triangles face outwards."""
+        a, b, c = (self.corners[:, i] - self.vertices.mean(0) for i in range(3))
+        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+
+    def hull(self) -> Mesh:
+        """A convex part with its faces, counter-clockwise seen from outside."""
+        hull = ConvexHull(self.vertices)
+        inward = (Mesh(self.vertices, hull.simplices).normals * hull.equations[:, :3]).sum(1) < 0
+        faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+        return Mesh(self.vertices, faces)
+
     def transformed(self, rotation: np.ndarray, translation: np.ndarray) -> Mesh:
         """The mesh with every vertex v moved to rotation @ v + translation."""
         return Mesh(self.vertices @ np.asarray(rotation).T + np.asarray(translation), self.faces)
@@ -46,3 +71,36 @@ def joined(meshes: list[Mesh] | tuple[Mesh, ...]) -> Mesh:
         np.concatenate([mesh.vertices for mesh in meshes]),
         np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=True)]),
     )
+
+
+def cleaned(mesh: Mesh, is_closed: bool = False) -> Mesh:
+    """The mesh with equal vertices welded; collapsed and doubled triangles and unused vertices dropped.
+
+    Slivers stay: to drop one would open a closed surface. Of coinciding triangles one stays; of a surface
+    that should be closed, a triangle and its reverse cancel out.
+    """
+    if not len(mesh.faces):
+        return mesh
+    digits = 6 - int(np.floor(np.log10(max(float(np.ptp(mesh.vertices)), 1e-9))))
+    _, first, inverse = np.unique(
+        np.round(mesh.vertices, digits), axis=0, return_index=True, return_inverse=True
+    )
+    faces = inverse.reshape(-1)[mesh.faces]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
+    if not len(faces):
+        return Mesh(np.zeros((0, 3)), faces)
+    corners, turn = np.sort(faces, axis=1), np.sign(_parity(faces))
+    _, which = np.unique(corners, axis=0, return_inverse=True)
+    which = which.reshape(-1)
+    if is_closed:
+        balance = np.bincount(which, turn)[which] * turn
+        which, faces = which[balance > 0], faces[balance > 0]
+    faces = faces[np.sort(np.unique(which, return_index=True)[1])]
+    used, faces = np.unique(faces, return_inverse=True)
+    return Mesh(mesh.vertices[first][used], faces.reshape(-1, 3))
+
+
+def _parity(faces: np.ndarray) -> np.ndarray:
+    """Positive where a triangle's corners are an even permutation of their sorted order."""
+    a, b, c = faces.T
+    return np.where((a < b).astype(int) + (b < c) + (c < a) == 2, 1, -1)

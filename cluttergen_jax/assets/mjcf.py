@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -13,7 +12,8 @@ from cluttergen_jax.assets.shading import shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.texture import Texture
-from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.geometry import yaw_quaternion
 
 VISUAL_GROUP = 2
 COLLISION_GROUP = 3
@@ -22,6 +22,8 @@ SPECULAR, SHININESS = 0.25, 0.35
 MAX_FRICTION = 10.0
 """Sliding coefficients of objects from here on are all alike to MuJoCo's choice between two of them."""
 _HIGHEST_PRIORITY = 100_000
+_PARKING_START, _PARKING_HEIGHT, _PARKING_GAP = 50.0, 10.0, 0.1
+"""Metres."""
 
 
 def new_spec(timestep: float, contact: ContactConfig) -> mujoco.MjSpec:
@@ -63,10 +65,6 @@ def own_contact(friction: float, default: Sequence[float]) -> tuple[tuple[float,
     return (sliding, torsional, rolling), max(1, round(_HIGHEST_PRIORITY * (1 - friction / MAX_FRICTION)))
 
 
-def _yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
-    return (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
-
-
 def set_surface(mesh: mujoco.MjsMesh, piece: Piece) -> None:
     """Gives a mesh the triangles of a piece, and normals and texture coordinates if it has an image."""
     vertices, faces = piece.mesh.vertices, piece.mesh.faces
@@ -85,19 +83,23 @@ def _add_visuals(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pieces: t
     for index, piece in enumerate(pieces):
         mesh = spec.add_mesh(name=f"{name}/visual-{index}")
         set_surface(mesh, piece)
-        # A shell's volume is never singular, and a visual mesh carries no mass here.
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        body.add_geom(
-            name=f"{name}/visual-{index}",
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=mesh.name,
-            rgba=piece.rgba,
-            material=add_texture(spec, piece.texture),
-            contype=0,
-            conaffinity=0,
-            group=VISUAL_GROUP,
-            mass=0,
-        )
+        _add_visual(body, mesh, piece, add_texture(spec, piece.texture)).name = mesh.name
+
+
+def _add_visual(body: mujoco.MjsBody, mesh: mujoco.MjsMesh, piece: Piece, material: str) -> mujoco.MjsGeom:
+    """Adds a geom that is drawn and neither collides nor weighs anything."""
+    # A shell's volume is never singular.
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    return body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=mesh.name,
+        rgba=piece.rgba,
+        material=material,
+        contype=0,
+        conaffinity=0,
+        group=VISUAL_GROUP,
+        mass=0,
+    )
 
 
 def add_texture(spec: mujoco.MjSpec, texture: Texture | None, folder: str = "") -> str:
@@ -121,6 +123,14 @@ def add_texture(spec: mujoco.MjSpec, texture: Texture | None, folder: str = "") 
     return name
 
 
+def add_part(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, vertices: np.ndarray) -> mujoco.MjsGeom:
+    """Adds a geom, and a mesh of the same name, which is the hull of f[V, 3]."""
+    mesh = spec.add_mesh(name=name)
+    mesh.uservert = vertices.astype(np.float32).ravel()
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    return body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
+
+
 def add_object(spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bool = False) -> mujoco.MjsBody:
     """Adds a free body called `name` whose frame is the object frame.
 
@@ -135,16 +145,8 @@ def add_object(spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bo
     body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     body.explicitinertial = True
     for index, part in enumerate(asset.parts):
-        mesh = spec.add_mesh(name=f"{name}/part-{index}")
-        mesh.uservert = part.vertices.astype(np.float32).ravel()
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-        body.add_geom(
-            name=f"{name}/part-{index}",
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=mesh.name,
-            group=COLLISION_GROUP,
-            rgba=(0.6, 0.6, 0.65, 1.0),
-        )
+        geom = add_part(spec, body, f"{name}/part-{index}", part.vertices)
+        geom.group, geom.rgba = COLLISION_GROUP, (0.6, 0.6, 0.65, 1.0)
     if asset.friction is not None:
         for geom in body.geoms:
             geom.friction, geom.priority = own_contact(asset.friction, spec.default.geom.friction)
@@ -162,10 +164,70 @@ def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = Fa
             name=f"support/box-{index}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=box.center,
-            quat=_yaw_quaternion(box.yaw),
+            quat=yaw_quaternion(box.yaw),
             size=box.half_extents,
             rgba=box.rgba,
             group=VISUAL_GROUP if is_drawn else COLLISION_GROUP,
         )
     if visual:
         _add_visuals(spec, body, "support", support.pieces)
+
+
+def populated_spec(
+    names: Sequence[str],
+    objects: Sequence[ObjectAsset],
+    support: SupportAsset | None,
+    timestep: float,
+    contact: ContactConfig,
+    *,
+    poses: np.ndarray | None = None,
+    visual: bool = False,
+) -> mujoco.MjSpec:
+    """A support and free objects on it, ready to be compiled; its only joints are theirs, in this order.
+
+    Args:
+      names: N unique names, of the bodies and their joints.
+      support: None leaves it out.
+      timestep: seconds.
+      poses: f[N, 7], T_world_object, metres, wxyz. None parks the objects in the air, unturned, far from the
+        support and from each other, so that they touch nothing.
+      visual: whether coloured surfaces come along.
+    """
+    spec = new_spec(timestep, contact)
+    if support is not None:
+        add_support(spec, support, visual=visual)
+    x = _PARKING_START
+    for index, (name, asset) in enumerate(zip(names, objects, strict=True)):
+        body = add_object(spec, asset, name, visual=visual)
+        if poses is not None:
+            body.pos, body.quat = poses[index, :3], poses[index, 3:]
+            continue
+        x += asset.radius
+        body.pos = (x, 0.0, _PARKING_HEIGHT)
+        x += asset.radius + _PARKING_GAP
+    return spec
+
+
+def object_xml(
+    asset: ObjectAsset, surfaces: tuple[str, ...], files: Mapping[str, bytes], images: str = ""
+) -> bytes:
+    """One object alone as MJCF text: a free body called after it, with default contact parameters.
+
+    Parts stand inline, surfaces are named by their files.
+
+    Args:
+      asset: the object.
+      surfaces: the name of each piece's OBJ file, relative to where the text will be saved.
+      files: their contents, by name.
+      images: where the images of the surfaces will lie, relative to the text; beside it if empty.
+    """
+    spec = new_spec(StabilityConfig().timestep, ContactConfig())
+    spec.modelname = asset.name
+    body = add_object(spec, asset, asset.name)
+    spec.worldbody.add_light(pos=(0, 0, 2), dir=(0, 0, -1))
+    for index, (piece, surface) in enumerate(zip(asset.pieces, surfaces, strict=True)):
+        mesh = spec.add_mesh(name=f"{asset.name}/visual-{index}", file=surface)
+        _add_visual(body, mesh, piece, add_texture(spec, piece.texture, images))
+    spec.assets = {**spec.assets, **{name: files[name] for name in surfaces}}
+    spec.compile()
+    return spec.to_xml().encode()

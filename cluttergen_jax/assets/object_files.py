@@ -26,10 +26,10 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.mjcf import object_xml
+from cluttergen_jax.assets.obj import parse_surface, surface_text
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
-from cluttergen_jax.assets.object_xml import object_xml
 from cluttergen_jax.assets.shape import Piece, Provenance
-from cluttergen_jax.assets.surface_files import parse_surface, surface_text
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError, PoolError
 from cluttergen_jax.files import inside, write_atomically
@@ -221,18 +221,23 @@ def _friction(value: Any) -> float | None:
     return float(value)
 
 
-def _read_bytes(path: Path) -> bytes:
+def _read_bytes(path: Path, hint: str = _REWRITE) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise PoolError(f"{path} cannot be read ({error.strerror})", hint=_REWRITE) from error
+        raise PoolError(f"{path} cannot be read ({error.strerror})", hint=hint) from error
+
+
+def read_json(path: Path, hint: str = _REWRITE) -> Any:
+    """What a JSON file holds; PoolError if it cannot be read or is none."""
+    try:
+        return json.loads(_read_bytes(path, hint))
+    except (ValueError, RecursionError) as error:
+        raise PoolError(f"{path} is not JSON: {error}", hint=hint) from error
 
 
 def _read_record(path: Path) -> dict[str, Any]:
-    try:
-        record = json.loads(_read_bytes(path))
-    except (ValueError, RecursionError) as error:
-        raise PoolError(f"{path} is not JSON: {error}", hint=_REWRITE) from error
+    record = read_json(path)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PoolError(f"{path} is not an object of format {FORMAT}", hint=_REWRITE)
     digest = record.pop("hash", None)

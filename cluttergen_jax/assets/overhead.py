@@ -1,4 +1,4 @@
-"""A surface seen from straight above: how high it is in each cell of a grid, and whether it is level."""
+"""A surface seen from straight above: height and level in each cell of a grid, and rectangles of cells."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from cluttergen_jax.assets.mesh import Mesh
 
 # The steepest slope that still counts as level: 2 degrees.
 _LEVEL = np.cos(np.radians(2.0)).item()
+
+Span = tuple[int, int, int, int]
+"""A rectangle of cells: x from, x to, y from, y to; ends are exclusive."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,15 +32,9 @@ class Overhead:
     is_level: np.ndarray
 
 
-def normals(mesh: Mesh) -> np.ndarray:
-    """f64[F, 3]: normals as long as twice each triangle's area."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
-
-
 def level_faces(mesh: Mesh) -> np.ndarray:
     """bool[F]: horizontal triangles, whichever side they were drawn from."""
-    normal = normals(mesh)
+    normal = mesh.normals
     return np.abs(normal[:, 2]) > _LEVEL * np.maximum(np.linalg.norm(normal, axis=1), 1e-15)
 
 
@@ -52,11 +49,11 @@ def look_down(mesh: Mesh, lower: np.ndarray, upper: np.ndarray, shape: np.ndarra
     cell = (upper - lower) / shape
     height, is_level = np.full(shape, -np.inf), np.zeros(shape, bool)
     level = level_faces(mesh)
-    triangles = mesh.vertices[mesh.faces]
+    triangles = mesh.corners
     spots = (triangles[:, :, :2] - lower) / cell - 0.5
     first = np.maximum(np.ceil(spots.min(1) - 1e-6), 0).astype(int)
     last = np.minimum(np.floor(spots.max(1) + 1e-6), shape - 1).astype(int)
-    upright = np.abs(normals(mesh)[:, 2]) < 1e-14
+    upright = np.abs(mesh.normals[:, 2]) < 1e-14
     for face in np.flatnonzero((first <= last).all(1) & ~upright):
         _draw(
             spots[face], triangles[face, :, 2], first[face], last[face], bool(level[face]), height, is_level
@@ -86,3 +83,42 @@ def _draw(
     is_hit = (u >= -1e-6) & (v >= -1e-6) & (u + v <= 1 + 1e-6) & above
     height[window] = np.where(is_hit, np.maximum(over, height[window]), height[window])
     is_level[window] = np.where(is_hit, level, is_level[window])
+
+
+def largest_rectangle(mask: np.ndarray) -> Span:
+    """The largest all-True rectangle of a bool[X, Y].
+
+    Row by row, the lengths of the True runs that end there form a histogram whose largest rectangle a stack
+    finds in one pass. (0, 0, 0, 0) if nothing is True.
+    """
+    best, best_area = (0, 0, 0, 0), 0
+    run = np.zeros(mask.shape[1] + 1, int)
+    for x, row in enumerate(mask):
+        run[:-1] = np.where(row, run[:-1] + 1, 0)
+        stack: list[tuple[int, int]] = []
+        for y, length in enumerate(run.tolist()):
+            start = y
+            while stack and stack[-1][1] >= length:
+                start, tall = stack.pop()
+                if tall * (y - start) > best_area:
+                    best_area = tall * (y - start)
+                    best = (x + 1 - tall, x + 1, start, y)
+            stack.append((start, length))
+    return best
+
+
+def cover(mask: np.ndarray, missing: float = 0.005, limit: int = 40) -> list[Span]:
+    """Disjoint rectangles inside a bool[X, Y], largest first.
+
+    Args:
+      missing: share of the True cells that may stay uncovered.
+      limit: rectangles at most.
+    """
+    rest = mask.copy()
+    spans: list[Span] = []
+    allowed = missing * mask.sum()
+    while rest.sum() > allowed and len(spans) < limit:
+        span = largest_rectangle(rest)
+        spans.append(span)
+        rest[span[0] : span[1], span[2] : span[3]] = False
+    return spans

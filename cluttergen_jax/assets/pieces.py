@@ -8,8 +8,7 @@ from dataclasses import replace
 import fast_simplification
 import numpy as np
 
-from cluttergen_jax.assets.mesh import Mesh, joined
-from cluttergen_jax.assets.readers.mesh_file import cleaned
+from cluttergen_jax.assets.mesh import Mesh, cleaned, joined
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.unwrapped import UV_DIGITS, transferred
 

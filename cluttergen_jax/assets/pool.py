@@ -170,16 +170,19 @@ def list_pools() -> dict[str, Path]:
 
 
 def _pools_in(root: Path) -> dict[str, Path]:
+    """The embedded ones in their own order, then by name."""
+    found = folders_with(_INDEX, root)
+    return {name: found[name] for name in EMBEDDED if name in found} | found
+
+
+def folders_with(record: str, root: Path) -> dict[str, Path]:
+    """The folders in `root` that hold a file called `record`, by name, in order; hidden ones do not count."""
     folders = sorted(root.iterdir()) if root.is_dir() else []
     return {
         folder.name: folder
-        for folder in sorted(folders, key=lambda each: _rank(each.name))
-        if not folder.name.startswith(".") and (folder / _INDEX).is_file()
+        for folder in folders
+        if not folder.name.startswith(".") and (folder / record).is_file()
     }
-
-
-def _rank(name: str) -> int:
-    return EMBEDDED.index(name) if name in EMBEDDED else len(EMBEDDED)
 
 
 def find_pool(name_or_path: str | Path, exclude: Sequence[str] = ()) -> Pool:

@@ -9,6 +9,7 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import turned
 
 _OVERHANG = 0.01
 _LEVEL = 0.002
@@ -31,8 +32,7 @@ def reach_of(support: SupportAsset) -> Reach:
     """The smallest rectangle that holds all boxes of the support's top, and a centimetre more."""
     level = [box for box in support.boxes if _is_top(box, support)]
     tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level or support.boxes]
-    side = np.array([np.cos(support.region.yaw), np.sin(support.region.yaw)])
-    axes = np.stack([side, [-side[1], side[0]]], axis=1)
+    axes = turned(np.eye(2), -support.region.yaw)
     rim = np.concatenate([top.corners for top in tops]) @ axes
     return Reach(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
 
@@ -60,10 +60,10 @@ def check_keep_out(boxes: Sequence[Rectangle], region: Rectangle) -> None:
       ConfigError: they do.
     """
     grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, _GRID)] * 2), -1).reshape(-1, 2)
-    places = _turned(grid * region.half_extents, region.yaw) + region.center
+    places = turned(grid * region.half_extents, region.yaw) + region.center
     is_free = np.ones(len(places), bool)
     for box in boxes:
-        local = _turned(places - np.array(box.center), -box.yaw)
+        local = turned(places - np.array(box.center), -box.yaw)
         is_free &= (np.abs(local) > box.half_extents).any(1)
     if not is_free.any():
         raise ConfigError(
@@ -75,8 +75,3 @@ def check_keep_out(boxes: Sequence[Rectangle], region: Rectangle) -> None:
 
 def _is_top(box: Box, support: SupportAsset) -> bool:
     return abs(box.center[2] + box.half_extents[2] - support.top) < _LEVEL
-
-
-def _turned(points: np.ndarray, yaw: float) -> np.ndarray:
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return points @ np.array([[cos, sin], [-sin, cos]])

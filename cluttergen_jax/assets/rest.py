@@ -9,6 +9,7 @@ from mujoco.batch import Batch
 from cluttergen_jax.assets.mjcf import add_object, new_spec
 from cluttergen_jax.assets.object import ObjectAsset, RestingPose
 from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.geometry import rotation_matrix
 
 _SETTLE_STEPS = 960
 _RELEASES = 64
@@ -36,7 +37,7 @@ def settled_turn(asset: ObjectAsset) -> np.ndarray:
         quiet = quiet + 1 if np.linalg.norm(data.qvel[3:]) < 0.005 else 0
         if quiet == 60:
             break
-    return upright_turn(_matrix(data.qpos[3:7])[2])
+    return upright_turn(rotation_matrix(data.qpos[3:7])[2])
 
 
 def upright_turn(up: np.ndarray) -> np.ndarray:
@@ -47,7 +48,7 @@ def upright_turn(up: np.ndarray) -> np.ndarray:
         return np.eye(3) if cosine > 0 else np.diag([1.0, -1.0, -1.0])
     quaternion = np.zeros(4)
     mujoco.mju_axisAngle2Quat(quaternion, axis / sine, np.arctan2(sine, cosine))
-    return _matrix(quaternion)
+    return rotation_matrix(quaternion)
 
 
 def tilt_of(rotation: np.ndarray) -> float:
@@ -80,10 +81,10 @@ def _random_rests(asset: ObjectAsset, seed: int) -> list[np.ndarray]:
     quaternions = np.random.default_rng(seed).normal(size=(_RELEASES, 4))
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
     for row, quaternion in enumerate(quaternions):
-        qpos[row] = [0, 0, 0.002 - _lowest(asset, _matrix(quaternion)), *quaternion]
+        qpos[row] = [0, 0, 0.002 - _lowest(asset, rotation_matrix(quaternion)), *quaternion]
     batch.step(nstep=_RELEASE_STEPS)
     is_still = np.isfinite(qpos).all(1) & (np.linalg.norm(qvel[:, 3:], axis=1) < 0.05)
-    return [_matrix(row[3:7])[2] for row in qpos[is_still & (qpos[:, 2] > 0)]]
+    return [rotation_matrix(row[3:7])[2] for row in qpos[is_still & (qpos[:, 2] > 0)]]
 
 
 def _pose(asset: ObjectAsset, rotation: np.ndarray, likelihood: float) -> RestingPose:
@@ -95,9 +96,3 @@ def _pose(asset: ObjectAsset, rotation: np.ndarray, likelihood: float) -> Restin
 
 def _lowest(asset: ObjectAsset, rotation: np.ndarray) -> float:
     return min(float((part.vertices @ rotation[2]).min()) for part in asset.parts)
-
-
-def _matrix(quaternion: np.ndarray) -> np.ndarray:
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3)

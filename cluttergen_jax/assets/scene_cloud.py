@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from scipy.spatial import cKDTree
 
+from cluttergen_jax.assets.cloud import sample_faces
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.geometry import transformed, turned
 
 _DENSE = 8
 """Surface samples per cloud point from which a point's colour is taken."""
@@ -33,54 +34,30 @@ class Cloud:
     labels: np.ndarray
 
 
-def posed(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """f64[P, 3]: points of an object's frame at `pose` f[7], world frame, metres."""
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, np.asarray(pose[3:], np.float64))
-    return np.asarray(points, np.float64) @ matrix.reshape(3, 3).T + np.asarray(pose[:3], np.float64)
-
-
 def cloud_colours(asset: ObjectAsset) -> np.ndarray:
     """uint8[1024, 3]: the colour of the surface next to each point of the asset's cloud."""
     if not asset.pieces:
         return np.full((len(asset.cloud), 3), 180, np.uint8)
-    rng = np.random.default_rng(0)
-    spots, shades = [], []
-    areas = [_areas(piece.mesh.vertices, piece.mesh.faces) for piece in asset.pieces]
-    total = sum(area.sum() for area in areas) or 1.0
-    for piece, area in zip(asset.pieces, areas, strict=True):
-        count = int(np.ceil(_DENSE * len(asset.cloud) * area.sum() / total)) if area.sum() > 0 else 0
-        points, shade = _surface_points(piece, area, count, rng)
-        spots.append(points)
-        shades.append(shade)
+    areas = np.array([np.linalg.norm(piece.mesh.normals, axis=1).sum() for piece in asset.pieces])
+    counts = np.ceil(_DENSE * len(asset.cloud) * areas / max(areas.sum(), 1e-30)).astype(int)
+    spots, shades = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    for seed, (piece, count) in enumerate(zip(asset.pieces, counts.tolist(), strict=True)):
+        if count:
+            points, shade = _coloured_points(piece, count, seed)
+            spots.append(points)
+            shades.append(shade)
     nearest = cKDTree(np.concatenate(spots)).query(asset.cloud)[1]
     return np.round(255 * np.clip(np.concatenate(shades)[nearest], 0, 1)).astype(np.uint8)
 
 
-def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-
-
-def _surface_points(
-    piece: Piece, areas: np.ndarray, count: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
+def _coloured_points(piece: Piece, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """f64[count, 3], even over the area, and f64[count, 3], the colours there, each in [0, 1]."""
-    if count == 0:
-        return np.zeros((0, 3)), np.zeros((0, 3))
-    vertices, faces = piece.mesh.vertices, piece.mesh.faces
-    face = faces[rng.choice(len(faces), count, p=areas / areas.sum())]
-    u, v = rng.random((2, count, 1))
-    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-
-    def between(values: np.ndarray) -> np.ndarray:
-        a, b, c = (values[face[:, k]] for k in range(3))
-        return a + u * (b - a) + v * (c - a)
-
+    points, faces, weights = sample_faces(piece.mesh, count, seed)
     shade = np.tile(np.array(piece.rgba[:3]), (count, 1))
     if piece.uv is not None and piece.texture is not None:
-        shade *= piece.texture.at(between(piece.uv))
-    return between(vertices), shade
+        uv = np.einsum("nk,nkd->nd", weights, piece.uv[piece.mesh.faces[faces]])
+        shade *= piece.texture.at(uv)
+    return points, shade
 
 
 def scene_points(objects: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None) -> Cloud:
@@ -99,7 +76,7 @@ def scene_points(objects: Sequence[ObjectAsset], poses: np.ndarray, support: Sup
     for number, (asset, pose) in enumerate(zip(objects, poses, strict=True)):
         if id(asset) not in known:
             known[id(asset)] = cloud_colours(asset)
-        points.append(posed(asset.cloud, pose))
+        points.append(transformed(pose, asset.cloud))
         colours.append(known[id(asset)])
         labels.append(np.full(len(asset.cloud), 2 + number, np.int32))
     return Cloud(np.concatenate(points).astype(np.float32), np.concatenate(colours), np.concatenate(labels))
@@ -112,9 +89,7 @@ def top_points(support: SupportAsset) -> np.ndarray:
     counts = np.maximum(np.round(2 * half * np.sqrt(_PER_SQUARE_METRE)), 2).astype(int)
     x, y = (np.linspace(-h, h, n) for h, n in zip(half, counts, strict=True))
     flat = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    along = np.array([np.cos(region.yaw), np.sin(region.yaw)])
-    turned = flat @ np.stack([along, [-along[1], along[0]]]) + region.center
-    return np.column_stack([turned, np.full(len(turned), support.top)])
+    return np.column_stack([turned(flat, region.yaw) + region.center, np.full(len(flat), support.top)])
 
 
 def ply_of(cloud: Cloud) -> bytes:

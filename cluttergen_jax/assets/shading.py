@@ -11,6 +11,7 @@ from scipy import sparse
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.support import Box
+from cluttergen_jax.geometry import yaw_matrix
 
 _CREASE = math.radians(40)
 
@@ -42,8 +43,7 @@ def shaded(mesh: Mesh, uv: np.ndarray | None = None, crease: float = _CREASE) ->
     """
     points, place = np.unique(np.round(mesh.vertices, 7), axis=0, return_inverse=True)
     faces = place.reshape(-1)[mesh.faces]
-    corners = points[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = Mesh(points, faces).normals
     area = np.linalg.norm(normals, axis=1)
     keep = area > 1e-14
     faces, normals, area = faces[keep], normals[keep] / area[keep, None], area[keep]
@@ -92,8 +92,6 @@ def box_mesh(box: Box) -> Mesh:
     """A support's box as triangles, world frame."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
     local = signs * box.half_extents
-    cosine, sine = math.cos(box.yaw), math.sin(box.yaw)
-    turn = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [tri for a, b, c, d in quads for tri in ((a, b, c), (a, c, d))]
-    return Mesh(local @ turn.T + np.array(box.center), np.array(faces))
+    return Mesh(local @ yaw_matrix(box.yaw).T + np.array(box.center), np.array(faces))

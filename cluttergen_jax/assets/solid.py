@@ -11,9 +11,8 @@ import trimesh
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.mesh import Mesh, cleaned, joined
 from cluttergen_jax.assets.parts import hull_of
-from cluttergen_jax.assets.readers.mesh_file import cleaned
 from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.errors import AssetError
 

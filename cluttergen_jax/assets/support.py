@@ -9,6 +9,7 @@ import numpy as np
 
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import rectangle_corners
 
 
 @dataclass(frozen=True)
@@ -54,10 +55,8 @@ class Rectangle:
 
     @property
     def corners(self) -> np.ndarray:
-        """f64[4, 2], metres, world x and y."""
-        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
-        signs = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
-        return np.array(self.center) + signs * self.half_extents @ np.array([[cos, sin], [-sin, cos]])
+        """f64[4, 2], metres, world x and y, counter-clockwise."""
+        return rectangle_corners(self.center, self.half_extents, self.yaw)
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.pool import embedded_root, user_root
+from cluttergen_jax.assets.obj import parse_surface, surface_text
+from cluttergen_jax.assets.object_files import NAME_PATTERN, read_json
+from cluttergen_jax.assets.pool import embedded_root, folders_with, user_root
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
-from cluttergen_jax.assets.surface_files import parse_surface, surface_text
 from cluttergen_jax.assets.texture import Texture, texture_name
 from cluttergen_jax.errors import PoolError, closest
 from cluttergen_jax.files import folder_whole, inside
@@ -27,7 +28,6 @@ FORMAT = 1
 _RECORD = "support.json"
 _DIGITS = 7
 _CUBOID = re.compile(r"table-(\d*\.?\d+(?:x\d*\.?\d+){1,2})")
-_NAME = re.compile(r"[a-z0-9_-]+")
 _REWRITE = "writing the support again"
 
 
@@ -38,7 +38,7 @@ def write_support(folder: str | Path, support: SupportAsset, *, overwrite: bool 
       PoolError: a bad name, or something is there already that is not a support or may not be replaced.
     """
     folder = Path(folder)
-    if not _NAME.fullmatch(support.name):
+    if not NAME_PATTERN.fullmatch(support.name):
         raise PoolError(f"a support called {support.name!r}", "names of a-z, 0-9, '_' and '-'")
     if folder.exists() and not (overwrite and (folder / _RECORD).is_file()):
         raise PoolError(f"{folder} exists", "a support's folder" if overwrite else "a new folder")
@@ -61,10 +61,10 @@ def read_support(folder: str | Path) -> SupportAsset:
       UnsafePathError: it names a file outside of its folder.
     """
     path = Path(folder) / _RECORD
-    record = _read_json(path)
+    record = read_json(path, _REWRITE)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PoolError(f"{path} is not a support of format {FORMAT}", hint=_REWRITE)
-    if not (isinstance(record.get("name"), str) and _NAME.fullmatch(record["name"])):
+    if not (isinstance(record.get("name"), str) and NAME_PATTERN.fullmatch(record["name"])):
         raise PoolError(f"{path}: a support called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'")
     try:
         return _support(record, Path(folder))
@@ -85,7 +85,7 @@ def support_hash(support: SupportAsset) -> str:
 
 def is_support_name(text: str) -> bool:
     """Whether a support may be called so: in the letters of names, and not as cuboids are."""
-    return bool(_NAME.fullmatch(text)) and not _CUBOID.fullmatch(text)
+    return bool(NAME_PATTERN.fullmatch(text)) and not _CUBOID.fullmatch(text)
 
 
 def user_supports() -> Path:
@@ -95,23 +95,14 @@ def user_supports() -> Path:
 
 def embedded_supports() -> dict[str, Path]:
     """Every support that comes with the package, with its folder."""
-    return _supports_in(embedded_root() / "supports")
+    return folders_with(_RECORD, embedded_root() / "supports")
 
 
 def list_supports() -> dict[str, Path]:
     """Every support that can be named, with its folder: embedded ones first, then the user's."""
     embedded = embedded_supports()
-    own = _supports_in(user_supports())
+    own = folders_with(_RECORD, user_supports())
     return embedded | {name: folder for name, folder in own.items() if name not in embedded}
-
-
-def _supports_in(root: Path) -> dict[str, Path]:
-    folders = sorted(root.iterdir()) if root.is_dir() else []
-    return {
-        folder.name: folder
-        for folder in folders
-        if not folder.name.startswith(".") and (folder / _RECORD).is_file()
-    }
 
 
 def find_support(name_or_path: str | Path) -> SupportAsset:
@@ -134,15 +125,6 @@ def find_support(name_or_path: str | Path) -> SupportAsset:
         "a cuboid such as table-0.40x0.50, or cluttergen import --support FILE, which makes one of a mesh",
         closest(name_or_path, supports),
     )
-
-
-def _read_json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise PoolError(f"{path} cannot be read ({error.strerror})", hint=_REWRITE) from error
-    except (ValueError, RecursionError) as error:
-        raise PoolError(f"{path} is not JSON: {error}", hint=_REWRITE) from error
 
 
 def _rounded(value: Any) -> Any:

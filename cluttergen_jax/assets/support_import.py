@@ -15,11 +15,11 @@ from scipy.spatial import ConvexHull
 
 from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.mesh import Mesh, joined
-from cluttergen_jax.assets.overhead import Overhead, level_faces, look_down
-from cluttergen_jax.assets.rectangles import Span, cover, largest_rectangle
+from cluttergen_jax.assets.overhead import Overhead, Span, cover, largest_rectangle, level_faces, look_down
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.geometry import yaw_matrix
 
 PITCH = 0.01
 _SAME_HEIGHT = 0.003
@@ -50,7 +50,7 @@ def support_from_mesh(shape: Shape) -> SupportAsset:
     mesh = whole.transformed(np.eye(3), shift)
     top = _top_height(shape.name, mesh)
     yaw = _top_yaw(mesh, top)
-    aligned = mesh.transformed(_turn(-yaw), np.zeros(3))
+    aligned = mesh.transformed(yaw_matrix(-yaw), np.zeros(3))
     view = _view(aligned, top)
     risen = view.height > top + _SAME_HEIGHT
     flat = view.is_level & (np.abs(view.height - top) <= _SAME_HEIGHT)
@@ -68,12 +68,6 @@ def support_from_mesh(shape: Shape) -> SupportAsset:
         provenance=shape.provenance,
         pieces=faced([piece.transformed(np.eye(3), shift) for piece in shape.pieces], None),
     )
-
-
-def _turn(yaw: float) -> np.ndarray:
-    """f64[3, 3]: a turn about z."""
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _cells(size: np.ndarray, pitch: float) -> np.ndarray:
@@ -135,7 +129,7 @@ def _top_yaw(mesh: Mesh, top: float) -> float:
     rim = points[ConvexHull(points).vertices]
     edges = np.roll(rim, -1, 0) - rim
     angles = np.arctan2(edges[:, 1], edges[:, 0])
-    areas = [float(np.ptp(rim @ _turn(angle)[:2, :2], axis=0).prod()) for angle in angles]
+    areas = [float(np.ptp(rim @ yaw_matrix(angle)[:2, :2], axis=0).prod()) for angle in angles]
     best = int(np.argmin(areas))
     if areas[best] > 0.97 * float(np.ptp(rim, axis=0).prod()):
         return 0.0
@@ -151,6 +145,6 @@ def _box(view: Overhead, span: Span, low: float, high: float, yaw: float) -> Box
     """A span of cells as a box between two heights, turned back into the table's frame."""
     lower = view.origin + view.cell * (span[0], span[2])
     upper = view.origin + view.cell * (span[1], span[3])
-    x, y, _ = (_turn(yaw) @ np.append((lower + upper) / 2, 0.0)).tolist()
+    x, y, _ = (yaw_matrix(yaw) @ np.append((lower + upper) / 2, 0.0)).tolist()
     half_x, half_y = ((upper - lower) / 2).tolist()
     return Box((x, y, (low + high) / 2), (half_x, half_y, (high - low) / 2), yaw)

@@ -28,7 +28,7 @@ def transferred(piece: Piece, mesh: Mesh) -> Piece:
     assert piece.uv is not None
     old, uv = piece.mesh, piece.uv.astype(np.float64)
     tree = cKDTree(old.vertices[old.faces].mean(1))
-    corners = mesh.vertices[mesh.faces]
+    corners = mesh.corners
     middle = corners.mean(1)
     places, away, owner = _candidates(old, uv, tree, middle)
     best = np.argmin(away, axis=1)
@@ -41,7 +41,7 @@ def transferred(piece: Piece, mesh: Mesh) -> Piece:
         step = np.linalg.norm(places - start[:, None], axis=2)
         runs_on = step <= (stretch * np.linalg.norm(corners[:, k] - middle, axis=1))[:, None] + 1e-6
         best = np.argmin(np.where(runs_on, away, np.inf), axis=1)
-        continued = _continued(old, uv, triangle, corners[:, k])
+        continued = _places(old, uv, triangle, corners[:, k])
         found[:, k] = np.where(runs_on.any(1)[:, None], places[row, best], continued)
     keys = np.column_stack([mesh.faces.ravel(), np.round(found.reshape(-1, 2), UV_DIGITS)])
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
@@ -65,23 +65,21 @@ def _candidates(
     triangles = mesh.vertices[mesh.faces[near.ravel()]]
     targets = np.repeat(points, near.shape[1], axis=0)
     closest = trimesh.triangles.closest_point(triangles, targets)
-    weights = trimesh.triangles.points_to_barycentric(triangles, closest)
-    weights = np.where(np.isfinite(weights).all(1)[:, None], weights, 1 / 3)
-    places = (uv[mesh.faces[near.ravel()]] * weights[..., None]).sum(1)
+    places = _places(mesh, uv, near.ravel(), closest)
     away = np.linalg.norm(closest - targets, axis=1)
     return places.reshape(*near.shape, 2), away.reshape(near.shape), near
 
 
 def _scale(mesh: Mesh, uv: np.ndarray) -> np.ndarray:
     """f64[F]: the most that the image moves on a triangle, in uv for each metre."""
-    corners, places = mesh.vertices[mesh.faces], uv[mesh.faces]
+    corners, places = mesh.corners, uv[mesh.faces]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     steps = np.linalg.norm(places - np.roll(places, 1, axis=1), axis=2)
     return (steps / np.maximum(sides, 1e-9)).max(1)
 
 
-def _continued(mesh: Mesh, uv: np.ndarray, triangle: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """f64[P, 2]: uv at points in the plane of triangles, as if these went on."""
+def _places(mesh: Mesh, uv: np.ndarray, triangle: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """f64[P, 2]: uv at points in the planes of triangles i[P], beyond their edges as if they went on."""
     faces = mesh.faces[triangle]
     weights = trimesh.triangles.points_to_barycentric(mesh.vertices[faces], points)
     weights = np.where(np.isfinite(weights).all(1)[:, None], weights, 1 / 3)

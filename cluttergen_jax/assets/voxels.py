@@ -91,7 +91,7 @@ def scan_lines(mesh: Mesh, line_spacing: float, spacing: float) -> np.ndarray:
     at most `line_spacing` from the longer of the two lines beside it, and so within
     sqrt(line_spacing^2 + spacing^2 / 4) of a sample.
     """
-    corners = mesh.vertices[mesh.faces]
+    corners = mesh.corners
     edges = np.roll(corners, -1, axis=1) - corners
     longest = np.linalg.norm(edges, axis=2).argmax(1)
     rows = np.arange(len(corners))

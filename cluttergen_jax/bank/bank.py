@@ -56,6 +56,7 @@ class SceneRecord:
       poses: f32[N, 7], their world poses, metres, wxyz.
       is_success: every slot is filled and the finished scene stands.
       verdict: the last word on it, in the words of `types.Verdict`.
+      drift: metres, the largest movement in the last check.
     """
 
     index: int
@@ -63,6 +64,7 @@ class SceneRecord:
     poses: np.ndarray
     is_success: bool
     verdict: str
+    drift: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +108,7 @@ class Bank:
                 poses=np.array(row["poses"], np.float32).reshape(-1, 7)[placed],
                 is_success=row["is_success"],
                 verdict=row["verdict"],
+                drift=row["drift"],
             )
 
     def object(self, name: str) -> ObjectAsset:
@@ -144,7 +147,7 @@ class Bank:
 
 @contextmanager
 def _mended_by_generate() -> Iterator[None]:
-    """What heals a bank's own copy of an asset is what heals the rest of the bank."""
+    """Errors of the bank's own copy of an asset, with the hint that `generate` repairs it."""
     try:
         yield
     except PoolError as error:

@@ -9,9 +9,9 @@ from typing import Any
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.bank.bank import Bank
-from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.bank.stats import BankStats, stats_of
 from cluttergen_jax.bank.table import CERTIFICATE, COUNTED, SCHEMA
+from cluttergen_jax.files import write_atomically
 from cluttergen_jax.types import Verdict, small_length
 
 CARD = "README.md"
@@ -156,7 +156,7 @@ def _made(recipe: dict[str, Any]) -> str:
     placement = recipe.get("placement", {})
     rows = {
         "pool": public_name(str(recipe.get("pool"))),
-        "support": _named(recipe.get("support")),
+        "support": Path(str(recipe.get("support"))).name,
         "objects per scene": placement.get("num_objects"),
         "attempts per object": placement.get("max_attempts"),
         "method": recipe.get("method"),
@@ -169,11 +169,6 @@ def _made(recipe: dict[str, Any]) -> str:
         "versions": ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items()),
     }
     return "\n".join(["## How it was made", "", *(f"- {name}: {value}" for name, value in rows.items())])
-
-
-def _named(value: object) -> object:
-    """A path's last part: where somebody's files lie is nobody else's business."""
-    return Path(value).name if isinstance(value, str) else value
 
 
 def _stability(recipe: dict[str, Any]) -> str:

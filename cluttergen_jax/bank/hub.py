@@ -11,11 +11,10 @@ from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.bank.bank import INDEX, Bank, read_bank
 from cluttergen_jax.bank.card import write_card
 from cluttergen_jax.bank.digests import changes_of
-from cluttergen_jax.bank.disk import writing
 from cluttergen_jax.bank.hubs import FolderHub, Hub, HuggingFaceHub, is_of_a_bank
 from cluttergen_jax.bank.lock import BankLock
 from cluttergen_jax.errors import BankError, ClutterGenError, UnsafePathError
-from cluttergen_jax.files import PARTIAL, inside, swap_in
+from cluttergen_jax.files import PARTIAL, inside, swap_in, writing
 from cluttergen_jax.world import base_name
 
 HUB_VARIABLE = "CLUTTERGEN_HUB"

@@ -59,14 +59,11 @@ def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Sc
     """
     records = chosen_records(bank, indices)
     asset_of = lru_cache(maxsize=None)(bank.object)
-    drift = dict(zip(bank.table["index"].to_pylist(), bank.table["drift"].to_pylist(), strict=True))
     for record in records:
-        yield _scene(
-            bank, record, drift[record.index], [asset_of(base_name(name)) for name in record.objects]
-        )
+        yield _scene(bank, record, [asset_of(base_name(name)) for name in record.objects])
 
 
-def _scene(bank: Bank, record: SceneRecord, drift: float, objects: Sequence[ObjectAsset]) -> Scene:
+def _scene(bank: Bank, record: SceneRecord, objects: Sequence[ObjectAsset]) -> Scene:
     recipe = bank.record.get("recipe", {})
     return Scene(
         names=tuple(str(name) for name in record.objects),
@@ -80,19 +77,15 @@ def _scene(bank: Bank, record: SceneRecord, drift: float, objects: Sequence[Obje
             index=record.index,
             pool=public_name(recipe.get("pool", "")),
             method=recipe.get("method", ""),
-            checkpoint=None if recipe.get("checkpoint") is None else _named(recipe["checkpoint"]),
+            # The name alone: a path would tell where its owner keeps files.
+            checkpoint=None if recipe.get("checkpoint") is None else Path(recipe["checkpoint"]).name,
             seed=recipe.get("seed"),
             verdict=record.verdict,
-            drift=drift,
+            drift=record.drift,
             is_success=bool(record.is_success),
             versions=recipe.get("versions", {}),
         ),
     )
-
-
-def _named(path: str) -> str:
-    """The last part of a path: where somebody's files lie is nobody else's business."""
-    return Path(path).name
 
 
 def config_of(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Config:

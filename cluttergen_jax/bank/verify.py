@@ -19,8 +19,8 @@ from cluttergen_jax.bank.digests import Change, changes_of, touched
 from cluttergen_jax.config import VerifyConfig, check_workers
 from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.files import inside, write_atomically
+from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.physics.log import silent_log
-from cluttergen_jax.physics.rotation import turn_between
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.types import small_length
 

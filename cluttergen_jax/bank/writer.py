@@ -7,15 +7,14 @@ import json
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from cluttergen_jax.assets.obj import write_parts
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash, read_object, write_object
-from cluttergen_jax.assets.part_files import write_parts
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.bank.bank import (
@@ -30,10 +29,9 @@ from cluttergen_jax.bank.bank import (
     with_record,
 )
 from cluttergen_jax.bank.digests import digests_in
-from cluttergen_jax.bank.disk import remove_partial, writing
 from cluttergen_jax.bank.lock import LOCK, BankLock
 from cluttergen_jax.errors import BankError, ClutterGenError
-from cluttergen_jax.files import PARTIAL, folder_whole, inside, write_atomically
+from cluttergen_jax.files import PARTIAL, folder_whole, inside, remove_partial, write_atomically, writing
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 
 
@@ -85,12 +83,7 @@ class BankWriter:
     def __enter__(self) -> BankWriter:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -11,11 +11,11 @@ from cluttergen_jax.types import Array
 _CLEAR = -10.0
 
 
-class Clear(Search):
+class Clear(Search, eq=False):
     """Many cheap geometric tries per attempt; the first on bare, whole ground is taken.
 
     Candidates are uniform, so those that pass are uniform over the free poses. If none passes, the object is
-    let down where it would lie lowest and best, as by `drop`.
+    lowered to where it would lie lowest and best, as by `drop`.
     """
 
     def cost(self, look: Look) -> Array:

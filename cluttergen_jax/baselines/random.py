@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 from cluttergen_jax.placement.region import action_of_pose
 from cluttergen_jax.placement.rules import Rules
@@ -12,14 +13,13 @@ from cluttergen_jax.search.search import CLEARANCE
 from cluttergen_jax.types import Array
 
 
-class Random:
+class Random(struct.PyTreeNode, eq=False):
     """A uniform position and turn on the support's surface (the paper's RRS, with its height mended)."""
 
-    def __init__(self, rules: Rules) -> None:
-        self.rules = rules
+    rules: Rules
 
     def __call__(self, key: Array, episode: Episode) -> Array:
-        """See `placement.proposer.Proposer`."""
+        """See `placement.rules.Proposer`."""
         key_position, key_turn = jax.random.split(key)
         region, focus = episode.region, self.rules.focus(episode)
         xy = jax.random.uniform(key_position, (2,), minval=-1.0) * region.half_extents

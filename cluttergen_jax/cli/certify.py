@@ -41,8 +41,8 @@ class Certify:
         """Runs the command; the exit status."""
         from cluttergen_jax.bank import read_bank
         from cluttergen_jax.bank.card import write_card
-        from cluttergen_jax.bank.disk import writing
         from cluttergen_jax.bank.lock import BankLock
+        from cluttergen_jax.files import writing
         from cluttergen_jax.measures.simulate import horizons_of
 
         check_workers("--jobs", self.jobs)

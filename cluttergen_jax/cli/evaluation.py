@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import composed, find_pool, list_pools
-from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.cli.evaluate import Evaluate
 from cluttergen_jax.errors import PoolError
@@ -26,6 +25,7 @@ from cluttergen_jax.evaluation.studies import run_study
 from cluttergen_jax.evaluation.suites import Scale, Study, find_suite
 from cluttergen_jax.evaluation.tables import Table, interval, missing, number, share
 from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.files import write_atomically
 
 _DEFAULT_TRIALS = 1000
 

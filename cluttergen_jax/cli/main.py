@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import signal
 import sys
@@ -13,18 +12,9 @@ from typing import Any
 from cluttergen_jax.cli.commands import COMMANDS, all_commands, overview
 from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
+from cluttergen_jax.files import advice_on
 from cluttergen_jax.progress import stop_asked
 
-_ADVICE = {
-    errno.EEXIST: "another --out: where a folder has to be, there is a file",
-    errno.ENOTDIR: "another --out: where a folder has to be, there is a file",
-    errno.EISDIR: "another --out: where a file has to be, there is a folder",
-    errno.ENOENT: "a path that exists",
-    errno.EACCES: "a folder that you may write to",
-    errno.EPERM: "a folder that you may write to",
-    errno.EROFS: "a folder on a disk that can be written",
-    errno.ENOSPC: "making room on the disk, then the same command again",
-}
 INTERRUPTED = 130
 
 
@@ -121,5 +111,5 @@ def _check_backend() -> None:
 def _told(error: OSError) -> str:
     """What the operating system refused, and what to try."""
     path = error.filename2 or error.filename
-    advice = _ADVICE.get(error.errno or 0, "mending that, then the same command again")
-    return str(ClutterGenError(f"{f'{path}: ' if path else ''}{error.strerror or error}", hint=advice))
+    given = f"{f'{path}: ' if path else ''}{error.strerror or error}"
+    return str(ClutterGenError(given, hint=f"{advice_on(error)}, then the same command again"))

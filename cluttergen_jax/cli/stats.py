@@ -28,8 +28,8 @@ class Stats:
         """Runs the command; the exit status."""
         from cluttergen_jax.bank import read_bank
         from cluttergen_jax.bank.card import CARD, write_card
-        from cluttergen_jax.bank.disk import writing
         from cluttergen_jax.bank.stats import stats_of, stats_text
+        from cluttergen_jax.files import writing
 
         bank = read_bank(self.path)
         stats = stats_of(bank)

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cluttergen_jax.baselines import METHODS as BASELINES
+from cluttergen_jax.config import VARIANTS
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.methods import METHODS, checkpoint_of
-from cluttergen_jax.training.presets import VARIANTS
+from cluttergen_jax.policies.checkpoint import read_checkpoint
 from cluttergen_jax.training.suite import DEFAULT_ATTEMPTS, DEFAULT_OBJECTS
 
 
@@ -47,7 +48,8 @@ class Checkpoints:
           ConfigError: there is no such method.
         """
         if trial.method not in METHODS or trial.method in BASELINES:
-            return checkpoint_of(trial.method, trial.pool)
+            checkpoint_of(trial.method, trial.pool)
+            return None
         path = self._given(trial) or self._in_folder(trial) or self._embedded(trial)
         if path is None:
             raise MissingCheckpointError(
@@ -66,7 +68,8 @@ class Checkpoints:
         if self.path is None:
             return None
         try:
-            return checkpoint_of(trial.method, trial.pool, str(self.path))
+            found = checkpoint_of(trial.method, trial.pool, read_checkpoint(self.path))
+            return None if found is None else found.path
         except ConfigError as error:
             # Results name no folders.
             name = f"{self.path.parent.name}/{self.path.name}"
@@ -84,7 +87,8 @@ class Checkpoints:
         if self.folder is not None or trial.training_seed != 0:
             return None
         try:
-            return checkpoint_of(trial.method, trial.pool)
+            found = checkpoint_of(trial.method, trial.pool)
+            return None if found is None else found.path
         except PoolError:
             return None
 

@@ -8,16 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.evaluation.programs import Programs
 from cluttergen_jax.placement.scenes import Scenes
-from cluttergen_jax.placement.types import Episode
-from cluttergen_jax.progress import interruptible
-from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler
-from cluttergen_jax.types import Array
+from cluttergen_jax.placement.types import Episode, Transition
+from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler, Rollout
+from cluttergen_jax.types import Array, Verdict
 
 _WIDTHS = (16, 64, BLOCK_SIZE)
 """Few, so that programs are shared; wide enough for what is asked."""
@@ -51,7 +48,7 @@ class Outcome:
       scenes: NumPy arrays with a leading axis N.
       attempts: all of them.
       seconds, cpu_seconds: wall and process time of sampling, compilation left out.
-      compile_seconds: wall time of tracing and compilation.
+      compile_seconds: wall time of tracing, compilation and a step in which no attempt is made.
     """
 
     scenes: Scenes
@@ -67,7 +64,7 @@ def width_of(num_scenes: int) -> int:
 
 
 def run_episodes(
-    programs: Programs,
+    rollout: Rollout,
     sampler: BlockSampler,
     num_scenes: int,
     seed: int,
@@ -76,35 +73,25 @@ def run_episodes(
     """Scenes 0 to num_scenes - 1 of `seed`: those of `sampling.sample_blocks`, with a log of attempts.
 
     Args:
+      rollout: one that sees `attempts_of` each step.
       on_done: told how many more episodes are over.
     """
     width = width_of(num_scenes)
     started = time.perf_counter()
     key, place = jax.random.key(seed), np.arange(width)
-    example = (key, place, place < 0)
-    begin = programs.compile(sampler.begin, *example)
-    episodes = begin(*example)
-    step = programs.compile(lambda each: logged_step(sampler, each), episodes)
-    finish = programs.compile(sampler.finish, episodes)
-
-    def attempted(episodes: Episode, rows: int) -> tuple[Episode, np.ndarray, Attempts]:
-        after, attempts = step(episodes)
-        return after, *jax.device_get((after.is_over[:rows], attempts))
-
-    compiled = time.perf_counter()
-    cpu = time.process_time()
+    rollout.compile(sampler, key, place)
+    compiled, cpu = time.perf_counter(), time.process_time()
     scenes: list[Scenes] = []
     made: list[Attempts] = []
+
+    def note(number: int, attempts: Attempts) -> None:
+        made.append(_kept(attempts.replace(scene=indices.astype(np.int32))))
+        on_done(number)
+
     for first in range(0, num_scenes, width):
         indices, rows = first + place, min(width, num_scenes - first)
-        episodes = begin(key, indices, place < rows)
-        done = 0
-        while done < rows:
-            episodes, over, attempts = interruptible(attempted, episodes, rows)
-            made.append(_kept(attempts.replace(scene=indices.astype(np.int32))))
-            on_done(int(over.sum()) - done)
-            done = int(over.sum())
-        scenes.append(jax.tree.map(lambda leaf, rows=rows: leaf[:rows], jax.device_get(finish(episodes))))
+        block = rollout.run(sampler, key, indices, place < rows, note)
+        scenes.append(jax.tree.map(lambda leaf, rows=rows: leaf[:rows], block))
     return Outcome(
         scenes=_joined(scenes),
         attempts=_joined(made),
@@ -114,26 +101,18 @@ def run_episodes(
     )
 
 
-def logged_step(sampler: BlockSampler, episodes: Episode) -> tuple[Episode, Attempts]:
-    """`BlockSampler.step`, and the attempts that it made."""
-
-    def one(episode: Episode) -> tuple[Episode, Attempts]:
-        key_propose, key_next = jax.random.split(episode.key)
-        action = sampler.propose(key_propose, episode)
-        after, _ = sampler.rules.attempt(episode.replace(key=key_next), action)
-        slot = jnp.minimum(episode.slot, sampler.rules.num_slots - 1)
-        return after, Attempts(
-            scene=jnp.int32(0),
-            slot=slot,
-            object_index=sampler.rules.focus(episode),
-            ordinal=episode.attempt + 1,
-            steps=after.counts.steps[slot] - episode.counts.steps[slot],
-            is_stable=after.slot > episode.slot,
-            action=action,
-            is_made=~episode.is_over,
-        )
-
-    return jax.vmap(one)(episodes)
+def attempts_of(before: Episode, after: Episode, transition: Transition) -> Attempts:
+    """What is logged of a step; which scenes its episodes are, is filled in later."""
+    return Attempts(
+        scene=transition.slot,
+        slot=transition.slot,
+        object_index=transition.object_index,
+        ordinal=transition.ordinal,
+        steps=transition.settling.num_steps,
+        is_stable=transition.verdict == Verdict.STABLE,
+        action=transition.action,
+        is_made=transition.is_made,
+    )
 
 
 def _kept(attempts: Attempts) -> Attempts:

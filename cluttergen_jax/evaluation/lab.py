@@ -1,4 +1,4 @@
-"""The place where trials are run: problems, programs, policies and results at hand, each made once."""
+"""The place where trials are run: problems, rollouts, policies and results at hand, each made once."""
 
 from __future__ import annotations
 
@@ -20,20 +20,23 @@ from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError, train_command
-from cluttergen_jax.evaluation.episodes import Outcome, run_episodes
+from cluttergen_jax.evaluation.episodes import Outcome, attempts_of, run_episodes
 from cluttergen_jax.evaluation.machine import versions
-from cluttergen_jax.evaluation.patience import PatientPhysics, PatientRules
-from cluttergen_jax.evaluation.programs import Programs
 from cluttergen_jax.evaluation.progress import Progress
 from cluttergen_jax.evaluation.record import arrays_of, figures_of
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.methods import checkpoint_hash, proposer_of, suited
 from cluttergen_jax.physics import make_physics
+from cluttergen_jax.physics.host import SwappablePhysics
+from cluttergen_jax.physics.native import NativePhysics
+from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.progress import interruptible
-from cluttergen_jax.sampling import BlockSampler
+from cluttergen_jax.sampling import BlockSampler, Rollout
+from cluttergen_jax.world import World
 
 Record = dict[str, Any]
 _KEPT_PROBLEMS = 4
@@ -59,10 +62,11 @@ class Lab:
     progress: Progress = field(default_factory=lambda: Progress(0))
 
     def __post_init__(self) -> None:
-        self.programs = Programs()
+        self.rollout = Rollout(attempts_of)
         self._pools: dict[str, Pool] = {}
         self._supports: dict[str, SupportAsset] = {}
         self._problems: OrderedDict[Any, Problem] = OrderedDict()
+        self._swappable: dict[tuple[int, StabilityConfig], SwappablePhysics] = {}
         self._made: set[str] = set()
 
     def check(self, trials: Iterable[Trial]) -> None:
@@ -175,7 +179,7 @@ class Lab:
         }
 
     def problem(self, trial: Trial, judge_neighbours: bool = True) -> Problem:
-        """The trial's compiled world and rules, ready for shared programs."""
+        """The trial's compiled world and rules, ready for what is compiled already."""
         checkpoint = self.checkpoints.find(trial)
         trained = {} if checkpoint is None else read_record(checkpoint).get("stability", {})
         is_cut = trained.get("stop_when_decided", True)
@@ -183,14 +187,36 @@ class Lab:
             stop_when_decided=is_cut and not trial.whole_attempts, judge_neighbours=judge_neighbours
         )
         base = self._composed(trial)
-        engine = make_physics(base.world.layout, stability, self.engine, self.num_threads)
-        physics = self.programs.switched(engine)
         with _usable(checkpoint, trial):
-            config = suited(base.rules.config, checkpoint)
-        rules = replace(base.rules, config=config, physics=physics)
-        if is_cut and trial.whole_attempts:
-            rules = PatientRules(**vars(rules) | {"physics": PatientPhysics(physics)})
+            config = suited(base.rules.config, _read(checkpoint))
+        # Stable steps, as the paper counts them, need whole attempts; a policy that was trained on attempts
+        # cut off as soon as they were decided reads histories of that length.
+        is_longer = is_cut and trial.whole_attempts
+        rules = replace(
+            base.rules,
+            config=config,
+            physics=self._physics(base.world, stability),
+            history_steps=stability.decision_step if is_longer else None,
+        )
         return replace(base, config=replace(base.config, stability=stability), rules=rules)
+
+    def world(self, trial: Trial) -> World:
+        """The trial's compiled world."""
+        return self._composed(trial).world
+
+    def _physics(self, world: World, stability: StabilityConfig) -> Physics:
+        """The engine of a world. Worlds of equal sizes share what is compiled around a native one.
+
+        A shared one drives the world asked for last: one is at work at a time.
+        """
+        engine = make_physics(world.layout, stability, self.engine, self.num_threads)
+        if not isinstance(engine, NativePhysics):
+            return engine
+        sizes = (world.num_objects, stability)
+        if sizes not in self._swappable:
+            self._swappable[sizes] = SwappablePhysics(*sizes)
+        self._swappable[sizes].engine = engine
+        return self._swappable[sizes]
 
     def _composed(self, trial: Trial) -> Problem:
         """The trial's problem but for method and stability; the latest few are kept."""
@@ -222,14 +248,14 @@ class Lab:
         """
         checkpoint = self.checkpoints.find(trial)
         with _usable(checkpoint, trial):
-            propose = proposer_of(trial.method, checkpoint, problem.rules)
+            propose = proposer_of(trial.method, _read(checkpoint), problem.rules)
         return BlockSampler(problem.rules, propose)
 
     def run(self, trial: Trial, judge_neighbours: bool = True) -> Outcome:
         """The trial's episodes, without a look at results at hand."""
         problem = self.problem(trial, judge_neighbours)
         sampler = self.sampler(trial, problem)
-        return run_episodes(self.programs, sampler, trial.trials, trial.seed, self.progress.add)
+        return run_episodes(self.rollout, sampler, trial.trials, trial.seed, self.progress.add)
 
     def base_region(self, trial: Trial) -> Rectangle:
         """The trial's region before any change."""
@@ -247,6 +273,10 @@ class Lab:
         known = {name: record[name] for name in names if name in record}
         head = record["network"].get("head") if "network" in record else None
         return known | {"max_attempts": record["placement"]["max_attempts"], "head": head}
+
+
+def _read(checkpoint: Path | None) -> Checkpoint | None:
+    return None if checkpoint is None else read_checkpoint(checkpoint)
 
 
 @contextmanager

@@ -23,17 +23,17 @@ from cluttergen_jax.measures.relations import Relation
 from cluttergen_jax.render.assets import close_points, render_scene
 from cluttergen_jax.render.figure import closed_loop_figure
 from cluttergen_jax.render.gl import renderer_status
+from cluttergen_jax.render.renderer import Trail
+from cluttergen_jax.render.scene_renderer import PictureConfig, RenderStyle, scene_renderer
 from cluttergen_jax.render.sheet import contact_sheet, save_png
-from cluttergen_jax.render.stage import Look, Shooting, open_stage
-from cluttergen_jax.render.studio import Trail
 from cluttergen_jax.sampling.record import Recorder, rectangle_of
-from cluttergen_jax.training.records import read_rows
+from cluttergen_jax.training.metrics_log import read_rows
 
 _MAP_SCENES = 500
 _TRIED_SCENES = 8
 _EXAMPLES = 6
 _SAMPLES = 16
-_AROUND = [0, 1, 3, 2, 0]
+_AROUND = [0, 1, 2, 3, 0]
 """Corners of a rectangle one after another, and back to the first."""
 _LINE = 0.003
 _WHITE = (1.0, 1.0, 1.0)
@@ -204,8 +204,8 @@ def outlined(lab: Lab, trial: Trial, scenes: Successes, scene: int) -> np.ndarra
     here = np.flatnonzero(scenes.is_placed[scene])
     objects, poses = [scenes.world.objects[k] for k in here], scenes.poses[scene, here]
     seen = np.concatenate([outline, close_points(objects, poses, None)])
-    with open_stage(objects, scenes.world.support, seen, Shooting(480, 360, _SAMPLES)) as stage:
-        return stage.picture([Look(pose) for pose in poses], [Trail(outline, _WHITE, radius=_LINE)])
+    with scene_renderer(objects, scenes.world.support, seen, PictureConfig(480, 360, _SAMPLES)) as renderer:
+        return renderer.picture([RenderStyle(pose) for pose in poses], [Trail(outline, _WHITE, radius=_LINE)])
 
 
 def _sheet(images: list[Any], captions: list[str], stem: Path) -> tuple[list[str], list[str]]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.bank.disk import write_atomically
+from cluttergen_jax.files import write_atomically
 from cluttergen_jax.training.suite import DEFAULT_ATTEMPTS
 
 COLOURS = {

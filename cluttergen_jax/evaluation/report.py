@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.evaluation.layouts import LAYOUTS
 from cluttergen_jax.evaluation.machine import sentence
 from cluttergen_jax.evaluation.store import json_bytes
 from cluttergen_jax.evaluation.tables import Table
+from cluttergen_jax.files import write_atomically
 
 Result = dict[str, Any]
 

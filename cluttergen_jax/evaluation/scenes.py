@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.evaluation.lab import Lab
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.measures.arrangement import by_object
-from cluttergen_jax.world import World, make_world, repeated
+from cluttergen_jax.world import World
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +42,7 @@ def successes_of(lab: Lab, trial: Trial) -> Successes:
       MissingCheckpointError: its policy has not been trained.
     """
     arrays = lab.arrays(trial)
-    world = world_of(lab, trial)
+    world = lab.world(trial)
     poses, is_placed, _ = by_object(
         arrays["object_index"], arrays["is_placed"], arrays["poses"], world.num_objects
     )
@@ -56,11 +55,3 @@ def successes_of(lab: Lab, trial: Trial) -> Successes:
         is_placed=is_placed[good],
         arrays=arrays,
     )
-
-
-def world_of(lab: Lab, trial: Trial) -> World:
-    """The trial's compiled world, without its physics."""
-    objects = lab.pool(trial.pool).objects
-    if trial.num_objects > len(objects):
-        objects = tuple(repeated(objects, trial.num_objects))
-    return make_world(objects, lab.support(trial.support), StabilityConfig(), ContactConfig())

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.bank.disk import write_atomically
+from cluttergen_jax.files import write_atomically
 
 FORMAT = 1
 

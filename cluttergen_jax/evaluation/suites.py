@@ -11,14 +11,14 @@ from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.published import IMPORTED
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.methods import METHODS, SCREENED
+from cluttergen_jax.methods import FILTERED, METHODS
 from cluttergen_jax.placement.changes import CHANGES
 from cluttergen_jax.placement.config import MIN_MARGIN
+from cluttergen_jax.training.suite import ATTEMPTS
 
 PAPER_METHODS = ("random", "open_loop", "short_memory", "normal", "beta", "policy")
 """`beta` is the paper's full method; `policy` is ours, which a preset may give another head."""
 
-MAX_ATTEMPTS = (1, 2, 3, 5, 10)
 FURNITURE = (
     "bar_table",
     "coffee_table",
@@ -33,7 +33,7 @@ FURNITURE = (
 )
 LADDER = ("0.60x0.70", "0.50x0.60", "0.40x0.50", "0.35x0.45", "0.30x0.40")
 CROWDS = (10, 15, 20, 30)
-CROWD_METHODS = (*BASELINES, "policy", SCREENED, "ranked")
+CROWD_METHODS = (*BASELINES, "policy", FILTERED, "ranked")
 """Without the paper's heads and shorter memories, which the ladder compares."""
 MARGIN_METHODS = (*BASELINES, "policy", "ranked")
 _TIGHT = f"table-{LADDER[2]}"
@@ -269,7 +269,7 @@ def _attempts(scale: Scale) -> tuple[Trial, ...]:
         )
         for pool in scale.chosen(("dining",))
         for method in ("random", "policy")
-        for attempts in MAX_ATTEMPTS
+        for attempts in ATTEMPTS
     )
 
 

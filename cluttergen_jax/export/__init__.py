@@ -1,8 +1,8 @@
 """Scenes that travel: self-contained folders for MuJoCo, PyBullet, Drake, Isaac, glTF viewers and others.
 
-folder: `export_scenes`, the one door; its cameras are those of `scene.cameras`. formats: what there is.
-mjcf, urdf, sdf, usd, glb, maniskill, robosuite: one kind of file each. meshes, frames, shading, placement:
-what they share. manifest: licences and origin. scripts: stand-alone loaders that travel along.
+folder: `export_scenes`; its cameras are those of `scene.cameras`. formats: what there is. urdf, sdf, usd,
+glb, maniskill, robosuite: one kind of file each (MJCF is `scene.xml`). meshes, frames, friction, scene_json:
+what they share. manifest: licences and origin. scripts: no package but data, loaders that travel along.
 """
 
 from cluttergen_jax.export.folder import export_scenes

@@ -10,15 +10,13 @@ from __future__ import annotations
 
 import importlib.resources
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.object_files import object_hash
-from cluttergen_jax.assets.support_file import support_hash
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.export.formats import Format, find_format
 from cluttergen_jax.export.manifest import (
@@ -31,6 +29,7 @@ from cluttergen_jax.export.manifest import (
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, object_folder
 from cluttergen_jax.files import folder_whole, inside
 from cluttergen_jax.scene import Scene, scene_cameras
+from cluttergen_jax.scene.collection import check_alike
 
 
 def export_scenes(
@@ -61,14 +60,10 @@ def export_scenes(
     kind, out = find_format(format), Path(out)
     _check_place(out, overwrite)
     with folder_whole(out) as fresh:
-        _Folder(fresh, kind).write(_filmed(scenes, cameras) if cameras else scenes)
+        if cameras:
+            scenes = (replace(each, cameras=scene_cameras(each.support, cameras)) for each in scenes)
+        _Folder(fresh, kind).write(scenes)
     return out
-
-
-def _filmed(scenes: Iterable[Scene], names: Sequence[str]) -> Iterator[Scene]:
-    """The scenes with these cameras around them."""
-    for scene in scenes:
-        yield replace(scene, cameras=scene_cameras(scene.support, names))
 
 
 def _check_place(out: Path, overwrite: bool) -> None:
@@ -97,7 +92,7 @@ class _Folder:
     def write(self, scenes: Iterable[Scene]) -> None:
         """Writes everything."""
         (self._path / "scenes").mkdir(parents=True)
-        for scene in scenes:
+        for scene in check_alike(scenes):
             self._add(scene)
         if self._first is None:
             raise ConfigError("an export of no scenes", "one scene or more")
@@ -109,7 +104,6 @@ class _Folder:
             if self._kind.write_support:
                 folder = self._made(SUPPORT_FOLDER)
                 self._kind.write_support(folder, scene.support, scene.contact)
-        _check_alike(self._first, scene)
         for asset in scene.assets.values():
             self._add_asset(asset, scene)
         file = f"scenes/{self._number(scene):06d}.{self._kind.ending}"
@@ -123,9 +117,7 @@ class _Folder:
         return number
 
     def _add_asset(self, asset: ObjectAsset, scene: Scene) -> None:
-        known = self._assets.setdefault(asset.name, asset)
-        if known is not asset and object_hash(known) != object_hash(asset):
-            raise ConfigError(f"two different objects called {asset.name!r}", "scenes of one bank")
+        self._assets.setdefault(asset.name, asset)
         folder = inside(self._path, object_folder(asset.name))
         if self._kind.write_object and not folder.exists():
             self._kind.write_object(self._made(object_folder(asset.name)), asset, scene.contact)
@@ -147,20 +139,6 @@ class _Folder:
 
     def _save(self, name: str, text: str) -> None:
         (self._path / name).write_text(text, encoding="utf-8")
-
-
-def _check_alike(first: Scene, scene: Scene) -> None:
-    alike = first is scene or (
-        first.contact == scene.contact
-        and first.stability.timestep == scene.stability.timestep
-        and (first.support is scene.support or support_hash(first.support) == support_hash(scene.support))
-    )
-    if not alike:
-        raise ConfigError(
-            "scenes of different supports, contacts or time steps",
-            "scenes of one bank",
-            "one export for each",
-        )
 
 
 def _version() -> str:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
@@ -14,20 +16,16 @@ from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.export.glb import glb_bytes
 from cluttergen_jax.export.maniskill import maniskill_json
 from cluttergen_jax.export.meshes import write_object_meshes, write_support_meshes
-from cluttergen_jax.export.mjcf import mjcf_text
-from cluttergen_jax.export.placement import placement_json
 from cluttergen_jax.export.robosuite import object_xml, support_xml
+from cluttergen_jax.export.scene_json import scene_json
 from cluttergen_jax.export.sdf import sdf_text
 from cluttergen_jax.export.urdf import object_urdf, support_urdf
 from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene.xml import scene_xml
 
 WriteObject = Callable[[Path, ObjectAsset, ContactConfig], None]
 WriteSupport = Callable[[Path, SupportAsset, ContactConfig], None]
 WriteScene = Callable[[Path, Scene], None]
-
-
-def _nothing() -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -53,35 +51,22 @@ class Format:
     write_scene: WriteScene
     script: str = ""
     notes: str = ""
-    require: Callable[[], None] = _nothing
+    require: Callable[[], None] = lambda: None
 
 
-def _meshes_only(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
-    write_object_meshes(folder, asset)
+def _files(
+    meshes: Callable[[Path, Any], None],
+    model: Callable[[Any, ContactConfig], bytes] | None = None,
+    ending: str = "",
+) -> Callable[[Path, Any, ContactConfig], None]:
+    """Writes what all scenes share of an object or the support: meshes, and a model named as its folder."""
 
+    def write(folder: Path, asset: Any, contact: ContactConfig) -> None:
+        meshes(folder, asset)
+        if model is not None:
+            (folder / f"{folder.name}.{ending}").write_bytes(model(asset, contact))
 
-def _surfaces_only(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
-    write_support_meshes(folder, support)
-
-
-def _urdf_object(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
-    write_object_meshes(folder, asset)
-    (folder / f"{asset.name}.urdf").write_bytes(object_urdf(asset, contact))
-
-
-def _urdf_support(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
-    write_support_meshes(folder, support)
-    (folder / "support.urdf").write_bytes(support_urdf(support, contact))
-
-
-def _robosuite_object(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
-    write_object_meshes(folder, asset)
-    (folder / f"{asset.name}.xml").write_bytes(object_xml(asset, contact))
-
-
-def _robosuite_support(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
-    write_support_meshes(folder, support)
-    (folder / "support.xml").write_bytes(support_xml(support, contact))
+    return write
 
 
 def _written(make: Callable[[Scene], bytes]) -> WriteScene:
@@ -91,29 +76,21 @@ def _written(make: Callable[[Scene], bytes]) -> WriteScene:
     return write
 
 
-# USD's library takes a while to load, so that it is asked for only where USD is wanted.
-def _usd_object(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
-    from cluttergen_jax.export.usd import write_object_usd
-
-    write_object_usd(folder, asset, contact)
-
-
-def _usd_support(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
-    from cluttergen_jax.export.usd import write_support_usd
-
-    write_support_usd(folder, support, contact)
-
-
-def _usd_scene(path: Path, scene: Scene) -> None:
-    from cluttergen_jax.export.usd import write_scene_usd
-
-    write_scene_usd(path, scene)
+def _mjcf_text(scene: Scene) -> bytes:
+    return scene_xml(
+        scene.objects,
+        scene.poses,
+        scene.support,
+        scene.stability,
+        scene.contact,
+        names=scene.names,
+        cameras=scene.cameras,
+    )
 
 
-def _require_usd() -> None:
-    from cluttergen_jax.export.usd import require_usd
-
-    require_usd()
+def _usd(function: str) -> Callable[..., None]:
+    """A function of `export.usd`, imported when it is called: USD's library takes a while to load."""
+    return lambda *args: getattr(importlib.import_module("cluttergen_jax.export.usd"), function)(*args)
 
 
 _DRAKE_NOTES = (
@@ -126,18 +103,18 @@ _ALL = (
         "mjcf",
         "MuJoCo: python -m mujoco.viewer --mjcf=scenes/NUMBER.xml; the keyframe `scene` holds the poses too.",
         "xml",
-        _meshes_only,
-        _surfaces_only,
-        _written(mjcf_text),
+        _files(write_object_meshes),
+        _files(write_support_meshes),
+        _written(_mjcf_text),
     ),
     Format(
         "urdf",
         "PyBullet: python load_pybullet.py scenes/NUMBER.json (needs pybullet only; --direct opens no "
         "window). Objects and support are one URDF each.",
         "json",
-        _urdf_object,
-        _urdf_support,
-        _written(partial(placement_json, ending="urdf")),
+        _files(write_object_meshes, object_urdf, "urdf"),
+        _files(write_support_meshes, support_urdf, "urdf"),
+        _written(partial(scene_json, ending="urdf")),
         script="load_pybullet.py",
     ),
     Format(
@@ -145,8 +122,8 @@ _ALL = (
         "Drake: Parser(plant).AddModels('scenes/NUMBER.sdf'), the plant made by "
         "AddMultibodyPlantSceneGraph(builder, time_step=1/240); Gazebo: gz sim scenes/NUMBER.sdf.",
         "sdf",
-        _meshes_only,
-        _surfaces_only,
+        _files(write_object_meshes),
+        _files(write_support_meshes),
         _written(sdf_text),
         notes=_DRAKE_NOTES,
     ),
@@ -154,10 +131,10 @@ _ALL = (
         "usd",
         "Isaac Sim, Omniverse or usdview: open scenes/NUMBER.usda. Physics is UsdPhysics.",
         "usda",
-        _usd_object,
-        _usd_support,
-        _usd_scene,
-        require=_require_usd,
+        _usd("write_object_usd"),
+        _usd("write_support_usd"),
+        _usd("write_scene_usd"),
+        require=_usd("require_usd"),
     ),
     Format(
         "glb",
@@ -171,8 +148,8 @@ _ALL = (
         "maniskill",
         "ManiSkill 3: import cluttergen_maniskill, then gymnasium.make('ClutterGenScene-v1', scene='N').",
         "json",
-        _meshes_only,
-        _surfaces_only,
+        _files(write_object_meshes),
+        _files(write_support_meshes),
         _written(maniskill_json),
         script="cluttergen_maniskill.py",
     ),
@@ -181,9 +158,9 @@ _ALL = (
         "robosuite 1.5: import cluttergen_robosuite, then robosuite.make('ClutterGenScene', robots='Panda', "
         "scene='N').",
         "json",
-        _robosuite_object,
-        _robosuite_support,
-        _written(partial(placement_json, ending="xml")),
+        _files(write_object_meshes, object_xml, "xml"),
+        _files(write_support_meshes, support_xml, "xml"),
+        _written(partial(scene_json, ending="xml")),
         script="cluttergen_robosuite.py",
     ),
     Format(
@@ -191,9 +168,9 @@ _ALL = (
         "LIBERO: import cluttergen_libero, then cluttergen_libero.make_env(N). python cluttergen_libero.py "
         "writes LIBERO's task descriptions and initial states.",
         "json",
-        _robosuite_object,
-        _robosuite_support,
-        _written(partial(placement_json, ending="xml")),
+        _files(write_object_meshes, object_xml, "xml"),
+        _files(write_support_meshes, support_xml, "xml"),
+        _written(partial(scene_json, ending="xml")),
         script="cluttergen_libero.py",
     ),
 )

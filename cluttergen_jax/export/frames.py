@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -35,19 +34,13 @@ def principal_of(asset: ObjectAsset) -> Principal:
     moments, axes = moments[order], axes[:, order]
     axes *= np.where(np.diag(axes) < 0, -1.0, 1.0)
     axes[:, np.argmin(np.diag(axes))] *= np.sign(np.linalg.det(axes))
-    x, y, z, w = Rotation.from_matrix(axes).as_quat()
-    return Principal(np.asarray(asset.center_of_mass, np.float64), np.array([w, x, y, z]), moments)
+    turn = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    return Principal(np.asarray(asset.center_of_mass, np.float64), turn, moments)
 
 
 def euler_of(quaternion: np.ndarray) -> np.ndarray:
     """f64[3]: roll, pitch and yaw about fixed axes, radians, of a quaternion wxyz (URDF's `rpy`)."""
-    w, x, y, z = quaternion
-    return Rotation.from_quat([x, y, z, w]).as_euler("xyz")
-
-
-def yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
-    """The quaternion wxyz of a turn about z, radians."""
-    return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+    return Rotation.from_quat(quaternion, scalar_first=True).as_euler("xyz")
 
 
 def text(values: Sequence[float] | np.ndarray) -> str:

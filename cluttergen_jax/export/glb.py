@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.part_files import hull_of
 from cluttergen_jax.assets.shading import box_mesh, linear, shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
@@ -52,7 +51,7 @@ class _Builder:
         boxes = [Piece(box_mesh(box), _PART_RGBA) for box in scene.support.boxes]
         drawn = {name: self._mesh(name, drawn_pieces(asset)) for name, asset in scene.assets.items()}
         hulls = {
-            name: self._mesh(f"{name}/collision", [Piece(hull_of(part), _PART_RGBA) for part in asset.parts])
+            name: self._mesh(f"{name}/collision", [Piece(part.hull(), _PART_RGBA) for part in asset.parts])
             for name, asset in scene.assets.items()
         }
         roots = [

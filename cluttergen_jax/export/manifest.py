@@ -12,7 +12,7 @@ from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import support_hash
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, object_folder
-from cluttergen_jax.export.placement import cameras_record
+from cluttergen_jax.export.scene_json import cameras_record, objects_record
 from cluttergen_jax.scene import Scene
 
 MANIFEST = "MANIFEST.json"
@@ -21,20 +21,7 @@ LICENCES = "LICENSES.txt"
 
 def scene_record(scene: Scene, file: str) -> dict[str, Any]:
     """One scene of the manifest: its file, how it came about, and what stands where (metres, wxyz)."""
-    placed = zip(scene.names, scene.objects, scene.poses, strict=True)
-    return {
-        "file": file,
-        **asdict(scene.origin),
-        "objects": [
-            {
-                "name": name,
-                "asset": asset.name,
-                "position": pose[:3].tolist(),
-                "quaternion_wxyz": pose[3:].tolist(),
-            }
-            for name, asset, pose in placed
-        ],
-    }
+    return {"file": file, **asdict(scene.origin), "objects": objects_record(scene)}
 
 
 def manifest(

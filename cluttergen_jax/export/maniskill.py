@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.export.frames import principal_of, yaw_quaternion
+from cluttergen_jax.export.frames import principal_of
 from cluttergen_jax.export.friction import friction_of, mean_of
 from cluttergen_jax.export.meshes import drawn_pieces, object_image, support_image, visual_name
-from cluttergen_jax.export.placement import placement_json
+from cluttergen_jax.export.scene_json import scene_json
+from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene import Scene
 
 
@@ -23,7 +24,7 @@ def maniskill_json(scene: Scene) -> bytes:
     linear and angular velocity.
     """
     bodies = {name: _body(asset) | _friction(asset, scene.contact) for name, asset in scene.assets.items()}
-    record = json.loads(placement_json(scene, more=bodies, support=_support(scene.support)))
+    record = json.loads(scene_json(scene, more=bodies, support=_support(scene.support)))
     rest = [0.0] * 6
     actors = {name: [*pose, *rest] for name, pose in zip(scene.names, scene.poses.tolist(), strict=True)}
     record["env_state"] = {"actors": actors}

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cluttergen_jax.assets.obj import shaded_text, write_parts
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import SHARED_IMAGES, write_images
-from cluttergen_jax.assets.part_files import hull_of, write_parts
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.assets.surface_files import shaded_text
 
 
 def object_folder(name: str) -> str:
@@ -27,7 +26,7 @@ def visual_name(index: int) -> str:
 
 def drawn_pieces(asset: ObjectAsset) -> tuple[Piece, ...]:
     """The asset's coloured surfaces; its collision parts where it has none."""
-    return asset.pieces or tuple(Piece(hull_of(part)) for part in asset.parts)
+    return asset.pieces or tuple(Piece(part.hull()) for part in asset.parts)
 
 
 def object_image(piece: Piece) -> str | None:

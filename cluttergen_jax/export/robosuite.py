@@ -7,12 +7,13 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from cluttergen_jax.assets.mjcf import own_contact
+from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.export.frames import text, yaw_quaternion
+from cluttergen_jax.export.frames import text
 from cluttergen_jax.export.meshes import drawn_pieces, object_image, support_image, visual_name
+from cluttergen_jax.geometry import yaw_quaternion
 
 _COLLIDES, _DRAWN = "0", "1"
 """robosuite's geom groups."""

@@ -13,14 +13,15 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.export.frames import text, yaw_quaternion
+from cluttergen_jax.export.frames import text
 from cluttergen_jax.export.friction import friction_of, harmonic_of
 from cluttergen_jax.export.meshes import SUPPORT_FOLDER, drawn_pieces, object_folder, visual_name
+from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene import Camera, Scene
 
 VERSION = "1.9"
@@ -111,10 +112,10 @@ def _add_object(
 def _add_camera(world: ET.Element, camera: Camera) -> None:
     """A sensor on a model that stands still; SDFormat's cameras look along +x, +z is up."""
     right, up, backward = camera.rotation.T
-    x, y, z, w = Rotation.from_matrix(np.stack([-backward, -right, up], axis=1)).as_quat()
+    turn = Rotation.from_matrix(np.stack([-backward, -right, up], axis=1)).as_quat(scalar_first=True)
     model = ET.SubElement(world, "model", name=f"camera-{camera.name}")
     _leaf(model, "static", "true")
-    _add_pose(model, camera.position, np.array([w, x, y, z]))
+    _add_pose(model, camera.position, turn)
     link = ET.SubElement(model, "link", name="body")
     sensor = ET.SubElement(link, "sensor", name=camera.name, type="camera")
     _leaf(sensor, "always_on", "true")

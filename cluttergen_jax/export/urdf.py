@@ -12,8 +12,8 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.export.frames import euler_of, principal_of, text

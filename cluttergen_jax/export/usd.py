@@ -14,13 +14,12 @@ import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.part_files import hull_of
 from cluttergen_jax.assets.shading import linear, shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
-from cluttergen_jax.export.frames import principal_of, yaw_quaternion
+from cluttergen_jax.export.frames import principal_of
 from cluttergen_jax.export.friction import friction_of
 from cluttergen_jax.export.meshes import (
     SUPPORT_FOLDER,
@@ -31,6 +30,7 @@ from cluttergen_jax.export.meshes import (
     write_object_images,
     write_support_images,
 )
+from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene import Camera, Scene
 
 try:
@@ -66,7 +66,7 @@ def write_object_usd(folder: Path, asset: ObjectAsset, contact: ContactConfig) -
     write_object_images(folder, asset)
     material = _add_contact(stage, friction_of(asset, contact)[0], contact)
     for index, part in enumerate(asset.parts):
-        mesh = _add_mesh(stage, f"{_collisions(stage)}/part_{index:02d}", hull_of(part))
+        mesh = _add_mesh(stage, f"{_collisions(stage)}/part_{index:02d}", part.hull())
         UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr("convexHull")
         _make_collider(mesh.GetPrim(), material)
     stage.GetRootLayer().Save()

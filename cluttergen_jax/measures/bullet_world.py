@@ -12,11 +12,12 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+from cluttergen_jax.assets import obj
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
-from cluttergen_jax.physics.rotation import rotate
+from cluttergen_jax.geometry import conjugate, product, rotate
 
 
 def load_pybullet(purpose: str) -> ModuleType:
@@ -46,27 +47,21 @@ class BodyFrames:
         """The frames of K objects."""
         inertia, axes = np.linalg.eigh(np.stack([asset.inertia for asset in objects]))
         axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
-        turn = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
+        turn = Rotation.from_matrix(axes).as_quat(scalar_first=True)
         return BodyFrames(np.stack([asset.center_of_mass for asset in objects]), turn, inertia)
 
     def body_poses(self, objects: Sequence[int], poses: np.ndarray) -> np.ndarray:
         """f64[n, 7], position and quaternion xyzw of bodies, from the objects' poses f[n, 7] (wxyz)."""
         objects = list(objects)
         position = poses[:, :3] + rotate(np, poses[:, 3:], self.center[objects])
-        turn = _product(poses[:, 3:], self.turn[objects])
+        turn = product(poses[:, 3:], self.turn[objects])
         return np.c_[position, turn[:, 1:], turn[:, 0]]
 
     def object_poses(self, objects: Sequence[int], bodies: np.ndarray) -> np.ndarray:
         """The inverse of `body_poses`."""
         objects = list(objects)
-        turn = _product(bodies[:, [6, 3, 4, 5]], self.turn[objects] * [1, -1, -1, -1])
+        turn = product(bodies[:, [6, 3, 4, 5]], conjugate(self.turn[objects]))
         return np.c_[bodies[:, :3] - rotate(np, turn, self.center[objects]), turn]
-
-
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Quaternion products, f[n, 4] wxyz each."""
-    w, v, u, x = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
-    return np.c_[w * u - (v * x).sum(1, keepdims=True), w * x + u * v + np.cross(v, x)]
 
 
 def body_friction(contact: ContactConfig) -> float:
@@ -80,15 +75,13 @@ def write_compound(path: Path, asset: ObjectAsset, frames: BodyFrames, index: in
     PyBullet makes one compound of the file's groups, each of them convex.
     """
     lines: list[str] = []
-    first, back = 1, frames.turn[index] * [1, -1, -1, -1]
+    first, back = 1, conjugate(frames.turn[index])
     for part in asset.parts:
         vertices = rotate(np, back, part.vertices - frames.center[index])
         faces = ConvexHull(part.vertices).simplices + first
-        lines.append(f"o part-{first}")
-        lines += ["v {:.9g} {:.9g} {:.9g}".format(*vertex) for vertex in vertices]
-        lines += ["f {} {} {}".format(*face) for face in faces]
+        lines += [f"o part-{first}", *obj.lines("v", vertices, ".9g"), *obj.lines("f", faces, "d")]
         first += len(vertices)
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    path.write_text(obj.text(lines), encoding="ascii")
 
 
 def add_support(pybullet: ModuleType, client: int, support: SupportAsset, friction: float) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.part_files import hull_of, obj_text
+from cluttergen_jax.assets.obj import mesh_text
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.measures.scene_models import SceneModels
 
@@ -113,7 +113,7 @@ class DrakePeer:
         for number, part in enumerate(self._models.world.objects[k].parts):
             path = folder / f"{k}-{number}.obj"
             if not path.exists():
-                path.write_text(obj_text(hull_of(part)), encoding="ascii")
+                path.write_text(mesh_text(part.hull()), encoding="ascii")
             paths.append(path)
         return paths
 

@@ -65,7 +65,7 @@ def _object_vectors(asset: ObjectAsset, poses: np.ndarray, origin: np.ndarray) -
     """f64[n, 12]: centre of mass from `origin`, then the rotation times `moment_root`."""
     if not len(poses):
         return np.zeros((0, _COORDINATES - 1))
-    turn = Rotation.from_quat(poses[:, [4, 5, 6, 3]]).as_matrix()
+    turn = Rotation.from_quat(poses[:, 3:], scalar_first=True).as_matrix()
     center = poses[:, :3] + turn @ np.asarray(asset.center_of_mass) - origin
     return np.concatenate([center, (turn @ moment_root(asset)).reshape(-1, 9)], axis=1)
 

@@ -8,7 +8,6 @@ from scipy.spatial import cKDTree
 from cluttergen_jax.assets.hollow import find_hollow
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.part_files import hull_of
 from cluttergen_jax.assets.solid import Solid
 
 
@@ -33,6 +32,6 @@ def vessel_of(asset: ObjectAsset) -> Vessel | None:
     By the importer's rule (`assets.hollow`): as deep as 15 mm and a fifth of its width, and open to a ball of
     10 mm. A plate is no vessel.
     """
-    mesh = joined([hull_of(part) for part in asset.parts])
+    mesh = joined([part.hull() for part in asset.parts])
     hollow = find_hollow(Solid(mesh, True, mesh))
     return None if hollow is None else Vessel(hollow.points, hollow.pitch)

@@ -23,11 +23,11 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.geometry import conjugate, rotate, transformed
 from cluttergen_jax.measures.contacts import Contacts, contacts_of
 from cluttergen_jax.measures.hollows import Vessel, vessel_of
 from cluttergen_jax.measures.scene_models import SceneModel, SceneModels
 from cluttergen_jax.measures.simulate import each_scene
-from cluttergen_jax.physics.rotation import rotate
 
 SURFACE_SHARE = 0.25
 MAX_VESSEL_TILT = float(np.radians(45.0))
@@ -118,7 +118,7 @@ def tilt_from_rest(asset: ObjectAsset, pose: np.ndarray) -> float:
 def _up(quaternions: np.ndarray) -> np.ndarray:
     """f64[M, 3]: where up is in the frames of bodies turned by f64[M, 4] wxyz."""
     unit = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
-    return rotate(np, unit * [1, -1, -1, -1], np.tile([0.0, 0.0, 1.0], (len(unit), 1)))
+    return rotate(np, conjugate(unit), np.tile([0.0, 0.0, 1.0], (len(unit), 1)))
 
 
 @lru_cache(maxsize=256)
@@ -138,15 +138,10 @@ def _inside(objects: Sequence[ObjectAsset], poses: np.ndarray, is_placed: np.nda
         for i in (each for each in placed if each != j):
             if np.linalg.norm(poses[i, :3] - poses[j, :3]) > objects[i].radius + objects[j].radius:
                 continue
-            cloud = _moved(objects[i].cloud, poses[i]) - poses[j, :3]
-            back = poses[j, 3:] * [1, -1, -1, -1]
+            cloud = transformed(poses[i], objects[i].cloud) - poses[j, :3]
+            back = conjugate(poses[j, 3:])
             result[i, j] = vessel.holds(rotate(np, back[None], cloud)).mean() >= SURFACE_SHARE
     return result
-
-
-def _moved(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """f64[P, 3]: points of an object frame, f[P, 3], in the world."""
-    return rotate(np, pose[None, 3:], np.asarray(points, np.float64)) + pose[:3]
 
 
 def _covered(scene: SceneModel, objects: Sequence[ObjectAsset], poses: np.ndarray) -> np.ndarray:
@@ -156,7 +151,7 @@ def _covered(scene: SceneModel, objects: Sequence[ObjectAsset], poses: np.ndarra
     share = np.zeros((len(objects), len(objects) + 1))
     up = np.array([0.0, 0.0, 1.0])
     for i, body in zip(scene.objects, scene.layout.body_index, strict=True):
-        for point in _moved(objects[i].cloud[:_NUM_RAYS], poses[i]):
+        for point in transformed(poses[i], objects[i].cloud[:_NUM_RAYS]):
             mujoco.mj_ray(scene.model, data, point, up, None, 1, int(body), geom)
             if geom[0] >= 0:
                 share[i, index[geom[0]]] += 1 / _NUM_RAYS

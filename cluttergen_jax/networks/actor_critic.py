@@ -76,7 +76,7 @@ class ActorCritic(nn.Module):
             clouds are computed once for the whole batch.
           observation: of `placement.observation.observe`, with a leading axis B on every leaf. The learner
             adds what is made from it: where the scene is seen as a point cloud `encoded`, f32[B, E], the
-            features of the scene and of the object in hand; for a mixture `room` (see `room.Room`).
+            features of the scene and of the current object; for a mixture `room` (`FootprintFeatures`).
         """
         config = self.config
         focus = observation["focus"]
@@ -85,15 +85,8 @@ class ActorCritic(nn.Module):
         else:
             features = PointNet(num_features=config.object_features)(cloud[:, : config.object_points])
             features = jax.lax.stop_gradient(features) if config.encoder_frozen else features
-            scene = SetEncoder(config.token_width, config.num_heads, self.max_objects)(
-                features,
-                half_extents,
-                observation["T_region_object"],
-                observation["is_placed"],
-                focus,
-                observation["region"],
-            )
-            seen = [scene, features[focus]]
+            encoder = SetEncoder(config.token_width, config.num_heads, self.max_objects)
+            seen = [encoder(features, half_extents, observation), features[focus]]
         seen += [observation["region"] * LENGTH_SCALE, half_extents[focus] * LENGTH_SCALE]
         if config.head == MIXTURE:
             scores, summary = CellEncoder(config.num_turns)(

@@ -34,8 +34,8 @@ class CellEncoder(nn.Module):
         """Scores f32[B, G, G, T], zero before learning, and a summary f32[B, 2 widths[1]].
 
         Args:
-          heights: f32[B, G, G], metres; room: f32[B, G, G, T, 2], from `room.Room`, if it is to be read.
-          context: f32[B, C], of the object in hand and the region.
+          heights: f32[B, G, G], metres; room: f32[B, G, G, T, 2], `FootprintFeatures`, if read.
+          context: f32[B, C], of the current object and the region.
         """
         side = heights.shape[-1]
         is_taken = (heights > BARE).astype(jnp.float32)[..., None]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import get_args
+from dataclasses import dataclass, replace
+from typing import ClassVar, get_args
 
 from cluttergen_jax.config import Encoder
 from cluttergen_jax.errors import ConfigError
@@ -16,8 +16,33 @@ _POSITIVE = ("object_points", "object_features", "scene_features", "num_centroid
 
 
 @dataclass(frozen=True)
-class NetworkConfig:
-    """Sizes and kinds.
+class AgentConfig:
+    """The sizes of an agent's network; each kind of agent has a class of its own.
+
+    Attributes:
+      kind: the agent's, as a checkpoint's record names it (`agents.KINDS`).
+      is_sampled: whether its actions are drawn where nothing else is asked for; else the mean is taken.
+      reads_history: whether it reads failed attempts from the observation.
+    """
+
+    kind: ClassVar[str]
+    is_sampled: ClassVar[bool]
+    reads_history: ClassVar[bool] = False
+
+    @property
+    def num_cells_read(self) -> int:
+        """Cells along each side of the height grid that observations must hold; 0 if none is read."""
+        return 0
+
+    def with_attempts(self, number: int) -> AgentConfig:
+        """The sizes for objects that may be tried so often."""
+        del number
+        return self
+
+
+@dataclass(frozen=True)
+class NetworkConfig(AgentConfig):
+    """Sizes of the network that proposes poses.
 
     Attributes:
       head: "beta" (the paper's), "normal" or "mixture" (of Betas, over the cells of a grid of heights).
@@ -33,7 +58,7 @@ class NetworkConfig:
       height_clearance: how far above that, metres.
       scene_encoder: "set" attends over the placed objects (their features, sizes and poses); "pointnet" and
         "pointnet2" (the paper's) read the scene's point cloud, made again from the poses. Either of the two
-        reads the cloud of the object in hand as well; beside "set" that is a small PointNet.
+        reads the cloud of the current object as well; beside "set" that is a small PointNet.
       object_points: points of each object's cloud that are read.
       object_features: F of the encoder of objects.
       scene_points: points of the scene's cloud (paper: 20,480).
@@ -46,6 +71,10 @@ class NetworkConfig:
       history_length: how many of the latest attempts are read (variant `short_memory`: 1).
       num_layers, width: of actor and critic (paper: 5 of 256).
     """
+
+    kind: ClassVar[str] = "pose"
+    is_sampled: ClassVar[bool] = True
+    reads_history: ClassVar[bool] = True
 
     head: str = "beta"
     num_cells: int = 20
@@ -85,15 +114,19 @@ class NetworkConfig:
 
     @property
     def num_cells_read(self) -> int:
-        """Cells along each side of the height grid that observations must hold; 0 if none is read."""
+        """See `AgentConfig`."""
         return self.num_cells if self.head == MIXTURE else 0
 
     @property
     def reads_room(self) -> bool:
-        """Whether observations are to hold the room for the object in hand."""
+        """Whether observations are to hold the room for the current object."""
         return self.room and self.head == MIXTURE
 
     @property
     def reads_clouds(self) -> bool:
         """Whether the scene is seen as a point cloud."""
         return self.scene_encoder != "set"
+
+    def with_attempts(self, number: int) -> NetworkConfig:
+        """The full method looks back on every attempt that an object may have, however many those are."""
+        return replace(self, history_length=number) if self.history_length > 1 else self

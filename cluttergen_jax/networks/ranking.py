@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
+from cluttergen_jax.networks.config import AgentConfig
 from cluttergen_jax.networks.distributions import Categorical
 from cluttergen_jax.networks.points import LENGTH_SCALE, MLP, PointNet
 from cluttergen_jax.networks.set_encoder import SetEncoder
@@ -20,14 +21,17 @@ _HIGH_COST, _ABOVE = 0.2, 0.02
 
 
 @dataclass(frozen=True)
-class RankerConfig:
-    """Sizes.
+class RankerConfig(AgentConfig):
+    """Sizes of the network that ranks candidate poses.
 
     Attributes:
       object_points, object_features, token_width, num_heads: as in `NetworkConfig`.
       width: of the layers that judge a candidate; value_width: of those that judge the scene.
       cost_scale: metres of the search's cost that make a pose e times less likely before any learning.
     """
+
+    kind: ClassVar[str] = "ranking"
+    is_sampled: ClassVar[bool] = False
 
     object_points: int = 64
     object_features: int = 32
@@ -40,7 +44,7 @@ class RankerConfig:
 
 
 class Ranker(nn.Module):
-    """The distribution over a menu's poses, and the value of the scene."""
+    """The distribution over candidate poses, and the value of the scene."""
 
     config: RankerConfig
     max_objects: int
@@ -49,17 +53,12 @@ class Ranker(nn.Module):
     def __call__(
         self, cloud: Array, half_extents: Array, observation: Mapping[str, Any]
     ) -> tuple[Categorical, Array]:
-        """See `ActorCritic`; the observation holds a menu beside (`ranking.menu.menu_of`)."""
+        """See `ActorCritic`; the observation holds candidates, too (`candidate_features`)."""
         config, menu = self.config, observation["menu"]
         features = PointNet((32,), config.object_features)(cloud[:, : config.object_points])
         focus = observation["focus"]
         scene = SetEncoder(config.token_width, config.num_heads, self.max_objects)(
-            features,
-            half_extents,
-            observation["T_region_object"],
-            observation["is_placed"],
-            focus,
-            observation["region"],
+            features, half_extents, observation
         )
         remaining = observation["is_placed"].sum(-1, keepdims=True) / self.max_objects
         state = jnp.concatenate(

@@ -1,6 +1,9 @@
-"""A scene as a set of objects: the object in hand attends to what stands there."""
+"""A scene as a set of objects: the current object attends to what stands there."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
 
 import flax.linen as nn
 import jax.numpy as jnp
@@ -10,9 +13,9 @@ from cluttergen_jax.types import Array
 
 
 class SetEncoder(nn.Module):
-    """What stands there, seen from the object in hand: attention over the placed objects.
+    """What stands there, seen from the current object: attention over the placed objects.
 
-    Every placed object (its cloud's features, its size, its pose) is read together with the object in hand
+    Every placed object (its cloud's features, its size, its pose) is read together with the current object
     and the region by a shared network; each head pools its share of the result by additive attention, and
     the maximum stands beside. The result does not change when the objects are renumbered.
 
@@ -26,22 +29,15 @@ class SetEncoder(nn.Module):
     max_tokens: int = 10
 
     @nn.compact
-    def __call__(
-        self,
-        features: Array,
-        half_extents: Array,
-        poses: Array,
-        is_placed: Array,
-        focus: Array,
-        region: Array,
-    ) -> Array:
-        """Scene features seen from the object in hand, f32[B, 3 W].
+    def __call__(self, features: Array, half_extents: Array, observation: Mapping[str, Any]) -> Array:
+        """Scene features seen from the current object, f32[B, 3 W].
 
         Args:
           features: f32[K, F], of every object's cloud; half_extents: f32[K, 3], metres.
-          poses: f32[B, K, 7], region frame; is_placed: bool[B, K]; focus: i32[B].
-          region: f32[B, 3], half extents and height range, metres.
+          observation: of `placement.observation.observe`, with a leading axis B on every leaf.
         """
+        is_placed, poses = observation["is_placed"], observation["T_region_object"]
+        focus, region = observation["focus"], observation["region"]
         size = jnp.concatenate([features, half_extents * LENGTH_SCALE], axis=-1)
         order = jnp.argsort(~is_placed, axis=1, stable=True)[:, : self.max_tokens]
         mask = jnp.take_along_axis(is_placed, order, axis=1)

@@ -1,4 +1,4 @@
-"""The simulators behind the waist (`protocol.Physics`)."""
+"""The physics engines and their interface (`protocol.Physics`)."""
 
 from __future__ import annotations
 

@@ -16,6 +16,7 @@ from mujoco import mjx
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.physics import stability
 from cluttergen_jax.physics.batching import one_scene
+from cluttergen_jax.physics.host import OneScenePhysics
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.margin import MIN_SHIFT
 from cluttergen_jax.physics.mjx_scenes import MjxScenes, start_poses
@@ -51,7 +52,7 @@ class _Checks(struct.PyTreeNode):
     standing: Standing
 
 
-class MjxPhysics:
+class MjxPhysics(OneScenePhysics):
     """`protocol.Physics` on MJX.
 
     Args:
@@ -74,24 +75,9 @@ class MjxPhysics:
         num_contacts: int | None = None,
         num_rows: int | None = None,
     ) -> None:
-        self.layout, self.config = layout, config
+        super().__init__(config, one_scene(self.settle_batch), one_scene(self.stand_batch))
+        self.layout = layout
         self.scenes = MjxScenes(layout, impl, num_contacts, num_rows)
-        self._settle_one, self._stand_one = one_scene(self.settle_batch), one_scene(self.stand_batch)
-
-    def settle(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
-        """See `protocol.Physics.settle`."""
-        return self._settle_one(
-            jnp.asarray(poses, jnp.float32),
-            jnp.asarray(is_placed, bool),
-            jnp.asarray(focus, jnp.int32),
-            jnp.asarray(is_active, bool),
-        )
-
-    def stand(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
-        """See `protocol.Physics.stand`."""
-        return self._stand_one(
-            jnp.asarray(poses, jnp.float32), jnp.asarray(is_placed, bool), jnp.asarray(is_active, bool)
-        )
 
     def settle_batch(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
         """`settle` for scenes with one leading axis."""

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.physics.rotation import norm
+from cluttergen_jax.geometry import norm
 from cluttergen_jax.types import Array
 
 MAX_POINTS = 64

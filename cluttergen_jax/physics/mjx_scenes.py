@@ -17,12 +17,12 @@ from mujoco import mjx
 from mujoco.mjx import warp as mjx_warp
 
 from cluttergen_jax.errors import ConfigError, MissingExtraError
+from cluttergen_jax.geometry import norm, rotate
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.margin import MIN_LIFT
 from cluttergen_jax.physics.mjx_faces import faces_first
 from cluttergen_jax.physics.mjx_margin import support_margins
 from cluttergen_jax.physics.mjx_room import room_for
-from cluttergen_jax.physics.rotation import norm, rotate
 from cluttergen_jax.types import Array
 
 IMPLEMENTATIONS = ("warp", "jax")

@@ -12,20 +12,18 @@ import threading
 from collections import OrderedDict
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.physics import stability
-from cluttergen_jax.physics.host import host_function
+from cluttergen_jax.physics.host import HostPhysics
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.margin import MIN_SHIFT
 from cluttergen_jax.physics.overlap import OverlapProbe
 from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept
 from cluttergen_jax.physics.simulations import Simulations, sleeping_model
-from cluttergen_jax.types import Array, Settling, Standing, Verdict
+from cluttergen_jax.types import Settling, Standing, Verdict
 
 MAX_BATCHES = 3
 
@@ -44,7 +42,7 @@ class AtRest(NamedTuple):
     margin: np.ndarray
 
 
-class NativePhysics:
+class NativePhysics(HostPhysics):
     """`protocol.Physics` on MuJoCo's C engine: the default on a CPU.
 
     Args:
@@ -57,34 +55,13 @@ class NativePhysics:
     def __init__(
         self, layout: Layout, config: StabilityConfig, num_threads: int = 0, max_simulations: int = 128
     ) -> None:
-        self.layout, self.config = layout, config
+        super().__init__(layout.num_objects, config)
+        self.layout = layout
         self._num_threads, self.max_simulations = num_threads, max_simulations
         self._model = sleeping_model(layout.model)
         self._cache: OrderedDict[int, Simulations] = OrderedDict()
         self._probe = OverlapProbe(layout)
         self._lock = threading.Lock()
-        num_objects = layout.num_objects
-        self._settle_one = host_function(
-            self.settle_batch, jax.eval_shape(lambda: empty_settling(jnp, (), num_objects, config))
-        )
-        self._stand_one = host_function(
-            self.stand_batch, jax.eval_shape(lambda: empty_standing(jnp, (), num_objects))
-        )
-
-    def settle(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
-        """See `protocol.Physics.settle`."""
-        return self._settle_one(
-            jnp.asarray(poses, jnp.float32),
-            jnp.asarray(is_placed, bool),
-            jnp.asarray(focus, jnp.int32),
-            jnp.asarray(is_active, bool),
-        )
-
-    def stand(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
-        """See `protocol.Physics.stand`."""
-        return self._stand_one(
-            jnp.asarray(poses, jnp.float32), jnp.asarray(is_placed, bool), jnp.asarray(is_active, bool)
-        )
 
     def settle_batch(
         self, poses: np.ndarray, is_placed: np.ndarray, focus: np.ndarray, is_active: np.ndarray

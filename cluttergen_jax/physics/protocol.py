@@ -1,4 +1,4 @@
-"""The narrow waist between the decision process and a simulator."""
+"""The physics interface: all that the decision process knows of a simulator."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Physics(Protocol):
           poses: f32[K, 7], position and quaternion wxyz of every object; read where placed.
           is_placed: bool[K], the focus object included. The others are taken to lie at rest, as committed
             objects do: an engine may let them sleep until they are touched.
-          focus: i32, the object in hand.
+          focus: i32, the current object.
           is_active: bool.
         """
         ...

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.physics.rotation import rotate
+from cluttergen_jax.geometry import rotate
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 

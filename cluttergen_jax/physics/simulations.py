@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
+from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics.layout import Layout
-from cluttergen_jax.physics.rotation import rotate
 
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 _BAD = [

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.physics.rotation import norm, turn_between
+from cluttergen_jax.geometry import norm, turn_between
 from cluttergen_jax.types import Array, Verdict
 
 
@@ -124,7 +124,7 @@ def verdict_of_attempt(
     """The attempt's verdict, the gravest of all that went wrong, and whether the focus object alone passed.
 
     Args:
-      is_focus, is_neighbour: bool[..., K], the object in hand, and the placed objects other than it.
+      is_focus, is_neighbour: bool[..., K], the current object, and the placed objects other than it.
       is_below: bool[..., K], whose centre of mass ended below the support's top.
       penetrates, overflowed, is_finite: bool[...].
 

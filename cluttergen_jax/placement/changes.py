@@ -58,6 +58,20 @@ def find_change(name: str) -> RegionChange:
     return CHANGES[name]
 
 
+@dataclass(frozen=True)
+class ChangedRegion:
+    """Draws a changed region for each episode; see `draw_region`."""
+
+    change: RegionChange
+    base: Rectangle
+    bounds: Rectangle
+    top: float
+
+    def __call__(self, key: Array) -> Region:
+        """See `placement.rules.RegionDraw`."""
+        return draw_region(key, self.change, self.base, self.bounds, self.top)
+
+
 def draw_region(key: Array, change: RegionChange, base: Rectangle, bounds: Rectangle, top: float) -> Region:
     """A region drawn around `base`, wholly inside `bounds`.
 

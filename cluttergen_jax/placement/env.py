@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY
 from typing import Any
 
 import jax
@@ -36,6 +37,7 @@ class Ongoing(struct.PyTreeNode):
     num_finished: Array
 
 
+@struct.dataclass(eq=False)
 class PlacementEnv(Env):
     """`brax.envs.Env`: place objects one after another, an attempt a step.
 
@@ -47,7 +49,7 @@ class PlacementEnv(Env):
     `info["truncation"]` is 0 after a reset. `step` hands on `info`, and metrics that are not its own, as it
     finds them, which is what Brax's wrappers build on.
 
-    Args:
+    Attributes:
       rules: of the world.
       observation: how much of an episode is spelled out.
       auto_reset: begin the next episode in the step that ends one.
@@ -55,19 +57,12 @@ class PlacementEnv(Env):
       keep_out: where no object may come to lie.
     """
 
-    def __init__(
-        self,
-        rules: Rules,
-        observation: ObservationConfig | None = None,
-        *,
-        auto_reset: bool = True,
-        start: Start | None = None,
-        keep_out: KeepOut | None = None,
-    ) -> None:
-        self.rules = rules
-        self.observation = observation or ObservationConfig()
-        self.auto_reset = auto_reset
-        self.start, self.keep_out = start, keep_out
+    rules: Rules
+    observation: ObservationConfig = struct.field(pytree_node=False, default=ObservationConfig())
+    _: KW_ONLY
+    auto_reset: bool = struct.field(pytree_node=False, default=True)
+    start: Start | None = None
+    keep_out: KeepOut | None = None
 
     def reset(self, rng: Array, scene: Start | None = None, keep_out: KeepOut | None = None) -> State:
         """A new episode on an empty support, or around `scene`, outside `keep_out` (both optional).
@@ -98,7 +93,7 @@ class PlacementEnv(Env):
     def step(self, state: State, action: Array) -> State:
         """One attempt with `action`, f32[4] in (0, 1)."""
         before: Ongoing = state.pipeline_state
-        after, reward = self.rules.attempt(before.episode, action)
+        after, transition = self.rules.attempt(before.episode, self.pose_of(state.obs, action))
         ends = after.is_over & ~before.episode.is_over
         ongoing = before.replace(
             episode=after,
@@ -107,7 +102,7 @@ class PlacementEnv(Env):
         )
         if self.auto_reset:
             ongoing = self._begun_again(ongoing, ends)
-        seen = self._seen(ongoing, reward, after.is_over)
+        seen = self._seen(ongoing, transition.reward, after.is_over)
         return state.replace(**seen | {"metrics": {**state.metrics, **seen["metrics"]}})
 
     def _begun_again(self, ongoing: Ongoing, ends: Array) -> Ongoing:
@@ -123,7 +118,7 @@ class PlacementEnv(Env):
         finished = ongoing.finished
         return {
             "pipeline_state": ongoing,
-            "obs": observe(self.rules, ongoing.episode, self.observation),
+            "obs": self.observe(ongoing.episode),
             "reward": reward,
             "done": is_over.astype(jnp.float32),
             "metrics": {
@@ -135,6 +130,15 @@ class PlacementEnv(Env):
                 "num_finished": ongoing.num_finished.astype(jnp.float32),
             },
         }
+
+    def observe(self, episode: Episode) -> dict[str, Any]:
+        """The observation of an episode (`placement.observation.observe`)."""
+        return observe(self.rules, episode, self.observation)
+
+    def pose_of(self, observation: dict[str, Any], action: Array) -> Array:
+        """The pose f32[4] that an action on an observation means: here the action itself."""
+        del observation
+        return action
 
     @property
     def observation_size(self) -> dict[str, Any]:

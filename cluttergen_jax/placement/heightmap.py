@@ -5,13 +5,12 @@ Pure geometry, no physics: the placed objects' upper surfaces and the support's 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from scipy.ndimage import grey_closing
 
+from cluttergen_jax.geometry import rectangle_corners
 from cluttergen_jax.placement.region import Region, from_pose
 from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.types import Array
@@ -54,66 +53,75 @@ class HeightMap(struct.PyTreeNode):
         return self.height.reshape(-1).at[index].get(mode="clip")
 
 
-@dataclass(frozen=True, eq=False)
-class _Ground:
-    """The support alone, in the world frame; constants under `jit`.
+class _Ground(struct.PyTreeNode):
+    """The support alone, in the world frame.
 
     Attributes:
       height: f32[W, H], metres above the top, VOID where there is nothing; its border is VOID.
-      corner: f64[2], metres; cell: metres.
+      corner: f32[2], metres; cell: metres.
     """
 
-    height: np.ndarray
-    corner: np.ndarray
-    cell: float
+    height: Array
+    corner: Array
+    cell: float = struct.field(pytree_node=False)
 
 
-class HeightMapper:
+class HeightMapper(struct.PyTreeNode):
     """Makes height maps of scenes on one support.
 
-    Args:
-      geometry: of the world; its arrays are read here, outside `jit`.
-      region: the usual region. Maps are as large as it is, and wider by an object's radius where the support
-        goes on; regions up to that size are wholly mapped.
+    Attributes:
+      geometry: of the world; ground: of its support.
+      cell: the sides of a map's cell, metres; shape: the number of cells along each.
     """
 
-    def __init__(self, geometry: Geometry, region: Region) -> None:
+    geometry: Geometry
+    ground: _Ground
+    cell: tuple[float, float] = struct.field(pytree_node=False)
+    shape: tuple[int, int] = struct.field(pytree_node=False)
+
+    @staticmethod
+    def of(geometry: Geometry, region: Region) -> HeightMapper:
+        """Reads the arrays of `geometry`, outside `jit`.
+
+        Args:
+          region: the usual region. Maps are as large as it is, and wider by an object's radius where the
+            support goes on; regions up to that size are wholly mapped.
+        """
         boxes = np.asarray(geometry.boxes, np.float64)
         top = float(geometry.top)
         boxes = boxes[boxes[:, 2] + boxes[:, 5] - top > _LOWEST_GROUND]
-        self._geometry = geometry
-        self._ground = _ground_of(boxes, top)
         half = np.asarray(region.half_extents, np.float64) + _margin(geometry, region, boxes)
         counts = np.ceil(2 * half / max(_FINEST_CELL, np.sqrt(4 * half.prod() / _MOST_CELLS)) - 1e-4)
         # The sides are whole numbers of cells, so that cells end where the support does.
-        self._cell = (float(2 * half[0] / counts[0]), float(2 * half[1] / counts[1]))
-        self._shape = (int(counts[0]) + 2, int(counts[1]) + 2)
+        cell = (float(2 * half[0] / counts[0]), float(2 * half[1] / counts[1]))
+        shape = (int(counts[0]) + 2, int(counts[1]) + 2)
+        return HeightMapper(geometry, _ground_of(boxes, top), cell, shape)
 
     def __call__(self, region: Region, poses: Array, is_placed: Array) -> HeightMap:
         """The map of one scene: poses f32[K, 7], world; is_placed bool[K]."""
-        corner = -jnp.array(self._shape, jnp.float32) / 2 * jnp.array(self._cell)
-        bare = HeightMap(self._bare(region, corner), corner, self._cell)
+        corner = -jnp.array(self.shape, jnp.float32) / 2 * jnp.array(self.cell)
+        bare = HeightMap(self._bare(region, corner), corner, self.cell)
         # Poses of objects that are not placed may be anything.
         T_world_object = from_pose(jnp.where(is_placed[:, None], poses, jnp.eye(7)[3]))
         T_region_object = region.T_world_region.inverse() @ T_world_object
-        turn = T_region_object.rotation().as_matrix()[self._geometry.surface_owner]
-        shift = T_region_object.translation()[self._geometry.surface_owner]
-        points = jnp.moveaxis(self._geometry.surface, -1, 0)
+        turn = T_region_object.rotation().as_matrix()[self.geometry.surface_owner]
+        shift = T_region_object.translation()[self.geometry.surface_owner]
+        points = jnp.moveaxis(self.geometry.surface, -1, 0)
         x, y, z = (
             sum(turn[:, axis, k, None] * points[k] for k in range(3)) + shift[:, axis, None]
             for axis in range(3)
         )
         index = bare.index_of(x, y)
-        height = jnp.where(is_placed[self._geometry.surface_owner][:, None], z, VOID)
+        height = jnp.where(is_placed[self.geometry.surface_owner][:, None], z, VOID)
         raised = bare.height.reshape(-1).at[index.reshape(-1)].max(height.reshape(-1), mode="drop")
-        return bare.replace(height=_with_void_border(raised.reshape(self._shape)))
+        return bare.replace(height=_with_void_border(raised.reshape(self.shape)))
 
     def _bare(self, region: Region, corner: Array) -> Array:
         """f32[W, H]: the heights of the support itself."""
-        ground = self._ground
+        ground = self.ground
         T = region.T_world_region
         turn, shift = T.rotation().as_matrix()[:2, :2], T.translation()[:2] - ground.corner
-        x, y = (corner[axis] + self._cell[axis] * (jnp.arange(self._shape[axis]) + 0.5) for axis in (0, 1))
+        x, y = (corner[axis] + self.cell[axis] * (jnp.arange(self.shape[axis]) + 0.5) for axis in (0, 1))
         i, j = (
             jnp.clip(
                 ((turn[axis, 0] * x + shift[axis])[:, None] + turn[axis, 1] * y) * (1 / ground.cell),
@@ -122,7 +130,7 @@ class HeightMapper:
             ).astype(jnp.int32)
             for axis in (0, 1)
         )
-        flat = jnp.asarray(ground.height.reshape(-1))
+        flat = ground.height.reshape(-1)
         return _with_void_border(flat.at[i * ground.height.shape[1] + j].get(mode="clip"))
 
 
@@ -135,22 +143,20 @@ def _with_void_border(height: Array) -> Array:
 def _margin(geometry: Geometry, region: Region, boxes: np.ndarray) -> np.ndarray:
     """f64[2]: how far beyond the region's sides objects centred in it can find the support."""
     inverse = np.asarray(region.T_world_region.inverse().as_matrix(), np.float64)
-    local = np.concatenate([_corners(box) for box in boxes]) @ inverse[:2, :2].T + inverse[:2, 3]
+    local = _corners(boxes) @ inverse[:2, :2].T + inverse[:2, 3]
     beyond = np.abs(local).max(0) - np.asarray(region.half_extents)
     radius = np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max()
     return np.clip(beyond, 0.0, radius)
 
 
-def _corners(box: np.ndarray) -> np.ndarray:
-    """f64[4, 2]: a box of `Geometry.boxes` from above."""
-    cos, sin = np.cos(box[6]), np.sin(box[6])
-    signs = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
-    return box[:2] + (signs * box[3:5]) @ np.array([[cos, sin], [-sin, cos]])
+def _corners(boxes: np.ndarray) -> np.ndarray:
+    """f64[4 B, 2]: boxes of `Geometry.boxes` from above."""
+    return np.concatenate([rectangle_corners(box[:2], box[3:5], box[6]) for box in boxes])
 
 
 def _ground_of(boxes: np.ndarray, top: float) -> _Ground:
     """The highest box over each cell. Gaps too narrow to matter, as between planks, are bridged."""
-    corners = np.concatenate([_corners(box) for box in boxes])
+    corners = _corners(boxes)
     low, high = corners.min(0), corners.max(0)
     cell = max(_GROUND_CELL, float(np.sqrt((high - low).prod() / _MOST_GROUND_CELLS)))
     counts = np.ceil((high - low) / cell - 1e-4).astype(int)
@@ -164,4 +170,4 @@ def _ground_of(boxes: np.ndarray, top: float) -> _Ground:
         height[covers] = np.maximum(height[covers], box[2] + box[5] - top)
     width = int(_NARROW_GAP / cell) + 1
     bridged = grey_closing(np.pad(height, width, constant_values=VOID), size=(width, width))
-    return _Ground(np.asarray(bridged, np.float32), low - width * cell, cell)
+    return _Ground(jnp.asarray(bridged, jnp.float32), jnp.asarray(low - width * cell, jnp.float32), cell)

@@ -22,7 +22,7 @@ class ObservationConfig:
     Attributes:
       num_scene_points: points of the scene's cloud (paper: 20,480); 0 leaves clouds out of the observation,
         to be made from poses by `networks.clouds.scene_cloud` where they are needed.
-      num_object_points: points of the cloud of the object in hand (paper: 1,024), at most 1,024.
+      num_object_points: points of the cloud of the current object (paper: 1,024), at most 1,024.
       num_cells: G, cells along each side of the region whose heights are told; 0 for none.
     """
 
@@ -45,9 +45,9 @@ def observe(rules: Rules, episode: Episode, config: ObservationConfig) -> dict[s
 
     Returns:
       region: f32[3], the region's half extents and the height range of actions, metres.
-      focus: i32, the object in hand; is_placed: bool[K].
+      focus: i32, the current object; is_placed: bool[K].
       T_region_object: f32[K, 7], poses of the placed objects, zero elsewhere.
-      history: the failed attempts of the object in hand: action f32[A, 4], region f32[A, 3],
+      history: the failed attempts of the current object: action f32[A, 4], region f32[A, 3],
         trajectory f32[A, H, 13] (position, wxyz, linear and angular velocity), num_steps i32[A],
         is_tried bool[A]; rows not tried are zero.
       heights: f32[G, G], metres, where asked for (`height_grid`).

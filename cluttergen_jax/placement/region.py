@@ -71,7 +71,7 @@ def action_scale(region: Region, height_range: Array) -> tuple[Array, Array]:
     """The corner of action 0 and the size of the action box in the region frame, f32[3] each.
 
     Args:
-      height_range: f32, metres: the tallest placed object's height plus that of the object in hand.
+      height_range: f32, metres: the tallest placed object's height plus that of the current object.
     """
     lower = jnp.append(-region.half_extents, 0.0)
     return lower, jnp.append(2 * region.half_extents, height_range)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import PlacementConfig
@@ -19,7 +19,7 @@ from cluttergen_jax.placement.region import (
     pose_of_action,
 )
 from cluttergen_jax.placement.reward import reward_of
-from cluttergen_jax.placement.types import Counts, Episode, Geometry, History, Start
+from cluttergen_jax.placement.types import Counts, Episode, Geometry, History, Start, Transition
 from cluttergen_jax.types import Array, Settling, Verdict
 
 _OWN_SHARE = 1 / 3
@@ -27,25 +27,45 @@ _OWN_SHARE = 1 / 3
 engines name four points or so, which can leave less than half of it."""
 
 
-@dataclass(frozen=True, eq=False)
-class Rules:
+class Proposer(Protocol):
+    """Proposes poses for the current object; pure, one episode at a time: a baseline, a policy, a person."""
+
+    def __call__(self, key: Array, episode: Episode) -> Array:
+        """An action f32[4] in [0, 1] (docs/contract.md) for `episode`, drawn with `key`."""
+        ...
+
+
+class RegionDraw(Protocol):
+    """Draws an episode's region from a key; two that draw alike are equal (`placement.changes`)."""
+
+    def __call__(self, key: Array) -> Region:
+        """A region drawn with `key`."""
+        ...
+
+
+class Rules(struct.PyTreeNode, eq=False):
     """The decision process for one compiled world; pure functions of episodes, one at a time.
+
+    A pytree, so that what is compiled for one world serves all worlds of the same sizes.
 
     Attributes:
       config: what is asked of an episode.
-      physics: the simulator behind the waist.
+      physics: the simulator.
       geometry: the world's objects.
       region: the queried region of every episode that is not given another; the largest of drawn ones.
-      draw_region: draws an episode's region from a key; None where all take `region`.
       num_started: the most objects that may stand there already when an episode begins.
+      draw_region: draws an episode's region from a key; None where all take `region`.
+      history_steps: of an attempt that took longer the history tells so many steps, as if it had been cut
+        off then; None tells them all. A policy reads histories of the length that it was trained with.
     """
 
-    config: PlacementConfig
-    physics: Physics
+    config: PlacementConfig = struct.field(pytree_node=False)
+    physics: Physics = struct.field(pytree_node=False)
     geometry: Geometry
     region: Region
-    num_started: int = 0
-    draw_region: Callable[[Array], Region] | None = None
+    num_started: int = struct.field(pytree_node=False, default=0)
+    draw_region: RegionDraw | None = struct.field(pytree_node=False, default=None)
+    history_steps: int | None = struct.field(pytree_node=False, default=None)
 
     def begin(
         self,
@@ -104,7 +124,8 @@ class Rules:
     def history_rows(self) -> int:
         """H: rows kept of each failed attempt's trajectory."""
         stride = self.config.history_stride
-        return self.physics.config.last_step // stride + 1 if stride else 0
+        last = self.physics.config.last_step if self.history_steps is None else self.history_steps
+        return last // stride + 1 if stride else 0
 
     @property
     def num_slots(self) -> int:
@@ -128,23 +149,26 @@ class Rules:
         return slots[jnp.argsort(slots < 0, stable=True)]
 
     def focus(self, episode: Episode) -> Array:
-        """i32: the object in hand (of a finished episode: some object)."""
-        slot = jnp.minimum(episode.slot, self.num_slots - 1)
-        return jnp.maximum(episode.object_index[slot], 0)
+        """i32: the current object (of a finished episode: some object)."""
+        return jnp.maximum(episode.object_index[self._slot(episode)], 0)
+
+    def _slot(self, episode: Episode) -> Array:
+        """i32: the current slot (of a finished episode: some slot)."""
+        return jnp.minimum(episode.slot, self.num_slots - 1)
 
     def height_range(self, episode: Episode) -> Array:
-        """f32, metres: the tallest placed object's height plus that of the object in hand."""
+        """f32, metres: the tallest placed object's height plus that of the current object."""
         heights = 2 * self.geometry.half_extents[:, 2]
         return jnp.max(jnp.where(episode.is_placed, heights, 0.0)) + heights[self.focus(episode)]
 
-    def attempt(self, episode: Episode, action: Array) -> tuple[Episode, Array]:
+    def attempt(self, episode: Episode, action: Array) -> tuple[Episode, Transition]:
         """One attempt: propose, let go, judge, commit or revert. A finished episode is left as it is.
 
         Args:
           action: f32[4] in (0, 1): x, y, z and turn in the queried region (docs/contract.md).
 
         Returns:
-          The episode after the attempt, and its reward, f32.
+          The episode after the attempt, and what came of it.
         """
         is_active = ~episode.is_over
         focus, height_range = self.focus(episode), self.height_range(episode)
@@ -162,7 +186,16 @@ class Rules:
         after = self._count(after, episode.slot, settling, verdict, reward)
         after = self._finish(after, is_stable & is_last & is_active)
         after = jax.tree.map(lambda new, old: jnp.where(is_active, new, old), after, episode)
-        return after, jnp.where(is_active, reward, 0.0)
+        return after, Transition(
+            slot=self._slot(episode),
+            object_index=focus,
+            ordinal=episode.attempt + 1,
+            action=action,
+            settling=settling,
+            verdict=verdict,
+            reward=jnp.where(is_active, reward, 0.0),
+            is_made=is_active,
+        )
 
     def _judge_place(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """The attempt's verdict once margins, queried region and keep-out boxes have their say, i32."""
@@ -189,14 +222,16 @@ class Rules:
         if not self.history_rows:
             return episode
         rows = settling.trajectory[:: self.config.history_stride][: self.history_rows]
-        row, history = episode.attempt, episode.history
+        row, history, num_steps = episode.attempt, episode.history, settling.num_steps
+        if self.history_steps is not None:
+            num_steps = jnp.minimum(num_steps, self.history_steps)
         region = jnp.append(episode.region.half_extents, height_range)
         return episode.replace(
             history=History(
                 action=history.action.at[row].set(action),
                 region=history.region.at[row].set(region),
                 trajectory=history.trajectory.at[row].set(rows),
-                num_steps=history.num_steps.at[row].set(settling.num_steps),
+                num_steps=history.num_steps.at[row].set(num_steps),
                 is_tried=history.is_tried.at[row].set(True),
             )
         )

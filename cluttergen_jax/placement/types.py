@@ -5,7 +5,7 @@ from __future__ import annotations
 from flax import struct
 
 from cluttergen_jax.placement.region import KeepOut, Region
-from cluttergen_jax.types import Array
+from cluttergen_jax.types import Array, Settling
 
 
 class Geometry(struct.PyTreeNode):
@@ -14,7 +14,7 @@ class Geometry(struct.PyTreeNode):
     Attributes:
       half_extents: f32[K, 3], of each object's box, object frame, metres.
       center_of_mass: f32[K, 3], object frame, metres.
-      own_margin: f32[K], metres, each object's support margin as it is let go, on a flat table.
+      own_margin: f32[K], metres, each object's support margin as it is released, on a flat table.
       cloud: f32[K, P, 3], surface points, object frame, farthest-point ordered.
       column_xy: f32[K, C, 2]; column_bottom: f32[K, C]; is_column: bool[K, C]: each object's under-side, a
         sample of its columns (`assets.columns`), farthest-point ordered, padded.
@@ -55,7 +55,7 @@ class Start(struct.PyTreeNode):
 
 
 class History(struct.PyTreeNode):
-    """The failed attempts of the object in hand, oldest first: A attempts, H kept trajectory rows.
+    """The failed attempts of the current object, oldest first: A attempts, H kept trajectory rows.
 
     Attributes:
       action: f32[A, 4].
@@ -103,11 +103,11 @@ class Episode(struct.PyTreeNode):
       keep_out: where they must not.
       object_index: i32[S], the object of each slot, padded with -1.
       first_slot: i32, slots that were filled when the episode began.
-      slot: i32, the slot in hand; S or the first padded one when all are filled.
+      slot: i32, the current slot; S or the first padded one when all are filled.
       attempt: i32, attempts of this slot that failed so far.
       poses: f32[K, 7], world poses of the placed objects, zero elsewhere.
       is_placed: bool[K].
-      history: failed attempts of the object in hand.
+      history: failed attempts of the current object.
       counts: figures so far.
       is_over: bool, every slot is filled or one slot's attempts are used up.
       is_success: bool, every slot is filled and the finished scene stands.
@@ -135,3 +135,26 @@ class Episode(struct.PyTreeNode):
     def num_slots(self) -> Array:
         """i32: slots that have an object, those that stood there at the beginning included."""
         return (self.object_index >= 0).sum(-1)
+
+
+class Transition(struct.PyTreeNode):
+    """What one attempt was and what came of it. What nobody reads of it, XLA leaves out.
+
+    Attributes:
+      slot: i32, the slot that was to be filled; object_index: i32, the current object.
+      ordinal: i32, 1 for the object's first attempt.
+      action: f32[4], what was proposed.
+      settling: what the simulator saw.
+      verdict: i32, the attempt's verdict by the rules.
+      reward: f32; 0 where no attempt was made.
+      is_made: bool, False for an episode that was over.
+    """
+
+    slot: Array
+    object_index: Array
+    ordinal: Array
+    action: Array
+    settling: Settling
+    verdict: Array
+    reward: Array
+    is_made: Array

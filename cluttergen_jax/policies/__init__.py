@@ -1,5 +1,5 @@
 """Trained policies as proposers.
 
-embedded: those that come with the package, by name. policy: one read from a checkpoint and bound to a world.
-ranked: one that ranks candidates. screened: draws of one, screened by geometry.
+embedded: those that come with the package, by name. checkpoint: one on disk. policy: one bound to a world.
+filtered: draws of one, filtered by geometry.
 """

@@ -2,53 +2,44 @@
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY
 from typing import Any
 
-import jax
+from flax import struct
 
-from cluttergen_jax.physics.brax_env import Env, State
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.types import Episode
-from cluttergen_jax.ranking.menu import with_menu
+from cluttergen_jax.ranking.candidates import with_candidates
+from cluttergen_jax.search import LowestFit
 from cluttergen_jax.search.search import Search
 from cluttergen_jax.types import Array
 
 
-class RankingEnv(Env):
-    """A `PlacementEnv` whose observation holds a menu of poses and whose action picks one of them.
+@struct.dataclass(eq=False)
+class RankingEnv(PlacementEnv):
+    """A `PlacementEnv` whose observation holds candidate poses and whose action picks one.
 
-    Args:
-      env: the placement environment.
-      search: finds the poses; it is bound to the same rules.
+    Attributes:
+      search: finds the poses, bound to the same rules; `LowestFit` if not given.
     """
 
-    def __init__(self, env: PlacementEnv, search: Search) -> None:
-        self.env, self.search = env, search
+    _: KW_ONLY
+    search: Search | None = None
 
-    def reset(self, rng: Array) -> State:
-        """See `PlacementEnv.reset`."""
-        return self._with_menu(self.env.reset(rng))
+    def __post_init__(self) -> None:
+        if self.search is None:
+            object.__setattr__(self, "search", LowestFit(self.rules))
 
-    def step(self, state: State, action: Array) -> State:
-        """One attempt with candidate `action`, i32."""
-        return self._with_menu(self.env.step(state, state.obs["menu"]["action"][action]))
+    def observe(self, episode: Episode) -> dict[str, Any]:
+        """The observation with the candidates for the next attempt, in place of the history."""
+        assert self.search is not None
+        return with_candidates(self.search, episode, PlacementEnv.observe(self, episode))
 
-    def _with_menu(self, state: State) -> State:
-        episode: Episode = state.pipeline_state.episode
-        return state.replace(obs=with_menu(self.search, episode, state.obs))
-
-    @property
-    def observation_size(self) -> dict[str, Any]:
-        """The shape of each observation; nested as the observation is."""
-        state = jax.eval_shape(self.reset, jax.random.key(0))
-        return jax.tree.map(lambda leaf: leaf.shape, state.obs)
+    def pose_of(self, observation: dict[str, Any], action: Array) -> Array:
+        """The pose f32[4] of candidate `action`, i32."""
+        return observation["menu"]["action"][action]
 
     @property
     def action_size(self) -> int:
         """One whole number."""
         return 1
-
-    @property
-    def backend(self) -> str:
-        """The engine's class."""
-        return self.env.backend

@@ -10,10 +10,9 @@ import numpy as np
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.mjcf import (
     VISUAL_GROUP,
-    add_object,
-    add_support,
     add_texture,
     new_spec,
+    populated_spec,
     set_surface,
 )
 from cluttergen_jax.assets.object import ObjectAsset
@@ -21,15 +20,12 @@ from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import transformed
 from cluttergen_jax.render.camera import axes
 from cluttergen_jax.render.config import View
-from cluttergen_jax.render.dress import dress
+from cluttergen_jax.render.lighting import add_lighting
 from cluttergen_jax.render.picture import distinct_colour, render_model
 from cluttergen_jax.render.sheet import contact_sheet
-
-
-def _empty() -> mujoco.MjSpec:
-    return new_spec(StabilityConfig().timestep, ContactConfig())
 
 
 def _add_surface(spec: mujoco.MjSpec, name: str, piece: Piece, offset: np.ndarray) -> None:
@@ -57,7 +53,7 @@ def render_object(
     asset: ObjectAsset, *, width: int = 480, height: int = 240, samples: int = 16
 ) -> np.ndarray:
     """uint8[height, width, 3]: the object's surfaces, and right of them its parts in distinct colours."""
-    spec = _empty()
+    spec = new_spec(StabilityConfig().timestep, ContactConfig())
     half = asset.half_extents
     view = View(azimuth=115.0, elevation=-24.0, field_of_view=18.0)
     right = axes(view.azimuth, view.elevation)[0]
@@ -69,7 +65,9 @@ def render_object(
     for index, part in enumerate(asset.parts):
         hull = Piece(Mesh.points(part.vertices), distinct_colour(index))
         _add_surface(spec, f"part-{index}", hull, lift + shift)
-    return render_model(dress(spec).compile(), camera=view, width=width, height=height, samples=samples)
+    return render_model(
+        add_lighting(spec).compile(), camera=view, width=width, height=height, samples=samples
+    )
 
 
 def object_sheet(objects: Sequence[ObjectAsset], columns: int = 4, samples: int = 16) -> np.ndarray:
@@ -82,7 +80,7 @@ def object_sheet(objects: Sequence[ObjectAsset], columns: int = 4, samples: int 
 def scene_spec(
     assets: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None
 ) -> tuple[mujoco.MjSpec, np.ndarray]:
-    """A dressed spec of objects on a support, and its qpos.
+    """A lit specification of objects on a support, and its qpos.
 
     Args:
       assets: K objects; the same one may come twice.
@@ -95,12 +93,12 @@ def scene_spec(
     poses = np.asarray(poses, np.float64)
     if poses.shape != (len(assets), 7):
         raise ConfigError(f"poses of shape {poses.shape} for {len(assets)} objects", f"({len(assets)}, 7)")
-    spec = _empty()
-    if support is not None:
-        add_support(spec, support, visual=True)
-    for index, asset in enumerate(assets):
-        add_object(spec, asset, f"{index:02d}-{asset.name}", visual=True)
-    return dress(spec), poses.ravel()
+    names = [f"{index:02d}-{asset.name}" for index, asset in enumerate(assets)]
+    contact = ContactConfig()
+    spec = populated_spec(
+        names, assets, support, StabilityConfig().timestep, contact, poses=poses, visual=True
+    )
+    return add_lighting(spec), poses.ravel()
 
 
 def render_scene(
@@ -151,9 +149,7 @@ def close_points(
     if support is not None:
         points.append(np.column_stack([support.region.corners, np.full(4, support.top)]))
     for asset, pose in zip(assets, np.asarray(poses, np.float64), strict=True):
-        matrix = np.zeros(9)
-        mujoco.mju_quat2Mat(matrix, pose[3:])
-        points.extend(part.vertices @ matrix.reshape(3, 3).T + pose[:3] for part in asset.parts)
+        points.extend(transformed(pose, part.vertices) for part in asset.parts)
     if not points:
         raise ConfigError("a close view of neither objects nor a support")
     return np.concatenate(points)

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluttergen_jax.assets.scene_cloud import posed
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import transformed
 from cluttergen_jax.placement.recording import Attempt, Recording
+from cluttergen_jax.render.assets import close_points
 from cluttergen_jax.render.overlay import Ring, ring_around, with_rings
-from cluttergen_jax.render.stage import RED, Look, Shooting, Stage, open_stage, places
-from cluttergen_jax.render.studio import Trail
+from cluttergen_jax.render.renderer import Trail
+from cluttergen_jax.render.scene_renderer import (
+    RED,
+    PictureConfig,
+    RenderStyle,
+    SceneRenderer,
+    scene_renderer,
+)
 
 GREEN = (0.13, 0.55, 0.25)
 _GHOST_ALPHA, _GHOST_TINT = 0.6, 0.72
@@ -50,7 +57,7 @@ def _is_scattered(recording: Recording, attempts: tuple[Attempt, ...]) -> bool:
 
 
 def closed_loop_figure(
-    recording: Recording, object_index: int | None = None, shooting: Shooting | None = None
+    recording: Recording, object_index: int | None = None, picture: PictureConfig | None = None
 ) -> np.ndarray:
     """Draws an object where it stands, and where each earlier attempt left it: red, ringed, with its path.
 
@@ -58,12 +65,12 @@ def closed_loop_figure(
 
     Args:
       object_index: whose attempts; None takes `closed_loop_slot`.
-      shooting: None is 1200 x 900 pixels.
+      picture: None is 1200 x 900 pixels.
 
     Returns:
       uint8[height, width, 3].
     """
-    shooting = shooting or Shooting(width=1200, height=900)
+    picture = picture or PictureConfig(width=1200, height=900)
     index = closed_loop_slot(recording) if object_index is None else object_index
     attempts = recording.attempts_at(index)
     if not attempts or not attempts[-1].is_stable:
@@ -71,18 +78,18 @@ def closed_loop_figure(
     *failed, last = attempts
     others = np.flatnonzero(last.is_placed)
     actors = [recording.objects[i] for i in others] + [recording.objects[index]] * len(attempts)
-    standing = [Look(pose) for pose in last.settled[others]] + [Look(last.settled[index])]
-    ghosts = [Look(each.trajectory[-1, :7], _GHOST_ALPHA, RED, _GHOST_TINT) for each in failed]
-    looks = [*standing, *ghosts]
+    standing = [RenderStyle(pose) for pose in last.settled[others]] + [RenderStyle(last.settled[index])]
+    ghosts = [RenderStyle(each.trajectory[-1, :7], _GHOST_ALPHA, RED, _GHOST_TINT) for each in failed]
+    styles = [*standing, *ghosts]
     trails = [trail for each in failed for trail in trails_of(each)]
-    poses = np.array([look.pose for look in looks])
+    poses = np.array([style.pose for style in styles])
     points = np.concatenate(
-        [places(actors, poses, recording.support), *(trail.points for trail in trails)], axis=0
+        [close_points(actors, poses, recording.support), *(trail.points for trail in trails)], axis=0
     )
-    with open_stage(actors, recording.support, points, shooting) as stage:
-        image = stage.picture(looks, trails)
+    with scene_renderer(actors, recording.support, points, picture) as renderer:
+        image = renderer.picture(styles, trails)
         rings = [
-            _ring(stage, recording, index, pose, RED if order < len(failed) else GREEN, order + 1)
+            _ring(renderer, recording, index, pose, RED if order < len(failed) else GREEN, order + 1)
             for order, pose in enumerate([*(ghost.pose for ghost in ghosts), last.settled[index]])
         ]
     return with_rings(image, rings)
@@ -96,7 +103,7 @@ def trails_of(attempt: Attempt, num_steps: int | None = None, alpha: float = 0.9
 
 
 def _ring(
-    stage: Stage,
+    renderer: SceneRenderer,
     recording: Recording,
     index: int,
     pose: np.ndarray,
@@ -104,4 +111,5 @@ def _ring(
     number: int,
 ) -> Ring:
     vertices = np.concatenate([part.vertices for part in recording.objects[index].parts])
-    return ring_around(stage.project(posed(vertices, pose)), rgb, str(number), stage.shooting.height / 90)
+    outline = renderer.project(transformed(pose, vertices))
+    return ring_around(outline, rgb, str(number), renderer.config.height / 90)

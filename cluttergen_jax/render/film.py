@@ -10,11 +10,12 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.recording import Attempt, Recording
+from cluttergen_jax.render.assets import close_points
 from cluttergen_jax.render.config import FilmConfig
 from cluttergen_jax.render.figure import GREEN, trails_of
 from cluttergen_jax.render.overlay import with_caption
-from cluttergen_jax.render.stage import RED, Look, Shooting, open_stage, places, swept
-from cluttergen_jax.render.studio import Trail
+from cluttergen_jax.render.renderer import Trail
+from cluttergen_jax.render.scene_renderer import RED, PictureConfig, RenderStyle, scene_renderer, swept
 
 _STEPS_PER_SECOND = 240
 _TINT = 0.72
@@ -22,29 +23,28 @@ _TINT = 0.72
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One picture of a film: a look per object of the world (None: not there), lines, and words."""
+    """One picture of a film: a style per object of the world (None: not there), lines, and words."""
 
-    looks: tuple[Look | None, ...]
+    styles: tuple[RenderStyle | None, ...]
     trails: tuple[Trail, ...] = ()
     caption: str = ""
     dot: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
-class _Beat:
+class _Segment:
     """A stretch of an attempt: its kind and how long it lasts, in seconds."""
 
     kind: str
     seconds: float
 
 
-def _beats(attempt: Attempt, config: FilmConfig) -> list[_Beat]:
+def _segments(attempt: Attempt, config: FilmConfig) -> list[_Segment]:
     settling = config.slowdown * attempt.num_steps / _STEPS_PER_SECOND
-    beats = [_Beat("approach", 0.3), _Beat("settle", settling)]
-    return [
-        *beats,
-        *([_Beat("rest", 0.15)] if attempt.is_stable else [_Beat("shown", 0.3), _Beat("fade", 0.35)]),
-    ]
+    begin = [_Segment("approach", 0.3), _Segment("settle", settling)]
+    if attempt.is_stable:
+        return [*begin, _Segment("rest", 0.15)]
+    return [*begin, _Segment("shown", 0.3), _Segment("fade", 0.35)]
 
 
 def replay_frames(recording: Recording, config: FilmConfig | None = None) -> list[Frame]:
@@ -62,29 +62,31 @@ def replay_frames(recording: Recording, config: FilmConfig | None = None) -> lis
             "a scene of a bank whose recipe is whole",
             "the bank's folder instead of a single file",
         )
-    natural = sum(beat.seconds for each in recording.attempts for beat in _beats(each, config))
+    natural = sum(segment.seconds for each in recording.attempts for segment in _segments(each, config))
     hold = min(1.5, 0.2 * config.seconds)
-    hurry = max(1.0, natural / max(config.seconds - hold, 1e-6))
+    speedup = max(1.0, natural / max(config.seconds - hold, 1e-6))
     frames: list[Frame] = []
     clock = 0.0
     for attempt in recording.attempts:
-        for beat in _beats(attempt, config):
-            # Rounding the clock, not each beat, keeps the film as long as it was meant to be.
-            first, clock = round(clock * config.fps), clock + beat.seconds / hurry
+        for segment in _segments(attempt, config):
+            # Rounding the clock, not each segment, keeps the film as long as it was meant to be.
+            first, clock = round(clock * config.fps), clock + segment.seconds / speedup
             count = round(clock * config.fps) - first
             for number in range(count):
-                frames.append(_frame(recording, attempt, beat.kind, (number + 1) / count, config))
+                frames.append(_frame(recording, attempt, segment.kind, (number + 1) / count, config))
     last = _standing(recording, recording.poses, recording.is_placed)
     end = Frame(last, (), *(_ending(recording) if config.captions else ("", None)))
     return [*frames, *[end] * max(1, round(hold * config.fps))]
 
 
-def _standing(recording: Recording, poses: np.ndarray, is_placed: np.ndarray) -> tuple[Look | None, ...]:
-    return tuple(Look(poses[i]) if is_placed[i] else None for i in range(len(recording.objects)))
+def _standing(
+    recording: Recording, poses: np.ndarray, is_placed: np.ndarray
+) -> tuple[RenderStyle | None, ...]:
+    return tuple(RenderStyle(poses[i]) if is_placed[i] else None for i in range(len(recording.objects)))
 
 
 def _frame(recording: Recording, attempt: Attempt, kind: str, progress: float, config: FilmConfig) -> Frame:
-    looks = list(_standing(recording, attempt.poses, attempt.is_placed))
+    styles = list(_standing(recording, attempt.poses, attempt.is_placed))
     row = {"approach": 0, "settle": round(progress * attempt.num_steps)}.get(kind, attempt.num_steps)
     pose = attempt.trajectory[row, :7].astype(np.float64)
     alpha, strength = 1.0, 0.0
@@ -97,11 +99,11 @@ def _frame(recording: Recording, attempt: Attempt, kind: str, progress: float, c
         strength = _TINT * (progress if kind == "settle" else 1.0)
         trails = trails_of(attempt, row, alpha)
     elif kind == "rest":
-        looks = list(_standing(recording, attempt.settled, attempt.is_placed))
+        styles = list(_standing(recording, attempt.settled, attempt.is_placed))
         pose = attempt.settled[attempt.object_index]
-    looks[attempt.object_index] = Look(pose, alpha, RED, strength)
+    styles[attempt.object_index] = RenderStyle(pose, alpha, RED, strength)
     words = _words(recording, attempt, kind) if config.captions else ("", None)
-    return Frame(tuple(looks), trails, *words)
+    return Frame(tuple(styles), trails, *words)
 
 
 def _words(
@@ -123,37 +125,40 @@ def _ending(recording: Recording) -> tuple[str, tuple[float, float, float]]:
 
 
 def replay(
-    recording: Recording, config: FilmConfig | None = None, shooting: Shooting | None = None
+    recording: Recording, config: FilmConfig | None = None, picture: PictureConfig | None = None
 ) -> Iterator[np.ndarray]:
     """The pictures of `replay_frames`, uint8[height, width, 3] each, drawn as they are asked for."""
-    shooting = shooting or Shooting(samples=8)
+    picture = picture or PictureConfig(samples=8)
     frames = replay_frames(recording, config)
-    poses = recording.poses[recording.placed]
-    placed = [recording.objects[i] for i in recording.placed]
-    points = places(placed, poses, recording.support)
-    with open_stage(recording.objects, recording.support, points, shooting) as stage:
+    points = _end_points(recording)
+    with scene_renderer(recording.objects, recording.support, points, picture) as renderer:
         image, shown = None, None
         for frame in frames:
             # The end stands still: it is drawn once.
             if image is None or frame is not shown:
-                image = with_caption(stage.picture(frame.looks, frame.trails), frame.caption, frame.dot)
+                image = with_caption(renderer.picture(frame.styles, frame.trails), frame.caption, frame.dot)
                 shown = frame
             yield image
 
 
 def turntable(
-    recording: Recording, config: FilmConfig | None = None, shooting: Shooting | None = None
+    recording: Recording, config: FilmConfig | None = None, picture: PictureConfig | None = None
 ) -> Iterator[np.ndarray]:
     """Once around the finished scene, uint8[height, width, 3] each; the last picture leads to the first."""
-    config, shooting = config or FilmConfig(seconds=6.0), shooting or Shooting(samples=8)
+    config, picture = config or FilmConfig(seconds=6.0), picture or PictureConfig(samples=8)
     count = max(2, round(config.fps * config.seconds))
-    looks = _standing(recording, recording.poses, recording.is_placed)
-    placed = [recording.objects[i] for i in recording.placed]
-    points = places(placed, recording.poses[recording.placed], recording.support)
-    with open_stage(recording.objects, recording.support, points, shooting) as stage:
-        around = swept(stage.content if shooting.whole else points)
+    styles = _standing(recording, recording.poses, recording.is_placed)
+    points = _end_points(recording)
+    with scene_renderer(recording.objects, recording.support, points, picture) as renderer:
+        around = swept(renderer.content if picture.whole else points)
         for number in range(count):
             turn = 360.0 * number / count
-            stage.aim(around, replace(shooting.view, azimuth=shooting.view.azimuth + turn))
+            renderer.aim(around, replace(picture.view, azimuth=picture.view.azimuth + turn))
             # The lights go with the camera: it is the table that turns.
-            yield stage.picture(looks, light_yaw=math.radians(turn))
+            yield renderer.picture(styles, light_yaw=math.radians(turn))
+
+
+def _end_points(recording: Recording) -> np.ndarray:
+    """f64[P, 3]: what the camera has to show, at the end."""
+    objects = [recording.objects[i] for i in recording.placed]
+    return close_points(objects, recording.poses[recording.placed], recording.support)

@@ -1,4 +1,4 @@
-"""Finds a way to draw without a screen. Importing this file starts nothing and imports no MuJoCo."""
+"""Finds an OpenGL backend of MuJoCo that draws without a screen. Importing this file imports no MuJoCo."""
 
 from __future__ import annotations
 
@@ -11,17 +11,26 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from cluttergen_jax.errors import ClutterGenError
 
-_OFF = ("disable", "disabled", "off", "false", "0")
+_BACKENDS = {"Linux": ("egl", "osmesa", "glfw"), "Darwin": ("cgl", "glfw")}.get(platform.system(), ("glfw",))
 _ANY = ("", "enable", "enabled", "on", "true", "1")
-_CANDIDATES = {"Linux": ("egl", "osmesa", "glfw"), "Darwin": ("cgl", "glfw")}
+_SAME = {"glx": "glfw", "wgl": "glfw"}
 _PROBE_SECONDS = 60
+_PROBE = """
+import mujoco
+model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+with mujoco.Renderer(model, 32, 32) as renderer:
+    renderer.update_scene(data)
+    if not renderer.render().any():
+        raise RuntimeError("the picture of a sphere is black")
+"""
 _INSTALL = (
     "on Debian or Ubuntu `apt install libegl1 libgl1-mesa-dri` (EGL, with or without a GPU) or `apt install "
-    "libosmesa6` (OSMesa); then unset MUJOCO_GL or set it to egl or osmesa"
+    "libosmesa6` (OSMesa)"
 )
 # A GL context belongs to one thread at a time, and MuJoCo's EGL display is shared by the process.
 _LOCK = threading.RLock()
@@ -31,73 +40,45 @@ class RendererError(ClutterGenError):
     """Nothing on this machine can draw pictures. Simulation and files need no pictures."""
 
 
-def _allowed() -> tuple[str, ...]:
-    """The backends to try, best first, as MUJOCO_GL and the system have it.
-
-    Raises:
-      RendererError: MUJOCO_GL switches drawing off or names no backend.
-    """
-    candidates = _CANDIDATES.get(platform.system(), ("glfw",))
-    given = os.environ.get("MUJOCO_GL", "").lower().strip()
-    if given in _OFF:
-        raise RendererError(f"MUJOCO_GL={given} switches rendering off", hint="unsetting MUJOCO_GL")
-    if given in _ANY:
-        return candidates
-    name = {"glx": "glfw", "wgl": "glfw"}.get(given, given)
-    if name not in candidates:
-        raise RendererError(
-            f"MUJOCO_GL={given!r} names no backend",
-            f"{', '.join(candidates)} on {platform.system()}",
-            "unsetting MUJOCO_GL: the first that works is taken",
-        )
-    return (name,)
-
-
 def _failure(backend: str) -> str | None:
     """Why `backend` cannot draw, or None if it can. It is tried in a process that a bad driver may crash."""
-    has_screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if backend == "glfw" and platform.system() == "Linux" and not has_screen:
-        return "no screen (DISPLAY is not set)"
-    command = [sys.executable, "-P", str(Path(__file__).with_name("probe.py")), backend]
-    # MuJoCo imports the backend that MUJOCO_GL names; the probe imports its own.
-    env = {**os.environ, "MUJOCO_GL": "disable"}
+    command, env = [sys.executable, "-P", "-c", _PROBE], {**os.environ, "MUJOCO_GL": backend}
     try:
         done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=_PROBE_SECONDS)
     except subprocess.TimeoutExpired:
         return f"no picture within {_PROBE_SECONDS} s"
-    except OSError as error:
-        return f"the trial could not be started: {error}"
     if done.returncode == 0:
         return None
-    lines = done.stderr.strip().splitlines()
-    if lines and "'NoneType' object has no attribute" in lines[-1]:
-        # This is how PyOpenGL says it.
-        return "its library is not installed"
-    return lines[-1] if lines else f"the trial ended with code {done.returncode}"
+    last = (done.stderr.strip().splitlines() or [f"the trial ended with code {done.returncode}"])[-1]
+    # This is how PyOpenGL says that it finds no library.
+    return "its library is not installed" if "'NoneType' object has no attribute" in last else last
 
 
 @functools.cache
-def _trial(candidates: tuple[str, ...]) -> tuple[str | None, tuple[str, ...]]:
-    """The first of `candidates` that draws, and what the ones before it said."""
-    failures: list[str] = []
-    for name in candidates:
-        failure = _failure(name)
+def _trial(given: str) -> tuple[str | None, str]:
+    """The first backend that draws, of the one that MUJOCO_GL names or of all; and what the others said."""
+    failures = []
+    for backend in _BACKENDS if given in _ANY else (_SAME.get(given, given),):
+        failure = _failure(backend)
         if failure is None:
-            return name, tuple(failures)
-        failures.append(f"{name}: {failure}")
-    return None, tuple(failures)
+            return backend, ""
+        failures.append(f"{backend}: {failure}")
+    return None, "; ".join(failures)
 
 
 def find_backend() -> str:
-    """The name of the first backend that draws; tried once per process and setting.
+    """The name of the first backend that draws; tried once per process and setting of MUJOCO_GL.
 
     Raises:
       RendererError: none works; it says why and what to install.
     """
-    name, failures = _trial(_allowed())
-    if name is None:
-        raise RendererError(f"No OpenGL backend can draw here ({'; '.join(failures)})", hint=_INSTALL)
-    return name
+    given = os.environ.get("MUJOCO_GL", "").lower().strip()
+    backend, failures = _trial(given)
+    if backend is None:
+        setting, unset = (f" with MUJOCO_GL={given}", "unsetting MUJOCO_GL, or ") if given else ("", "")
+        given = f"No OpenGL backend can draw here{setting} ({failures})"
+        raise RendererError(given, ", ".join(_BACKENDS), unset + _INSTALL)
+    return backend
 
 
 def renderer_status() -> tuple[bool, str]:

@@ -13,8 +13,8 @@ from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.render.camera import drawn_points, placed_camera
 from cluttergen_jax.render.config import View
+from cluttergen_jax.render.renderer import HIDDEN_GROUP, check_size, open_renderer, set_range
 from cluttergen_jax.render.sheet import contact_sheet, save_png
-from cluttergen_jax.render.studio import HIDDEN_GROUP, check_size, open_studio, set_range
 
 __all__ = ["contact_sheet", "distinct_colour", "render_model", "save_png"]
 
@@ -77,7 +77,8 @@ def render_model(
     """Draws a model as it stands in `qpos`; the model is left as it was.
 
     Many pictures are drawn with the lights and the pixel grid moved a little, and averaged: that gives soft
-    shadows, light from the whole sky, and smooth edges. It looks its best on a model that `dress` prepared.
+    shadows, light from the whole sky, and smooth edges. It looks its best on
+    a model that `add_lighting` prepared.
 
     Args:
       model: any compiled model; geoms of group 2 are drawn.
@@ -111,5 +112,5 @@ def render_model(
         eye = placed_camera(content if focus is None else focus, view, width / height)
     else:
         eye = _named_camera(model, camera)
-    with open_studio(model, width, height) as studio:
-        return studio.average(data, eye, samples, reach)
+    with open_renderer(model, width, height) as renderer:
+        return renderer.average(data, eye, samples, reach)

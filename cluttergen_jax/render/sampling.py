@@ -7,7 +7,8 @@ import math
 import mujoco
 import numpy as np
 
-from cluttergen_jax.render.dress import KEY_DIRECTION, KEY_LIGHT, SKY_LIGHT
+from cluttergen_jax.geometry import yaw_matrix
+from cluttergen_jax.render.lighting import KEY_DIRECTION, KEY_LIGHT, SKY_LIGHT
 
 _KEY_SPREAD = 0.10
 
@@ -43,13 +44,12 @@ def shift_lights(
     reach: float,
     yaw: float = 0.0,
 ) -> None:
-    """Turns the dressed lights a little: averaged over many pictures, small lights become soft ones.
+    """Turns the lights of `lighting` a little: averaged over many pictures, small lights become soft ones.
 
     Args:
       yaw: radians by which all of them are turned about the vertical besides, to follow a camera.
     """
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    key = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ KEY_DIRECTION
+    key = yaw_matrix(yaw) @ KEY_DIRECTION
     key /= np.linalg.norm(key)
     directions = {
         KEY_LIGHT: _around(key, u[0], u[1], _KEY_SPREAD),

@@ -12,9 +12,10 @@ from PIL import Image
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.render.assets import close_points
 from cluttergen_jax.render.camera import axes
 from cluttergen_jax.render.picture import distinct_colour
-from cluttergen_jax.render.stage import Look, Shooting, open_stage, places
+from cluttergen_jax.render.scene_renderer import PictureConfig, RenderStyle, scene_renderer
 
 FLOOR, SUPPORT, FIRST_OBJECT = 0, 1, 2
 """Labels of a segmentation: nothing or the floor, the support, then object k of the scene as 2 + k."""
@@ -47,25 +48,25 @@ def sense(
     names: Sequence[str],
     poses: np.ndarray,
     support: SupportAsset,
-    shooting: Shooting | None = None,
+    picture: PictureConfig | None = None,
 ) -> Sensed:
     """Colour, depth and segmentation of a scene from one place.
 
     Raises:
       RendererError: nothing here can draw.
     """
-    shooting = shooting or Shooting()
+    picture = picture or PictureConfig()
     poses = np.asarray(poses, np.float64).reshape(-1, 7)
-    looks = [Look(pose) for pose in poses]
-    with open_stage(objects, support, places(objects, poses, support), shooting) as stage:
-        rgb = stage.picture(looks)
-        depth, actor = stage.measure(looks)
-        turn = axes(stage.camera.azimuth, stage.camera.elevation) * np.array([[1.0], [-1.0], [1.0]])
+    styles = [RenderStyle(pose) for pose in poses]
+    with scene_renderer(objects, support, close_points(objects, poses, support), picture) as renderer:
+        rgb = renderer.picture(styles)
+        depth, actor = renderer.measure(styles)
+        turn = axes(renderer.camera.azimuth, renderer.camera.elevation) * np.array([[1.0], [-1.0], [1.0]])
         camera = np.eye(4)
-        camera[:3, :3], camera[:3, 3] = turn.T, stage.eye
-        focal = stage.focal
+        camera[:3, :3], camera[:3, 3] = turn.T, renderer.eye
+        focal = renderer.focal
     intrinsics = np.array(
-        [[focal, 0, shooting.width / 2], [0, focal, shooting.height / 2], [0, 0, 1]], np.float64
+        [[focal, 0, picture.width / 2], [0, focal, picture.height / 2], [0, 0, 1]], np.float64
     )
     labels = (actor + FIRST_OBJECT).astype(np.uint8 if len(objects) < 254 else np.uint16)
     return Sensed(rgb, depth, labels, intrinsics, camera, tuple(names), poses)

@@ -9,8 +9,7 @@ import numpy as np
 
 from cluttergen_jax.bank.bank import Bank, SceneRecord
 from cluttergen_jax.bank.digests import digest_of
-from cluttergen_jax.bank.disk import write_atomically
-from cluttergen_jax.files import inside
+from cluttergen_jax.files import inside, write_atomically
 from cluttergen_jax.problem import ProblemConfig
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.render.assets import render_scene

@@ -17,12 +17,12 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.bank.card import write_card
-from cluttergen_jax.bank.disk import writing
-from cluttergen_jax.bank.summary import summary_of
+from cluttergen_jax.bank.stats import summary_of
 from cluttergen_jax.bank.table import table_of
 from cluttergen_jax.bank.writer import names_of
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.methods import SCREENED, checkpoint_hash, suited
+from cluttergen_jax.files import writing
+from cluttergen_jax.methods import FILTERED, checkpoint_hash, suited
 from cluttergen_jax.placement.config import MIN_MARGIN, placement_record
 from cluttergen_jax.problem import Problem, crowding
 from cluttergen_jax.sampler.files import write_files
@@ -43,7 +43,7 @@ _BETTER = {
     "clear": "method='drop'",
     "drop": "fewer objects",
     "ranked": "fewer objects",
-    SCREENED: "method='drop'",
+    FILTERED: "method='drop'",
 }
 
 
@@ -184,7 +184,7 @@ def recipe_of(problem: Problem, method: Method) -> dict[str, Any]:
         "placement": placement_record(problem.config.placement),
         "region": dataclasses.asdict(problem.region),
         "method": method.name,
-        "checkpoint_hash": None if method.checkpoint is None else checkpoint_hash(method.checkpoint),
+        "checkpoint_hash": None if method.checkpoint is None else checkpoint_hash(method.checkpoint.path),
         "block_size": BLOCK_SIZE,
         "names": problem.world.names,
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax")},
@@ -205,7 +205,7 @@ def _advice(method: str, success: float) -> str:
     """What to try where few scenes succeed; nothing where most do."""
     if success >= _FEW:
         return ""
-    better = _BETTER.get(method, f"method={SCREENED!r}")
+    better = _BETTER.get(method, f"method={FILTERED!r}")
     return f"advice     few scenes succeed with {method} here; try {better} or a larger support"
 
 

@@ -92,7 +92,7 @@ class Sampler:
         )
 
         def advance(drawing: _Drawing) -> _Drawing:
-            episode, num_draws = self.steps.step_one(drawing.episode), drawing.num_draws
+            episode, num_draws = self.steps.step_one(drawing.episode)[0], drawing.num_draws
             if not self.max_retries:
                 return drawing.replace(episode=episode)
             again = fits & episode.is_over & ~episode.is_success & (num_draws <= self.max_retries)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +11,13 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import composed, find_pool
 from cluttergen_jax.assets.reach import check_keep_out
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
-from cluttergen_jax.bank.start import read_start, start_of
+from cluttergen_jax.bank.reference import read_start, start_of
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.methods import checkpoint_of, default_method, proposer_of, suited
+from cluttergen_jax.methods import choose_method, proposer_of, suited
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.types import Start
+from cluttergen_jax.policies.checkpoint import Checkpoint
 from cluttergen_jax.problem import Problem, ProblemConfig, check_number, compose, keep_out_of, make_problem
 from cluttergen_jax.sampler.arguments import check_names, check_rectangles, check_whole
 from cluttergen_jax.sampling import BlockSampler
@@ -25,10 +25,10 @@ from cluttergen_jax.sampling import BlockSampler
 
 @dataclass(frozen=True)
 class Method:
-    """A method by name, and its checkpoint's folder; None for a baseline."""
+    """A method by name, and its checkpoint; None for a baseline."""
 
     name: str
-    checkpoint: Path | None = None
+    checkpoint: Checkpoint | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,8 @@ class Setup:
         """
         rules = self.problem.rules
         rules = replace(rules, config=suited(rules.config, method.checkpoint))
-        begin = partial(rules.begin, keep_out=self.keep_out, start=self.start)
-        return BlockSampler(rules, proposer_of(method.name, method.checkpoint, rules), begin)
+        propose = proposer_of(method.name, method.checkpoint, rules)
+        return BlockSampler(rules, propose, self.keep_out, self.start)
 
 
 def make_setup(
@@ -79,14 +79,12 @@ def make_setup(
 
 
 def find_method(name: str | None, checkpoint: str | Path | None, config: ProblemConfig) -> Method:
-    """The method of that name; the one that fits the problem best if none is named (`default_method`).
+    """The method of that name; the one that fits the problem best if none is named.
 
     Raises:
-      ConfigError, PoolError: see `methods.checkpoint_of`.
+      ConfigError, PoolError: see `methods.choose_method`.
     """
-    given = None if checkpoint is None else str(checkpoint)
-    name = name or default_method(config.pool, config.support, config.placement.num_objects, given)
-    return Method(name, checkpoint_of(name, config.pool, given))
+    return Method(*choose_method(name, config.pool, config.support, config.placement.num_objects, checkpoint))
 
 
 def problem_config(

@@ -2,51 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-
 import jax
 import jax.numpy as jnp
+from flax import struct
 
-from cluttergen_jax.placement.proposer import Proposer
-from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.region import KeepOut
+from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.placement.scenes import Scenes, scenes_of
-from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.placement.types import Episode, Start, Transition
 from cluttergen_jax.types import Array
 
 
-@dataclass(frozen=True, eq=False)
-class BlockSampler:
+class BlockSampler(struct.PyTreeNode, eq=False):
     """Episodes side by side until the last one is over; those that are over cost no physics.
 
     `sample` is the whole as one function to compile; `begin`, `step` and `finish` are its pieces, for drivers
-    that show progress and answer to Ctrl-C between steps.
+    that do something between steps (`sampling.run.Rollout`).
 
     Attributes:
       rules: the decision process.
-      propose: who chooses the poses.
-      begin_one: makes an episode from a key; `rules.begin` unless something stands there already.
+      propose: who chooses the poses; a pytree, where `Rollout` runs it.
+      keep_out, start: how every episode begins; None for nothing.
     """
 
     rules: Rules
     propose: Proposer
-    begin_one: Callable[[Array], Episode] | None = field(default=None)
+    keep_out: KeepOut | None = None
+    start: Start | None = None
 
     def begin(self, key: Array, indices: Array, is_wanted: Array) -> Episode:
         """Episodes for scene indices i32[N]; those not wanted (bool[N]) are over before they start."""
         keys = jax.vmap(lambda index: jax.random.fold_in(key, index))(indices)
-        episodes = jax.vmap(self.begin_one or self.rules.begin)(keys)
+        episodes = jax.vmap(lambda key: self.rules.begin(key, None, self.keep_out, self.start))(keys)
         return episodes.replace(is_over=~is_wanted)
 
-    def step(self, episodes: Episode) -> Episode:
+    def step(self, episodes: Episode) -> tuple[Episode, Transition]:
         """One attempt in every episode that is not over."""
         return jax.vmap(self.step_one)(episodes)
 
-    def step_one(self, episode: Episode) -> Episode:
+    def step_one(self, episode: Episode) -> tuple[Episode, Transition]:
         """One attempt, unless the episode is over."""
         key_propose, key_next = jax.random.split(episode.key)
         action = self.propose(key_propose, episode)
-        return self.rules.attempt(episode.replace(key=key_next), action)[0]
+        return self.rules.attempt(episode.replace(key=key_next), action)
 
     def finish(self, episodes: Episode) -> Scenes:
         """The scenes of finished episodes."""
@@ -55,5 +53,5 @@ class BlockSampler:
     def sample(self, key: Array, indices: Array, is_wanted: Array) -> Scenes:
         """All three: Scenes with leading axis N."""
         episodes = self.begin(key, indices, is_wanted)
-        episodes = jax.lax.while_loop(lambda e: ~jnp.all(e.is_over), self.step, episodes)
+        episodes = jax.lax.while_loop(lambda e: ~jnp.all(e.is_over), lambda e: self.step(e)[0], episodes)
         return self.finish(episodes)

@@ -1,9 +1,8 @@
-"""One finished scene as a value, as an MJCF text, as a specification, and many as one model."""
+"""One finished scene as a value and as MJCF text, its cameras, and many scenes as one model."""
 
 from cluttergen_jax.scene.cameras import CAMERAS, Camera, scene_cameras
 from cluttergen_jax.scene.collection import SceneCollection, collect
-from cluttergen_jax.scene.scene import Origin, Scene
-from cluttergen_jax.scene.spec import Attachment, attach_to, to_mjspec
+from cluttergen_jax.scene.scene import Attachment, Origin, Scene
 
 __all__ = [
     "CAMERAS",
@@ -12,8 +11,6 @@ __all__ = [
     "Origin",
     "Scene",
     "SceneCollection",
-    "attach_to",
     "collect",
     "scene_cameras",
-    "to_mjspec",
 ]

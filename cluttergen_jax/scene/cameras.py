@@ -52,8 +52,7 @@ class Camera:
     @property
     def rotation(self) -> np.ndarray:
         """f64[3, 3]: columns are the camera's right, up and backward in the world."""
-        w, x, y, z = self.quaternion
-        return Rotation.from_quat([x, y, z, w]).as_matrix()
+        return Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
 
     @property
     def fovx(self) -> float:
@@ -97,6 +96,6 @@ def _looking(
     right = np.array([math.cos(turn), math.sin(turn), 0.0])
     forward = math.cos(down) * ahead - math.sin(down) * np.array([0.0, 0.0, 1.0])
     columns = np.stack([right, np.cross(right, forward), -forward], axis=1)
-    x, y, z, w = Rotation.from_matrix(columns).as_quat()
+    quaternion = Rotation.from_matrix(columns).as_quat(scalar_first=True)
     target = np.array([*support.region.center, support.top])
-    return Camera(name, target - distance * forward, np.array([w, x, y, z]), fovy)
+    return Camera(name, target - distance * forward, quaternion, fovy)

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import add_object, add_support, new_spec
+from cluttergen_jax.assets.mjcf import populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support_file import support_hash
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.scene.scene import Scene
 from cluttergen_jax.world import unique_names
 
-_START = 50.0
-_HEIGHT = 10.0
-_GAP = 0.1
+_Asset = TypeVar("_Asset", ObjectAsset, SupportAsset)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,49 +67,49 @@ def collect(scenes: Sequence[Scene], *, visual: bool = False) -> SceneCollection
       ConfigError: there are no scenes, or they differ in support, contact or time step, or in the content of
         assets of one name.
     """
-    _check(scenes)
+    if not scenes:
+        raise ConfigError("a model of no scenes", "one scene or more")
+    scenes = list(check_alike(scenes))
     assets = {asset.name: asset for scene in scenes for asset in scene.objects}
     most: Counter[str] = Counter()
     for scene in scenes:
         most |= Counter(asset.name for asset in scene.objects)
     objects = [assets[name] for name in assets for _ in range(most[name])]
     names = unique_names([asset.name for asset in objects])
-    model = _compiled(scenes[0], names, objects, visual)
+    first = scenes[0]
+    spec = populated_spec(
+        names, objects, first.support, first.stability.timestep, first.contact, visual=visual
+    )
+    spec.modelname = "cluttergen scenes"
+    model = spec.compile()
     return SceneCollection(model, names, tuple(objects), *_states(scenes, model, names))
 
 
-def _check(scenes: Sequence[Scene]) -> None:
-    if not scenes:
-        raise ConfigError("a model of no scenes", "one scene or more")
-    first = scenes[0]
+def check_alike(scenes: Iterable[Scene]) -> Iterator[Scene]:
+    """The scenes, one by one, as long as one model or one folder can hold them all.
+
+    Raises:
+      ConfigError: they differ in support, contact or time step, or in the content of assets of one name.
+    """
+    first: Scene | None = None
+    known: dict[str, ObjectAsset] = {}
     for scene in scenes:
-        same = (
-            scene.support.boxes == first.support.boxes
-            and scene.contact == first.contact
-            and scene.stability.timestep == first.stability.timestep
-        )
-        if not same:
-            raise ConfigError("scenes of different supports, contacts or time steps", "scenes of one bank")
-    digests: dict[str, tuple[ObjectAsset, str]] = {}
-    for asset in (asset for scene in scenes for asset in scene.objects):
-        known = digests.setdefault(asset.name, (asset, ""))
-        if known[0] is not asset and object_hash(known[0]) != object_hash(asset):
-            raise ConfigError(f"two different objects called {asset.name!r}", "scenes of one bank")
+        first = first or scene
+        same = first.contact == scene.contact and first.stability.timestep == scene.stability.timestep
+        if not (same and _is_same(first.support, scene.support, support_hash)):
+            raise ConfigError(
+                "scenes of different supports, contacts or time steps",
+                "scenes of one bank",
+                "those of each bank by themselves",
+            )
+        for asset in scene.objects:
+            if not _is_same(known.setdefault(asset.name, asset), asset, object_hash):
+                raise ConfigError(f"two different objects called {asset.name!r}", "scenes of one bank")
+        yield scene
 
 
-def _compiled(
-    scene: Scene, names: Sequence[str], objects: Sequence[ObjectAsset], visual: bool
-) -> mujoco.MjModel:
-    spec = new_spec(scene.stability.timestep, scene.contact)
-    spec.modelname = "cluttergen scenes"
-    add_support(spec, scene.support, visual=visual)
-    x = _START
-    for name, asset in zip(names, objects, strict=True):
-        body = add_object(spec, asset, name, visual=visual)
-        x += asset.radius
-        body.pos = (x, 0.0, _HEIGHT)
-        x += asset.radius + _GAP
-    return spec.compile()
+def _is_same(one: _Asset, other: _Asset, digest: Callable[[_Asset], str]) -> bool:
+    return one is other or digest(one) == digest(other)
 
 
 def _states(

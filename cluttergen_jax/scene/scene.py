@@ -1,25 +1,24 @@
-"""A finished scene: which objects stand where on which support, and how it came about."""
+"""A finished scene as a value: which objects stand where on which support; also as a MuJoCo specification."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 
+from cluttergen_jax.assets.mjcf import new_spec, populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import product, transformed
 from cluttergen_jax.scene.cameras import Camera
 
-if TYPE_CHECKING:
-    import mujoco
-
-    from cluttergen_jax.scene.spec import Attachment
-
 _UNIT = 1e-3
+KEYFRAME = "scene"
+_OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "noslip_iterations")
 
 
 @dataclass(frozen=True)
@@ -46,6 +45,31 @@ class Origin:
     is_success: bool | None = None
     drift: float | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Attachment:
+    """Where a scene is found in the model that it was attached to.
+
+    Attributes:
+      prefix: stands before every name of the scene.
+      bodies: names of the N objects in the model; their free joints are called the same.
+      poses: f64[N, 7], world frame of the model, metres, wxyz.
+      keyframe: the keyframe that holds the scene and, for everything else, the model's own reference.
+    """
+
+    prefix: str
+    bodies: tuple[str, ...]
+    poses: np.ndarray
+    keyframe: str
+
+    def qpos(self, model: mujoco.MjModel, base: np.ndarray | None = None) -> np.ndarray:
+        """f64[nq]: `base` (the model's qpos0 if None) with the scene's objects where they belong."""
+        qpos = np.array(model.qpos0 if base is None else base, np.float64)
+        for name, pose in zip(self.bodies, self.poses, strict=True):
+            start = int(model.joint(name).qposadr[0])
+            qpos[start : start + 7] = pose
+        return qpos
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,11 +122,40 @@ class Scene:
         """Each asset of the scene once, by its own name."""
         return {asset.name: asset for asset in self.objects}
 
-    def to_mjspec(self, prefix: str = "") -> mujoco.MjSpec:
-        """The scene as a specification of its own: see `scene.spec.to_mjspec`."""
-        from cluttergen_jax.scene.spec import to_mjspec
+    def to_mjspec(self, prefix: str = "", *, support: bool = True) -> mujoco.MjSpec:
+        """The scene as a specification of its own, every name with `prefix` before it.
 
-        return to_mjspec(self, prefix)
+        Poses stand in each body's pos and quat and in the keyframe `prefix + "scene"`; time step, solver and
+        contact parameters are those with which the scene was checked. Surfaces are drawn, parts collide.
+        Images are files among `spec.assets`: whoever saves the specification as XML saves these beside it.
+
+        Args:
+          support: leave the support away if the user's own model has it.
+        """
+        spec = populated_spec(
+            self.names,
+            self.objects,
+            self.support if support else None,
+            self.stability.timestep,
+            self.contact,
+            poses=self.poses,
+            visual=True,
+        )
+        for geom in spec.geoms:
+            # An attached scene keeps its contact parameters even where the other model has defaults.
+            if not geom.priority:
+                geom.friction = self.contact.friction
+            geom.condim = self.contact.condim
+            geom.solref, geom.solimp = self.contact.solref, self.contact.solimp
+        for each in self.cameras:
+            spec.worldbody.add_camera(name=each.name, pos=each.position, quat=each.quaternion, fovy=each.fovy)
+        spec.add_key(name=KEYFRAME, qpos=self.poses.ravel())
+        spec.modelname = "cluttergen scene"
+        if not prefix:
+            return spec
+        outer = new_spec(self.stability.timestep, self.contact)
+        outer.attach(spec, prefix=prefix, frame=outer.worldbody.add_frame())
+        return outer
 
     def attach_to(
         self,
@@ -113,7 +166,41 @@ class Scene:
         quaternion: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
         support: bool = True,
     ) -> Attachment:
-        """Puts the scene into somebody's own model: see `scene.spec.attach_to`."""
-        from cluttergen_jax.scene.spec import attach_to
+        """Puts a scene into a user's own specification: a robot, another time step, another solver.
 
-        return attach_to(spec, self, prefix, position=position, quaternion=quaternion, support=support)
+        The model's own options stay as they are; the scene's geoms keep their own contact parameters.
+        Keyframes that the model has are extended by the scene; `Attachment.keyframe` is added. A time step of
+        more than half the contact's time constant (`ContactConfig.solref`) makes contacts softer.
+
+        Args:
+          spec: changed in place; compile it afterwards.
+          prefix: before every name of the scene.
+          position, quaternion: T_world_scene, metres, wxyz: where the scene's origin (the floor below the
+            support's centre) comes to be.
+          support: whether the support comes along.
+
+        Raises:
+          ConfigError: the scene has no objects, the model has something of that name already, the position
+            is not finite, or the quaternion is not of unit length.
+        """
+        if not self.names:
+            raise ConfigError("a scene without objects", "at least one", "a scene that stands")
+        turn = np.array(quaternion, np.float64)
+        if turn.shape != (4,) or not abs(np.linalg.norm(turn) - 1) <= 1e-6:
+            raise ConfigError(f"quaternion {tuple(quaternion)}", "four numbers of unit length, wxyz")
+        if np.shape(position) != (3,) or not np.isfinite(position).all():
+            raise ConfigError(f"position {tuple(position)}", "three finite numbers, metres")
+        taken = {body.name for body in spec.bodies} & {prefix + name for name in (*self.names, "support")}
+        if taken:
+            raise ConfigError(
+                f"a model that has bodies called {sorted(taken)}", "names that are free", "another prefix"
+            )
+        places = transformed(np.concatenate([position, turn]), self.poses[:, :3])
+        poses = np.concatenate([places, product(turn, self.poses[:, 3:])], axis=1)
+        child = self.to_mjspec(support=support)
+        child.keys[0].qpos = poses.ravel()
+        # The model's own options win; saying so here spares the user MuJoCo's warning about it.
+        for option in _OPTIONS:
+            setattr(child.option, option, getattr(spec.option, option))
+        spec.attach(child, prefix=prefix, frame=spec.worldbody.add_frame(pos=position, quat=turn))
+        return Attachment(prefix, tuple(prefix + name for name in self.names), poses, prefix + KEYFRAME)

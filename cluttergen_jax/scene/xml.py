@@ -2,11 +2,15 @@
 
 The poses stand in each body's pos and quat and in the keyframe `scene`, with the nine digits that a float32
 needs; time step, solver and contact parameters are written out, so any MuJoCo simulates what was verified.
+
+Why MJCF is written in four places. Models compiled here come from `assets.mjcf.populated_spec`. MuJoCo's
+own `MjSpec.to_xml` rounds to six digits, enough for an object alone (`assets.object_xml`) and too few for
+a pile that touches; and it would write every mesh once for each copy of an object. So this file is written
+element by element. `export.robosuite` is a dialect: groups, sites and missing joints as robosuite asks.
 """
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from xml.etree import ElementTree as ET
@@ -14,11 +18,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from cluttergen_jax.assets.mjcf import COLLISION_GROUP, SHININESS, SPECULAR, VISUAL_GROUP, own_contact
+from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.part_files import part_name
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene.cameras import Camera
 from cluttergen_jax.world import unique_names
 
@@ -132,7 +137,7 @@ def _add_support(assets: ET.Element, world: ET.Element, support: SupportAsset) -
             name=f"support/box-{index}",
             type="box",
             pos=_text(box.center),
-            quat=_text([math.cos(box.yaw / 2), 0, 0, math.sin(box.yaw / 2)]),
+            quat=_text(yaw_quaternion(box.yaw)),
             size=_text(box.half_extents),
             rgba=_text(box.rgba),
             group=str(COLLISION_GROUP if support.pieces else VISUAL_GROUP),

@@ -1,4 +1,4 @@
-"""Where an object could go: candidate poses let down onto the scene by geometry alone."""
+"""Where an object could go: candidate poses lowered to first contact, by geometry alone."""
 
 from cluttergen_jax.search.lowest import LowestFit
 from cluttergen_jax.search.search import Search, SearchConfig, Shortlist

@@ -1,4 +1,4 @@
-"""How an object would lie if it were let down onto the scene at a candidate position and turn."""
+"""How an object would lie if it were lowered vertically to first contact at a candidate position and turn."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Fit(struct.PyTreeNode):
 
 
 def let_down(under: UnderSide, heights: HeightMap, candidates: Candidates) -> Fit:
-    """Lets an object down onto a height map at each candidate."""
+    """Lowers an object vertically to first contact with a height map, at each candidate."""
     below = heights.at(_cells(under, heights, candidates))
     is_column = under.is_column
     lowest = jnp.min(jnp.where(is_column, under.bottom, jnp.inf))

@@ -1,4 +1,4 @@
-"""Lowest fit: many random poses let down onto the scene; the lowest, best supported and snuggest is taken."""
+"""Lowest fit: many random poses lowered to first contact; the lowest, best supported, least open is taken."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _ENOUGH_ON_TOP = 0.5
 _ENOUGH_ON_OBJECTS = 0.8
 _TIPPING_COST = 2.0
 _GAP_SCALE = 0.01
-_SNUGNESS = 0.05
+_CLOSED_IN = 0.05
 
 
 def cost_of_lying(look: Look) -> Array:
@@ -27,14 +27,14 @@ def cost_of_lying(look: Look) -> Array:
     return look.lift + (look.fit.gap / _GAP_SCALE) ** 2 + tipping
 
 
-class LowestFit(Search):
-    """Lets each candidate down by the object's own under-side and takes the lowest that would not tip.
+class LowestFit(Search, eq=False):
+    """Lowers each candidate by the object's own under-side and takes the lowest that would not tip.
 
     A place closed in on all sides, by objects or the support's end, counts as 5 cm lower than an open one:
     that keeps free space in one piece for the objects to come. After each failed attempt it counts half, so
-    that an object is not offered the same tempting place five times.
+    that an object does not get the same best candidate five times.
     """
 
     def cost(self, look: Look) -> Array:
         """See `Search`."""
-        return cost_of_lying(look) - _SNUGNESS * look.crowd * 0.5**look.attempt
+        return cost_of_lying(look) - _CLOSED_IN * look.crowd * 0.5**look.attempt

@@ -17,7 +17,7 @@ from cluttergen_jax.search.fit import Candidates, Fit, UnderSide, let_down, mean
 from cluttergen_jax.types import Array
 
 CLEARANCE = 0.001
-"""Metres above its rest at which an object is let go."""
+"""Metres above its rest at which an object is released."""
 
 FORBIDDEN = 1e6
 """Added to the cost of poses that would not count."""
@@ -33,7 +33,7 @@ class SearchConfig:
 
     Attributes:
       num_candidates: random poses.
-      num_coarse: columns of the object that are let down at each of them.
+      num_coarse: columns of the object that are lowered at each of them.
       num_finalists: the poses among them at which the whole under-side is.
     """
 
@@ -68,7 +68,7 @@ class Shortlist(struct.PyTreeNode):
       look: what is known of them, wholly looked at.
       cost: f32[M], what the search keeps low; at least FORBIDDEN for poses that would not count.
       action: f32[M, 4], the actions that propose them.
-      heights: the scene that they were let down onto.
+      heights: the scene that they were lowered onto.
     """
 
     candidates: Candidates
@@ -78,19 +78,28 @@ class Shortlist(struct.PyTreeNode):
     heights: HeightMap
 
 
-class Search:
-    """Proposes the cheapest of many poses, uniform over region and turn; a subclass says what is cheap."""
+class Search(struct.PyTreeNode, eq=False):
+    """Proposes the cheapest of many poses, uniform over region and turn; a subclass says what is cheap.
 
-    def __init__(self, rules: Rules, config: SearchConfig | None = None) -> None:
-        self.rules, self.config = rules, config or SearchConfig()
-        self._map = HeightMapper(rules.geometry, rules.region)
+    Attributes:
+      rules: of the world; config: how long to look.
+      mapper: makes height maps of its scenes; made here if not given.
+    """
+
+    rules: Rules
+    config: SearchConfig = struct.field(pytree_node=False, default=SearchConfig())
+    mapper: HeightMapper | None = None
+
+    def __post_init__(self) -> None:
+        if self.mapper is None:
+            object.__setattr__(self, "mapper", HeightMapper.of(self.rules.geometry, self.rules.region))
 
     def cost(self, look: Look) -> Array:
         """f32[N]: what to keep low. Among equals the first is taken, which is a random one."""
         raise NotImplementedError
 
     def __call__(self, key: Array, episode: Episode) -> Array:
-        """See `placement.proposer.Proposer`."""
+        """See `placement.rules.Proposer`."""
         found = self.shortlist(key, episode)
         return found.action[jnp.argmin(found.cost)]
 
@@ -103,7 +112,8 @@ class Search:
         config = self.config
         focus, height_range = self.rules.focus(episode), self.rules.height_range(episode)
         bare_rest = self.rules.geometry.half_extents[focus, 2]
-        heights = self._map(episode.region, episode.poses, episode.is_placed)
+        assert self.mapper is not None
+        heights = self.mapper(episode.region, episode.poses, episode.is_placed)
         crowded = crowding(heights)
         under = under_side(self.rules, focus)
         sparse = under.first(config.num_coarse)
@@ -155,7 +165,7 @@ def under_side(rules: Rules, focus: Array) -> UnderSide:
 
 
 def draw_candidates(key: Array, region: Region, number: int) -> Candidates:
-    """Uniform over one turn and over the region, but for a hair's breadth along its sides."""
+    """Uniform over one turn and over the region, but for 2 mm along its sides."""
     key_xy, key_yaw = jax.random.split(key)
     xy = jax.random.uniform(key_xy, (number, 2), minval=-1.0) * jnp.maximum(region.half_extents - _EDGE, 0.0)
     return Candidates(xy, jax.random.uniform(key_yaw, (number,), maxval=2 * jnp.pi))

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from cluttergen_jax.agent.checkpoint import read_record
 from cluttergen_jax.methods import checkpoint_of
 from cluttergen_jax.placement.recording import Recording
+from cluttergen_jax.policies.checkpoint import read_checkpoint
 from cluttergen_jax.sampler import make_sampler
 from cluttergen_jax.sampler.wiring import Setup
 from cluttergen_jax.sources.workshop import Workshop
@@ -42,20 +42,21 @@ class LiveSource:
     """
 
     def __init__(self, config: LiveConfig, checkpoint: Path | None = None) -> None:
-        record = {} if checkpoint is None else read_record(checkpoint)
+        given = None if checkpoint is None else read_checkpoint(checkpoint)
+        record = {} if given is None else given.record
         placement = record.get("placement", {})
         pool = config.pool or record.get("pool", "dining")
         method = config.method or record.get("variant", "drop")
-        path = checkpoint_of(method, pool, None if checkpoint is None else str(checkpoint))
+        found = checkpoint_of(method, pool, given)
         sampler = make_sampler(
             pool=pool,
             support=config.support or record.get("support", "table"),
             num_objects=config.num_objects or placement.get("num_objects"),
             method=method,
-            checkpoint=path,
+            checkpoint=None if found is None else found.path,
             max_attempts=placement.get("max_attempts", 5),
         )
-        trained = {} if path is None else {method: path}
+        trained = {} if found is None else {method: found}
         self._workshop = Workshop(Setup(sampler.problem, sampler.keep_out, sampler.start), trained)
         self.name = pool if checkpoint is None else f"{method} of {checkpoint.resolve().name}"
         self.numbers = range(_MOST)

@@ -11,9 +11,9 @@ from typing import Literal
 import numpy as np
 
 from cluttergen_jax.assets.scene_cloud import ply_of, scene_points
-from cluttergen_jax.bank.disk import write_atomically
 from cluttergen_jax.bank.reference import missing_text
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
+from cluttergen_jax.files import write_atomically
 from cluttergen_jax.placement.recording import Recording
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.render.assets import render_scene
@@ -21,9 +21,9 @@ from cluttergen_jax.render.config import FilmConfig, View
 from cluttergen_jax.render.figure import closed_loop_figure
 from cluttergen_jax.render.film import replay, replay_frames, turntable
 from cluttergen_jax.render.gl import find_backend
+from cluttergen_jax.render.scene_renderer import PictureConfig
 from cluttergen_jax.render.sensors import depth_png, npz_of, segmentation_png, sense
 from cluttergen_jax.render.sheet import contact_sheet, save_png
-from cluttergen_jax.render.stage import Shooting
 from cluttergen_jax.render.video import check_format, save_film
 from cluttergen_jax.sources import BankSource, open_source
 from cluttergen_jax.viewer.source import Source
@@ -131,7 +131,7 @@ class Rendering:
         """Makes everything that is asked for."""
         if self.turntable or self.replay:
             check_format(self.film)
-        sizes = {size: self._shooting(size, _QUICK) for size in (_LARGE, _SMALL, _CELL)}
+        sizes = {size: self._picture(size, _QUICK) for size in (_LARGE, _SMALL, _CELL)}
         source, own = open_source(self.source)
         numbers = chosen_numbers(source, own, self.scenes, _SHEET if self.sheet else 1)
         if self.picture or self.sheet or self.turntable or self.replay or self.figure or self._is_sensed:
@@ -148,12 +148,14 @@ class Rendering:
     def _is_sensed(self) -> bool:
         return self.depth or self.segmentation
 
-    def _shooting(self, size: tuple[int, int], samples: int) -> Shooting:
+    def _picture(self, size: tuple[int, int], samples: int) -> PictureConfig:
         width, height = self.size or size
         samples = samples if self.samples is None else self.samples
-        return Shooting(width, height, samples, self.view, self.whole, self.hulls)
+        return PictureConfig(width, height, samples, self.view, self.whole, self.hulls)
 
-    def _make(self, source: Source, number: int, small: Shooting, made: list[Path]) -> Iterator[_Failure]:
+    def _make(
+        self, source: Source, number: int, small: PictureConfig, made: list[Path]
+    ) -> Iterator[_Failure]:
         """Makes everything that is asked for of one scene; what cannot be made costs nothing else."""
         stem = self.out / (f"{number:06d}" if isinstance(source, BankSource) else _stem(source, number))
         attempted = None
@@ -174,14 +176,14 @@ class Rendering:
                 yield stem.name + ending, error
 
     def _products(
-        self, recording: Recording, has_attempts: bool, small: Shooting
+        self, recording: Recording, has_attempts: bool, small: PictureConfig
     ) -> Iterator[tuple[str, _Make]]:
         """The endings of the files that are asked for, and how each is made."""
-        large = self._shooting(_LARGE, _FINE)
+        large = self._picture(_LARGE, _FINE)
         if self.picture and not (self.sheet and not self.scenes):
             yield ".png", lambda path: [save_png(drawn(recording, large), path)]
         if self.figure and has_attempts:
-            yield "-figure.png", lambda path: [save_png(closed_loop_figure(recording, shooting=large), path)]
+            yield "-figure.png", lambda path: [save_png(closed_loop_figure(recording, picture=large), path)]
         if self._is_sensed:
             yield "-sensors.npz", lambda path: self._sensed(recording, path, large)
         if self.points:
@@ -195,10 +197,10 @@ class Rendering:
             length = len(replay_frames(recording, self.pace))
             yield f"-replay.{self.film}", lambda path: [self._filmed(steps, length, path)]
 
-    def _sensed(self, recording: Recording, path: Path, shooting: Shooting) -> Iterator[Path]:
+    def _sensed(self, recording: Recording, path: Path, picture: PictureConfig) -> Iterator[Path]:
         placed = recording.placed
         names = [recording.names[index] for index in placed]
-        sensed = sense(_placed(recording), names, recording.poses[placed], recording.support, shooting)
+        sensed = sense(_placed(recording), names, recording.poses[placed], recording.support, picture)
         stem = path.with_name(path.name.removesuffix("-sensors.npz"))
         if self.depth:
             yield _written(_named(stem, "-depth.png"), depth_png(sensed.depth))
@@ -211,10 +213,10 @@ class Rendering:
         return save_film(shown, path, self.pace.fps)
 
     def _sheet(self, source: Source, numbers: list[int]) -> np.ndarray:
-        shooting = self._shooting(_CELL, _QUICK if len(numbers) > _SHEET else _FINE)
+        picture = self._picture(_CELL, _QUICK if len(numbers) > _SHEET else _FINE)
         recordings = [source.still(number) for number in numbers]
         shown = tracked(recordings, "sheet.png", len(recordings), "picture")
-        images = [drawn(recording, shooting) for recording in shown]
+        images = [drawn(recording, picture) for recording in shown]
         captions = [
             f"{number:06d}" + ("" if recording.is_success else f" (failed: {recording.verdict})")
             for number, recording in zip(numbers, recordings, strict=True)
@@ -250,18 +252,18 @@ def chosen_numbers(
     return list(good if asked == "all" else good[:count])
 
 
-def drawn(recording: Recording, shooting: Shooting) -> np.ndarray:
+def drawn(recording: Recording, picture: PictureConfig) -> np.ndarray:
     """uint8[height, width, 3]: the finished scene."""
     return render_scene(
         _placed(recording),
         recording.poses[recording.placed],
         recording.support,
-        camera=shooting.view,
-        close=not shooting.whole,
-        width=shooting.width,
-        height=shooting.height,
-        hulls=shooting.hulls,
-        samples=shooting.samples,
+        camera=picture.view,
+        close=not picture.whole,
+        width=picture.width,
+        height=picture.height,
+        hulls=picture.hulls,
+        samples=picture.samples,
     )
 
 

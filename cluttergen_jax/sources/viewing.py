@@ -13,7 +13,7 @@ import numpy as np
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.recording import Recording
 from cluttergen_jax.render.assets import scene_spec
-from cluttergen_jax.render.dress import FLOOR
+from cluttergen_jax.render.lighting import FLOOR
 from cluttergen_jax.sources.live import LiveConfig
 from cluttergen_jax.sources.opening import open_source
 from cluttergen_jax.viewer.native import check_display, show_native

@@ -12,14 +12,15 @@ import numpy as np
 from cluttergen_jax.assets.rectangle_text import keep_out_box
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.bank.bank import Bank
+from cluttergen_jax.bank.reference import read_start
 from cluttergen_jax.bank.scene import config_of
-from cluttergen_jax.bank.start import read_start
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.methods import checkpoint_of
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.recording import Recording
+from cluttergen_jax.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.problem import ProblemConfig
 from cluttergen_jax.sampler.wiring import Method, Setup, make_setup
 from cluttergen_jax.sampling import BLOCK_SIZE
@@ -35,11 +36,11 @@ class Workshop:
 
     Attributes:
       setup: the compiled world, and how episodes begin.
-      checkpoints: folders of trained methods, by the method's name.
+      checkpoints: of trained methods, by the method's name.
     """
 
     setup: Setup
-    checkpoints: dict[str, Path] = field(default_factory=dict)
+    checkpoints: dict[str, Checkpoint] = field(default_factory=dict)
     _made: dict[tuple[str, int], Recorder] = field(default_factory=dict)
     _used: set[str] = field(default_factory=set)
 
@@ -85,7 +86,8 @@ def workshop_of(bank: Bank) -> Workshop:
     objects = [bank.object(base_name(name)) for name in names[: len(names) - len(standing)]]
     keep_out = [keep_out_box(entry) for entry in boxes]
     setup = make_setup(config, keep_out, recipe.get("start"), (objects, bank.support))
-    trained = checkpoint_of(method, pool, checkpoint)
+    given = None if checkpoint is None else read_checkpoint(Path(checkpoint))
+    trained = checkpoint_of(method, pool, given)
     return Workshop(setup, {} if trained is None else {method: trained})
 
 

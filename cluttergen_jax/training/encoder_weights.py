@@ -1,4 +1,4 @@
-"""Weights of pretrained point encoders: storing them, and putting them into a policy's network."""
+"""Weights of pretrained point encoders: reading them, and putting them into a policy's network."""
 
 from __future__ import annotations
 
@@ -6,18 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.agent.checkpoint import read_policy, read_record, save_policy
-from cluttergen_jax.agent.learner import ENCODER
+from cluttergen_jax.agent.checkpoint import read_policy, read_record
+from cluttergen_jax.agent.pose_agent import ENCODER
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.networks.config import NetworkConfig
-from cluttergen_jax.networks.ranking import RankerConfig
+from cluttergen_jax.networks.config import AgentConfig, NetworkConfig
 
 _SET_ENCODER = "PointNet_0"
-
-
-def save_encoder(folder: Path, weights: Any, record: dict[str, Any]) -> None:
-    """Stores weights (half precision, no pickle) and a record that names the `encoder` and its `features`."""
-    save_policy(folder, weights, record)
 
 
 def fitted(network: NetworkConfig, folder: Path) -> NetworkConfig:
@@ -40,8 +34,8 @@ def fitted(network: NetworkConfig, folder: Path) -> NetworkConfig:
 
 
 def choose_encoder(
-    network: NetworkConfig | RankerConfig, encoder: str | None, weights: str | None, is_frozen: bool
-) -> NetworkConfig | RankerConfig:
+    network: AgentConfig, encoder: str | None, weights: str | None, is_frozen: bool
+) -> AgentConfig:
     """The config with what the command line says of encoders.
 
     Raises:

@@ -11,14 +11,12 @@ import numpy as np
 from scipy.stats import binomtest
 
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.networks.config import NetworkConfig
-from cluttergen_jax.networks.ranking import RankerConfig
+from cluttergen_jax.networks.config import AgentConfig
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.policies.policy import make_policy
 from cluttergen_jax.problem import Problem
-from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler
+from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler, Rollout
 
 _FRESH = 0x5EED
 """Folded into the seed's key, so that no episode of training comes back."""
@@ -37,7 +35,7 @@ class Evaluator:
     """
 
     problem: Problem
-    network: NetworkConfig | RankerConfig
+    network: AgentConfig
     num_episodes: int = 256
     is_sampled: bool = True
     seed: int = 0
@@ -51,17 +49,12 @@ class Evaluator:
         return replace(self.problem.rules, physics=physics)
 
     @cached_property
-    def _compiled(self) -> tuple[Any, Any]:
-        """Begin and step, compiled with the weights as an argument: they are evaluated again and again."""
-        policy = make_policy(self.rules, self.network, None, self.is_sampled)
+    def _policy(self) -> Any:
+        return make_policy(self.rules, self.network, None, self.is_sampled)
 
-        def sampler(params: Any) -> BlockSampler:
-            return BlockSampler(self.rules, replace(policy, params=params))
-
-        def step(params: Any, episodes: Episode) -> Episode:
-            return sampler(params).step(episodes)
-
-        return jax.jit(sampler(None).begin), jax.jit(step, donate_argnums=1)
+    @cached_property
+    def _rollout(self) -> Rollout:
+        return Rollout()
 
     def __call__(self, params: Any) -> dict[str, Any]:
         """Success with its 95 % interval, and how it was found: JSON values.
@@ -69,18 +62,16 @@ class Evaluator:
         Args:
           params: the weights; they are evaluated at half precision, as they are stored.
         """
-        begin, step = self._compiled
         params = jax.tree.map(lambda leaf: np.float32(np.float16(leaf)), params)
+        sampler = BlockSampler(self.rules, replace(self._policy, params=params))
         key = jax.random.fold_in(jax.random.key(self.seed), _FRESH)
         place = np.arange(min(BLOCK_SIZE, self.num_episodes))
         success, filled = [], []
         for first in range(0, self.num_episodes, len(place)):
             is_wanted = first + place < self.num_episodes
-            episodes = begin(key, first + place, is_wanted)
-            while not bool(episodes.is_over.all()):
-                episodes = step(params, episodes)
-            success.append(np.asarray(episodes.is_success)[is_wanted])
-            filled.append(np.asarray(episodes.slot >= episodes.num_slots)[is_wanted])
+            scenes = self._rollout.run(sampler, key, first + place, is_wanted)
+            success.append(scenes.is_success[is_wanted])
+            filled.append(scenes.is_filled[is_wanted])
         found = np.concatenate(success)
         interval = binomtest(int(found.sum()), len(found)).proportion_ci(method="wilson")
         return {

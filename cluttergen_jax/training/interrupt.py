@@ -1,4 +1,4 @@
-"""Ctrl-C as a wish that is granted between compiled calls, where everything is in a state to be saved."""
+"""Graceful shutdown: Ctrl-C is answered between compiled calls, where everything can be saved."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Interrupt:
-    """While it is entered, the first Ctrl-C (or SIGTERM) only sets `is_asked`; the second one strikes.
+    """While it is entered, the first Ctrl-C (or SIGTERM) only sets `is_asked`; a second interrupts at once.
 
     Outside the main thread, where Python allows no handlers, it does nothing.
     """

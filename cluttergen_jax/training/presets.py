@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, get_args
+from typing import Any
 
 from cluttergen_jax.agent.config import PPOConfig
-from cluttergen_jax.config import StabilityConfig, Variant
+from cluttergen_jax.config import VARIANTS, StabilityConfig
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.networks.config import NetworkConfig
+from cluttergen_jax.networks.config import AgentConfig, NetworkConfig
 from cluttergen_jax.networks.ranking import RankerConfig
 from cluttergen_jax.placement.config import PlacementConfig
 
@@ -18,7 +18,7 @@ class Settings:
     """What a preset decides."""
 
     ppo: PPOConfig = field(default_factory=PPOConfig)
-    network: NetworkConfig | RankerConfig = field(default_factory=NetworkConfig)
+    network: AgentConfig = field(default_factory=NetworkConfig)
     placement: PlacementConfig = field(default_factory=PlacementConfig)
     stability: StabilityConfig = field(default_factory=StabilityConfig)
 
@@ -93,10 +93,6 @@ def paper() -> Settings:
 
 
 PRESETS = {"cpu": cpu, "tight": tight, "gpu": gpu, "paper": paper}
-VARIANTS = get_args(Variant)
-"""`policy` is the full method with the preset's head (a mixture; in `paper` a Beta a coordinate); `beta`
-and `normal` are the full method with the paper's heads; `open_loop` and `short_memory` look back on nothing
-and on one attempt; `ranked` chooses among poses that geometry has found."""
 
 _CHANGES: dict[str, dict[str, Any]] = {
     "policy": {},

@@ -11,13 +11,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.agent.checkpoint import has_state, read_record, read_state, save_state
+from cluttergen_jax.agent.checkpoint import (
+    check_folder,
+    has_state,
+    read_state,
+    save_policy,
+    save_state,
+)
 from cluttergen_jax.assets.modeller.catalog import FAMILIES
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.networks.config import NetworkConfig
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.training.classifier import Classifier, Fit, FitState, turned
-from cluttergen_jax.training.encoder_weights import save_encoder
 from cluttergen_jax.training.interrupt import Interrupt
 from cluttergen_jax.training.shapes import ShapeClouds, make_clouds
 
@@ -91,10 +96,7 @@ class Pretraining:
         self.config, self.folder = config, folder
         model = Classifier(config.network, len(config.families))
         self.fit = Fit(model, config.num_steps, config.learning_rate)
-        if has_state(folder / "last") and read_record(folder / "last")["config"] != _as_json(asdict(config)):
-            raise ConfigError(
-                f"{folder} holds a run with other settings", "the same settings", "another `out`"
-            )
+        check_folder(folder, {"config": asdict(config)})
         folder.mkdir(parents=True, exist_ok=True)
 
     def run(self) -> float:
@@ -179,19 +181,13 @@ class Pretraining:
             "steps": int(state.step),
             "config": asdict(self.config),
         }
-        save_encoder(self.folder, jax.device_get(state.params["encoder"]), record)
+        save_policy(self.folder, jax.device_get(state.params["encoder"]), record)
 
 
 def _seeds(config: PretrainConfig, is_held_out: bool) -> list[int]:
     """Of the shapes of each family: even ones to learn from, odd ones to test with."""
     count = config.num_held_out if is_held_out else config.num_shapes
     return [2 * (1000 * config.seed + k) + is_held_out for k in range(count)]
-
-
-def _as_json(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _as_json(each) for name, each in value.items()}
-    return list(value) if isinstance(value, tuple) else value
 
 
 def small(encoder: str) -> NetworkConfig:

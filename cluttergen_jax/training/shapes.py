@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluttergen_jax.assets.cloud import farthest_first
-from cluttergen_jax.assets.deviation import sample_surface
+from cluttergen_jax.assets.cloud import farthest_first, sample_surface
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.modeller.catalog import make_shape
 from cluttergen_jax.progress import tracked

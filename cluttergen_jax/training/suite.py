@@ -10,7 +10,7 @@ from cluttergen_jax.config import Variant
 from cluttergen_jax.errors import ConfigError
 
 POOLS = ("dining", "study", "office", "kitchen", "household")
-VARIANTS: tuple[Variant, ...] = ("policy", "open_loop", "short_memory", "normal", "beta")
+TABLE_VARIANTS: tuple[Variant, ...] = ("policy", "open_loop", "short_memory", "normal", "beta")
 SEEDS = (0, 1, 2)
 ATTEMPTS_POOL = "dining"
 ATTEMPTS = (1, 2, 3, 5, 10)
@@ -70,10 +70,10 @@ def plan(
 
 def _paper(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
     """Table 1's variants on each pool; of the first seed, other numbers of attempts too."""
-    runs = [PlannedRun(pool, variant, seed) for pool in pools for variant in VARIANTS]
+    runs = [PlannedRun(pool, variant, seed) for pool in pools for variant in TABLE_VARIANTS]
     if ATTEMPTS_POOL in pools and seed == SEEDS[0]:
         runs += [
-            PlannedRun(ATTEMPTS_POOL, VARIANTS[0], seed, attempts)
+            PlannedRun(ATTEMPTS_POOL, TABLE_VARIANTS[0], seed, attempts)
             for attempts in ATTEMPTS
             if attempts != DEFAULT_ATTEMPTS
         ]
@@ -86,7 +86,7 @@ def _honest(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
         return []
     ladder = [pool for pool in pools if pool in LADDER_POOLS]
     return [
-        *(PlannedRun(pool, variant, seed) for pool in ladder for variant in VARIANTS),
+        *(PlannedRun(pool, variant, seed) for pool in ladder for variant in TABLE_VARIANTS),
         *(PlannedRun(pool, "ranked", seed, support=TIGHTEST) for pool in ladder),
         *(PlannedRun("all", variant, seed, num_objects=CROWD) for variant in _OF_CROWDS),
     ]

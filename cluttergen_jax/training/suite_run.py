@@ -11,15 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import jax
+from tqdm import tqdm
 
-from cluttergen_jax.agent.checkpoint import has_state, read_record
+from cluttergen_jax.agent.checkpoint import check_folder, has_state, read_record
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.errors import ClutterGenError, ConfigError
-from cluttergen_jax.training.display import clock_text, short
+from cluttergen_jax.progress import time_text
+from cluttergen_jax.training.metrics_log import read_rows
 from cluttergen_jax.training.presets import paper
-from cluttergen_jax.training.records import read_rows
 from cluttergen_jax.training.suite import POOLS, SEEDS, PlannedRun, plan
-from cluttergen_jax.training.train import TrainConfig, check_folder, recipe_of, run_training
+from cluttergen_jax.training.train import TrainConfig, recipe_of, run_training
 
 RATE = 450.0
 """Attempts per second until a run of the suite has told its own: preset `cpu`, dining, beside another run."""
@@ -184,7 +185,7 @@ def _overview(standings: list[Standing]) -> str:
     lines = []
     for standing in standings:
         success = "" if standing.success is None else f"  success {standing.success:.2f}"
-        done = f"{short(standing.attempts)}/{short(standing.total)}"
+        done = f"{tqdm.format_sizeof(standing.attempts)}/{tqdm.format_sizeof(standing.total)}"
         lines.append(f"  {standing.planned.name:{width}}  {standing.word:5}  {done:>11}{success}")
     budget = totals.pop()
     rates = [standing.rate for standing in standings if standing.rate]
@@ -193,7 +194,7 @@ def _overview(standings: list[Standing]) -> str:
     lines += [
         f"{len(standings)} runs of {budget:,} attempts each (the paper: {paper().ppo.num_attempts:,}), "
         f"{sum(standing.is_done for standing in standings)} done",
-        f"time left about {clock_text(left / rate)}, compiling and evaluating aside "
+        f"time left about {time_text(left / rate)}, compiling and evaluating aside "
         f"({rate:.0f} attempts per second, {source}; {os.cpu_count()} cores)",
     ]
     return "\n".join(lines)

@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from cluttergen_jax.agent.checkpoint import has_state, read_record
+from cluttergen_jax.agent.checkpoint import check_folder
 from cluttergen_jax.assets.pool import composed, find_pool, public_name
 from cluttergen_jax.config import EvalAction
 from cluttergen_jax.errors import ConfigError
@@ -70,7 +70,6 @@ class TrainConfig:
 
     def settings(self) -> Settings:
         """The preset with what is changed of it."""
-        from cluttergen_jax.networks.config import NetworkConfig
         from cluttergen_jax.training.encoder_weights import choose_encoder
         from cluttergen_jax.training.presets import make_settings
 
@@ -81,9 +80,7 @@ class TrainConfig:
         if self.reward is not None:
             placement = dataclasses.replace(placement, reward=self.reward)
         network = choose_encoder(settings.network, self.encoder, self.encoder_weights, self.encoder_frozen)
-        if isinstance(network, NetworkConfig) and network.history_length > 1:
-            # The full method looks back on every attempt that an object may have, however many those are.
-            network = dataclasses.replace(network, history_length=self.max_attempts)
+        network = network.with_attempts(self.max_attempts)
         changes = {"num_attempts": self.num_attempts, "num_envs": self.num_envs}
         given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
         ppo = dataclasses.replace(settings.ppo, **given)
@@ -158,7 +155,7 @@ def train(
     fields = {field.name: given[field.name] for field in dataclasses.fields(TrainConfig)}
     paths = {name: fields[name] and str(fields[name]) for name in ("support", "encoder_weights", "out")}
     config = TrainConfig(**fields | paths | {"pool": composed(pool, exclude)})
-    from cluttergen_jax.training.hosts import join
+    from cluttergen_jax.training.distributed import join
 
     join(coordinator, num_processes, process_id)
     return run_training(config, show=show)
@@ -173,10 +170,9 @@ def run_training(
       settings: in place of `config.settings()`, for an experiment that changes more than an argument does.
     """
     # Brax takes seconds to import, and only who trains needs it.
-    from cluttergen_jax.networks.config import NetworkConfig
     from cluttergen_jax.problem import ProblemConfig, make_problem
+    from cluttergen_jax.training.distributed import is_writer
     from cluttergen_jax.training.evaluator import Evaluator
-    from cluttergen_jax.training.hosts import is_writer
     from cluttergen_jax.training.run import Run, RunConfig
 
     settings = settings or config.settings()
@@ -194,8 +190,8 @@ def run_training(
     check_folder(config.folder, recipe)
     say = show if is_writer() else _say_nothing
     say(f"run        {config.folder}")
-    is_pose = isinstance(settings.network, NetworkConfig)
-    is_sampled = is_pose if config.eval_action is None else config.eval_action == "sampled"
+    own = settings.network.is_sampled
+    is_sampled = own if config.eval_action is None else config.eval_action == "sampled"
     evaluate = Evaluator(problem, settings.network, config.eval_episodes, is_sampled, config.seed)
     Run(
         problem.rules,
@@ -232,30 +228,6 @@ def recipe_of(config: TrainConfig, settings: Settings) -> dict[str, Any]:
         "placement": placement_record(settings.placement),
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")},
     }
-
-
-def check_folder(folder: Path, recipe: dict[str, Any]) -> None:
-    """Refuses to continue a run that was made with other settings.
-
-    Raises:
-      ConfigError: there is one; the message says which settings differ.
-    """
-    if not has_state(folder / "last"):
-        return
-    theirs = read_record(folder / "last")
-    changed = sorted(name for name, value in recipe.items() if theirs.get(name) != _as_json(value))
-    if changed:
-        raise ConfigError(
-            f"{folder} holds a run with another {', '.join(changed)}",
-            "the same settings, which continue it",
-            "another `out`",
-        )
-
-
-def _as_json(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _as_json(each) for name, each in value.items()}
-    return list(value) if isinstance(value, tuple) else value
 
 
 def _say_nothing(text: str) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -10,28 +12,28 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.agent.devices import ManyDevices
-from cluttergen_jax.agent.health import SOUND, Health
+import cluttergen_jax
 from cluttergen_jax.agent.ppo import PPO, TrainState
-from cluttergen_jax.training.places import places_of
+from cluttergen_jax.agent.sharding import replicated, state_sharding
 from cluttergen_jax.types import Array
 
 Figures = dict[str, np.ndarray]
+_PACKAGE = str(Path(cluttergen_jax.__file__).parent)
 
 
-class Progress(struct.PyTreeNode):
-    """What a compiled call carries.
+class Carry(struct.PyTreeNode):
+    """What a compiled call carries from update to update.
 
     Attributes:
       state: the learner's.
       figures: of each update, with a leading axis; rows from `num_done` on are zero.
-      health: of the latest update.
+      is_finite: bool, whether all numbers of the latest update were.
       num_done: i32, updates made by this call.
     """
 
     state: TrainState
     figures: dict[str, Array]
-    health: Health
+    is_finite: Array
     num_done: Array
 
 
@@ -40,62 +42,78 @@ class Updates:
 
     Args:
       ppo: the learner.
-      state: any of its states, for shapes and places.
+      state: any of its states, for shapes and shardings.
       most: updates per call at most.
+
+    Attributes:
+      compiled: the program.
     """
 
     def __init__(self, ppo: PPO, state: TrainState, most: int) -> None:
-        self.most = most
+        self._ppo, self.most = ppo, most
         # The state given is not donated, so that the last good one outlives a call that ends in NaN; within
         # a call the loop writes over what it carries, and a state is small beside what an update makes.
-        many = jax.jit(_many(ppo, most), **_places(ppo, state))
-        self._compiled = many.lower(state, np.int32(1)).compile()
+        many = jax.jit(_many(ppo, most), **_shardings(ppo, state))
+        self.compiled = many.lower(state, np.int32(1)).compile()
 
-    def __call__(self, state: TrainState, num: int) -> tuple[TrainState, list[Figures], Health]:
-        """`num` updates, or fewer if one of them was not sound: it is then the last.
+    def __call__(self, state: TrainState, num: int) -> tuple[TrainState, list[Figures], bool]:
+        """`num` updates, or fewer if numbers of one of them were not finite: it is then the last.
 
         Returns:
-          The new state, the figures of each update made, and the health of the last one.
+          The new state, the figures of each update made, and whether all numbers of the last one were finite.
         """
         if not 1 <= num <= self.most:
             raise ValueError(f"{num} updates asked for, 1 to {self.most} can be made")
-        done = self._compiled(state, np.int32(num))
-        figures, health, num_done = jax.device_get((done.figures, done.health, done.num_done))
+        done = self.compiled(state, np.int32(num))
+        figures, is_finite, num_done = jax.device_get((done.figures, done.is_finite, done.num_done))
         rows = [{name: values[row] for name, values in figures.items()} for row in range(int(num_done))]
-        return done.state, rows, health
+        return done.state, rows, bool(is_finite)
+
+    def where_not_finite(self, state: TrainState, num: int) -> str:
+        """The line of this package at which update number `num` from `state` makes its first NaN.
+
+        The update is made once more under `jax_debug_nans`; "" if no NaN is seen there, as with infinities.
+        """
+        if jax.process_count() > 1:
+            return ""
+        before = self(state, num - 1)[0] if num > 1 else state
+        try:
+            with jax.debug_nans(True):
+                jax.block_until_ready(jax.jit(self._ppo.update)(before))
+        except FloatingPointError as error:
+            frames = traceback.extract_tb(error.__traceback__)
+            own = [frame for frame in frames if frame.filename.startswith(_PACKAGE)][-1]
+            return f"{own.name} ({Path(own.filename).relative_to(_PACKAGE)}:{own.lineno})"
+        return ""
 
 
-def _many(ppo: PPO, most: int) -> Callable[[TrainState, Array], Progress]:
+def _many(ppo: PPO, most: int) -> Callable[[TrainState, Array], Carry]:
     update = jax.jit(ppo.checked_update)
 
-    def many(state: TrainState, num: Array) -> Progress:
-        _, figures, health = jax.eval_shape(update, state)
-        blank = Progress(
-            state,
-            jax.tree.map(lambda one: jnp.zeros((most, *one.shape), one.dtype), figures),
-            jax.tree.map(lambda one: jnp.full(one.shape, SOUND, one.dtype), health),
-            jnp.int32(0),
-        )
+    def many(state: TrainState, num: Array) -> Carry:
+        _, figures, _ = jax.eval_shape(update, state)
+        blank = jax.tree.map(lambda one: jnp.zeros((most, *one.shape), one.dtype), figures)
 
-        def one_more(progress: Progress) -> Progress:
-            state, figures, health = update(progress.state)
-            row = progress.num_done
-            kept = jax.tree.map(lambda rows, now: rows.at[row].set(now), progress.figures, figures)
-            return Progress(state, kept, health, row + 1)
+        def one_more(carry: Carry) -> Carry:
+            state, figures, is_finite = update(carry.state)
+            row = carry.num_done
+            kept = jax.tree.map(lambda rows, now: rows.at[row].set(now), carry.figures, figures)
+            return Carry(state, kept, is_finite, row + 1)
 
-        return jax.lax.while_loop(lambda p: (p.num_done < num) & p.health.is_sound, one_more, blank)
+        start = Carry(state, blank, jnp.bool_(True), jnp.int32(0))
+        return jax.lax.while_loop(lambda carry: (carry.num_done < num) & carry.is_finite, one_more, start)
 
     return many
 
 
-def _places(ppo: PPO, state: TrainState) -> dict[str, Any]:
-    """Where arguments and results of the program lie; nothing to say of one device."""
-    if not isinstance(ppo.devices, ManyDevices):
+def _shardings(ppo: PPO, state: TrainState) -> dict[str, Any]:
+    """Of arguments and results of the program; nothing to say of one device."""
+    if ppo.mesh is None:
         return {}
-    places, everywhere = places_of(ppo, state), ppo.devices.everywhere
+    of_state, whole = state_sharding(ppo.mesh, state), replicated(ppo.mesh)
     return {
-        "in_shardings": (places, everywhere),
-        "out_shardings": Progress(places, everywhere, everywhere, everywhere),  # type: ignore[arg-type]
+        "in_shardings": (of_state, whole),
+        "out_shardings": Carry(of_state, whole, whole, whole),  # type: ignore[arg-type]
     }
 
 

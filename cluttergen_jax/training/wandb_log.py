@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.errors import MissingExtraError
-from cluttergen_jax.training.records import Row
+from cluttergen_jax.training.metrics_log import Row
 
 PROJECT = "cluttergen"
 
 
 class WandbLog:
-    """A `records.Sink` that sends every row to Weights & Biases.
+    """A `metrics_log.Sink` that sends every row to Weights & Biases.
 
     A run that is taken up again goes on where it was: its id is made from its folder.
 
@@ -41,9 +41,9 @@ class WandbLog:
         )
 
     def add(self, row: Row, group: str) -> None:
-        """See `records.Sink.add`; the step is the number of attempts."""
+        """See `metrics_log.Sink.add`; the step is the number of attempts."""
         self._run.log({group + name: value for name, value in row.items()}, step=int(row["attempts"]))
 
     def close(self) -> None:
-        """See `records.Sink.close`."""
+        """See `metrics_log.Sink.close`."""
         self._run.finish()

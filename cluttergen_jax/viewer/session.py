@@ -6,16 +6,17 @@ import io
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
 
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.placement.recording import Recording
-from cluttergen_jax.viewer.scenery import Scenery
+from cluttergen_jax.viewer.scene_nodes import SceneNodes
 from cluttergen_jax.viewer.source import Source
 from cluttergen_jax.viewer.words import attempt_words, scene_words
 
@@ -27,16 +28,8 @@ _SECONDS_PER_ATTEMPT = 0.8
 _DIRECTION = np.array([0.62, -0.88, 0.78])
 
 
-class Worker(Protocol):
-    """Where scenes are read and made, one after another for all browsers."""
-
-    def submit(self, work: Callable[..., None], /, *args: Any) -> Any:
-        """Does `work(*args)` when its turn has come."""
-        ...
-
-
 @dataclass(frozen=True)
-class Offer:
+class SessionConfig:
     """What all browsers are offered alike.
 
     Attributes:
@@ -44,36 +37,36 @@ class Offer:
       methods: the source's, for new scenes.
       first: the scene to begin with.
       folder: where screenshots go.
-      worker: reads and makes scenes.
+      worker: reads and makes scenes, one after another for all browsers.
     """
 
     source: Source
     methods: tuple[str, ...]
     first: int
     folder: Path
-    worker: Worker
+    worker: Executor
 
 
 class Session:
     """Shows a source's scenes in one browser, until it leaves.
 
-    The newest wish counts: whatever the browser asked for before and has not begun is dropped.
+    The newest request counts: whatever the browser asked for before and has not begun is dropped.
 
     Args:
-      offer: what there is to see.
+      config: what there is to see.
       client: the browser.
     """
 
-    def __init__(self, offer: Offer, client: viser.ClientHandle) -> None:
-        self.source, self.folder, self.client = offer.source, offer.folder, client
-        self.scenery = Scenery(client)
-        self.number, self.recording, self._note = offer.first, None, ""
-        self._wish, self._lock = 0, threading.RLock()
-        self._worker = offer.worker
+    def __init__(self, config: SessionConfig, client: viser.ClientHandle) -> None:
+        self.source, self.folder, self.client = config.source, config.folder, client
+        self.nodes = SceneNodes(client)
+        self.number, self.recording, self._note = config.first, None, ""
+        self._request, self._lock = 0, threading.RLock()
+        self._worker = config.worker
         self._playing = threading.Event()
         self._is_closed = False
-        self._build_panel(offer.methods)
-        self.show(offer.first)
+        self._build_panel(config.methods)
+        self.show(config.first)
 
     recording: Recording | None
     # viser types the value of its handles as read-only, which it is not.
@@ -86,7 +79,7 @@ class Session:
         self._playing.clear()
         with self._lock:
             self._is_closed = True
-            self._wish += 1
+            self._request += 1
 
     # What the buttons do.
 
@@ -150,7 +143,7 @@ class Session:
             for frame in range(frames := round(_SECONDS_PER_ATTEMPT * _FRAMES_PER_SECOND)):
                 if not self._playing.is_set() or self.recording is not recording:
                     break
-                self.scenery.at(number, frame / (frames - 1))
+                self.nodes.at(number, frame / (frames - 1))
                 time.sleep(1 / _FRAMES_PER_SECOND)
         if self.recording is recording:
             self._redraw()
@@ -163,39 +156,43 @@ class Session:
         self, make: Callable[[], Recording], then: Callable[[], Recording] | None, what: str, notice: str
     ) -> None:
         with self._lock:
-            self._wish += 1
-            wish = self._wish
+            self._request += 1
+            request = self._request
         self._playing.clear()
         self._status.content = f"{what}: {notice} ..." if notice else f"{what} ..."
-        self._worker.submit(self._fulfil, wish, make, then)
+        self._worker.submit(self._answer, request, make, then)
 
-    def _fulfil(self, wish: int, make: Callable[[], Recording], then: Callable[[], Recording] | None) -> None:
+    def _answer(
+        self, request: int, make: Callable[[], Recording], then: Callable[[], Recording] | None
+    ) -> None:
         """In the worker's thread: makes and shows a recording, and then its fuller version."""
-        if wish != self._wish:
+        if request != self._request:
             return
         try:
             recording = make()
             if recording.attempts or then is None:
-                self._set(wish, recording, "")
+                self._set(request, recording, "")
                 return
-            self._set(wish, recording, "_making its attempts again, which takes longer the first time ..._")
+            self._set(
+                request, recording, "_making its attempts again, which takes longer the first time ..._"
+            )
             # In a turn of its own, so that other browsers need not wait for it.
-            if wish == self._wish:
-                self._worker.submit(self._fulfil, wish, then, None)
+            if request == self._request:
+                self._worker.submit(self._answer, request, then, None)
         except ClutterGenError as error:
-            self._complain(wish, str(error))
+            self._report(request, str(error))
         except Exception as error:
             # Whatever goes wrong, the panel says so; a thread that dies in silence would leave it waiting.
-            self._complain(wish, f"{type(error).__name__}: {error}")
+            self._report(request, f"{type(error).__name__}: {error}")
             raise
 
-    def _set(self, wish: int, recording: Recording, note: str) -> None:
+    def _set(self, request: int, recording: Recording, note: str) -> None:
         with self._lock:
-            if wish != self._wish or self._is_closed:
+            if request != self._request or self._is_closed:
                 return
             is_first = self.recording is None
             self.recording, self._note = recording, note
-            self.scenery.show(recording)
+            self.nodes.show(recording)
             if is_first:
                 self._aim()
             last = len(recording.attempts)
@@ -204,9 +201,9 @@ class Session:
             self._slider.disabled = self._play.disabled = self._failures.disabled = last == 0
             self._redraw()
 
-    def _complain(self, wish: int, text: str) -> None:
+    def _report(self, request: int, text: str) -> None:
         with self._lock:
-            if wish != self._wish:
+            if request != self._request:
                 return
             self._note = f"**Note:** {text}"
             if self.recording is None:
@@ -219,7 +216,7 @@ class Session:
             if self.recording is None:
                 return
             number = int(self._slider.value) if self.recording.attempts else 0
-            self.scenery.at(number if self.recording.attempts else 1, None)
+            self.nodes.at(number if self.recording.attempts else 1, None)
             self._status.content = scene_words(self.recording, self._note)
             self._attempt.content = attempt_words(self.recording, number)
 
@@ -277,13 +274,13 @@ class Session:
 
     def _setter(self, name: str, box: Any) -> Callable[[Any], None]:
         def update(_: Any) -> None:
-            setattr(self.scenery.shown, name, box.value)
+            setattr(self.nodes.shown, name, box.value)
             self._redraw()
 
         return update
 
-    def _on_camera(self, wish: str) -> None:
-        if wish == "Reset":
+    def _on_camera(self, request: str) -> None:
+        if request == "Reset":
             self._aim()
             return
         try:

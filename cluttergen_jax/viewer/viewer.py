@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.viewer.session import Offer, Session
+from cluttergen_jax.viewer.session import Session, SessionConfig
 from cluttergen_jax.viewer.source import Source
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class Viewer:
         self.sessions: dict[int, Session] = {}
         self._lock = threading.Lock()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="scenes")
-        self._offer = Offer(source, source.methods, first, folder, self._worker)
+        self._session_config = SessionConfig(source, source.methods, first, folder, self._worker)
         if source.notice():
             # What has to be compiled is begun before the first browser has come.
             self._worker.submit(source.still, first)
@@ -49,7 +49,7 @@ class Viewer:
         self.server.stop()
 
     def _enter(self, client: viser.ClientHandle) -> None:
-        session = Session(self._offer, client)
+        session = Session(self._session_config, client)
         with self._lock:
             self.sessions[client.client_id] = session
         if client.client_id not in self.server.get_clients():

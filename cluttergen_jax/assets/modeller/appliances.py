@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made, shade, vary
 from cluttergen_jax.assets.modeller.parts import box_part
 from cluttergen_jax.assets.modeller.solids import (
     above,
@@ -42,16 +42,14 @@ def toaster(rng: Rng = None) -> Shape:
     cheek = (width - long) / 2
     # The upper parts are sunk into their neighbours, so that no face of theirs lies bare inside the body.
     rise, low, span = deep + 0.002, floor - 0.002, long + 0.004
-    return Shape(
+    return made(
         name="toaster",
-        label="toaster",
         pieces=(
             piece(difference(shell, *slots), shade(rng, BODIES, 0.04)),
             piece(difference(frame, shell, *slots), DARK),
             piece(base, DARK),
             piece(difference(union(lever, track, dial), shell), DARK),
         ),
-        provenance=made_by("toaster"),
         parts=(
             box_part((width, depth, floor)),
             *(box_part((cheek, depth, rise), (side * (end - cheek / 2), 0), low) for side in (-1, 1)),

@@ -6,7 +6,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.modeller.draw import Rng, choose, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, choose, made, shade, vary
 from cluttergen_jax.assets.modeller.lettering import lettering
 from cluttergen_jax.assets.modeller.palette import (
     BLUE,
@@ -73,9 +73,8 @@ def spray_bottle(rng: Rng = None) -> Shape:
         label, depth / 2, 0.5 * shoulder, choose(rng, ("CLEAN", "CLEAN UP", "PLANTS")), 0.17
     )
     grip = upright(head, 0.024)
-    return Shape(
+    return made(
         name="spray_bottle",
-        label="spray bottle",
         pieces=(
             piece(body + neck, shade(rng, (SKY, TEAL, *BRIGHT))),
             piece(collar - body, WHITE),
@@ -85,7 +84,6 @@ def spray_bottle(rng: Rng = None) -> Shape:
             piece(panel, WHITE),
             piece(words, shade(rng, (NAVY, BLUE, TEAL))),
         ),
-        provenance=made_by("spray_bottle"),
         parts=(
             body_part,
             disc_part([(0.0175, top - 0.004), (0.0155, head_at)], 10),
@@ -128,16 +126,14 @@ def soap_dispenser(rng: Rng = None) -> Shape:
     press = rounded_box((0.034, 0.034, 0.013), 0.005, (0, 0.002), pump)
     panel, words = _labels((0.66 * width, 0.62 * shoulder), depth / 2, 0.5 * shoulder, "SOAP", 0.26)
     metal = shade(rng, (WHITE, STEEL, CHARCOAL))
-    return Shape(
+    return made(
         name="soap_dispenser",
-        label="soap dispenser",
         pieces=(
             piece(body + neck, shade(rng, (TEAL, CREAM, *BRIGHT))),
             piece(union(cap, stem, hull(spout), hull(tip), press) - (body + neck), metal),
             piece(panel, WHITE),
             piece(words, shade(rng, (TEAL, NAVY, BLUE))),
         ),
-        provenance=made_by("soap_dispenser"),
         parts=(
             body_part,
             disc_part([(0.0155, top - 0.004), (0.0155, top + 0.014)], 10),

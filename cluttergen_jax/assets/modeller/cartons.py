@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made, shade, vary
 from cluttergen_jax.assets.modeller.parts import box_part, hull_part
 from cluttergen_jax.assets.modeller.solids import (
     Rgb,
@@ -28,15 +28,13 @@ def cereal_box(rng: Rng = None) -> Shape:
     width, depth, height = vary(rng, 0.160), vary(rng, 0.058), vary(rng, 0.225)
     accent = shade(rng, ACCENTS)
     flap = box((0.30 * width, 0.30 * depth, 0.0008), z=height - 0.0002)
-    return Shape(
+    return made(
         name="cereal_box",
-        label="cereal box",
         pieces=(
             piece(box((width, depth, height)), shade(rng, PRINTS)),
             *_breakfast(rng, width, height, -depth / 2, accent),
             piece(union(box((0.98 * width, 0.0012, 0.0006), z=height - 0.0002), flap), accent),
         ),
-        provenance=made_by("cereal_box"),
         parts=(box_part((width, depth, height)),),
         mass=vary(rng, 0.38, 0.2),
     )
@@ -79,16 +77,14 @@ def milk_carton(rng: Rng = None) -> Shape:
     screw = on_front(ellipse(0.16 * side, 0.16 * side, 24), 0.0, 0.012)
     screw = screw.rotate((slope - 90, 0, 0)).translate((0, -half / 2, (eaves + ridge) / 2))
     gable = [(x, y, z) for x in (-half, half) for y, z in (*right, *left)]
-    return Shape(
+    return made(
         name="milk_carton",
-        label="milk carton",
         pieces=(
             piece(carton, hex_rgb("f3f3ee")),
             piece(stripe - carton, color),
             piece(on_front(_drop(0.15 * side) + np.array([0.0, 0.46 * height]), -half), color),
             piece(screw - carton, color),
         ),
-        provenance=made_by("milk_carton"),
         parts=(hull_part(gable), box_part((side, 2 * thin, fin + 0.002), z=ridge - 0.002)),
         mass=vary(rng, 1.03, 0.05) * (side / 0.070) ** 2 * (height / 0.205),
     )

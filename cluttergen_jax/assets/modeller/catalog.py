@@ -7,22 +7,96 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cluttergen_jax.assets.modeller.dining import DINING
+from cluttergen_jax.assets.modeller import (
+    appliances,
+    bathroom,
+    cartons,
+    computing,
+    containers,
+    cookware,
+    crockery,
+    curios,
+    drinkware,
+    gadgets,
+    homeware,
+    lamps,
+    millwork,
+    organizers,
+    paper,
+    stationery,
+    teapot,
+    utensils,
+)
 from cluttergen_jax.assets.modeller.draw import Family
-from cluttergen_jax.assets.modeller.household import HOUSEHOLD
-from cluttergen_jax.assets.modeller.kitchen import KITCHEN
-from cluttergen_jax.assets.modeller.office import OFFICE
-from cluttergen_jax.assets.modeller.study import STUDY
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.errors import PoolError
 
-# Each pool's families are gathered in a dict of its own file; this one only joins them.
 _POOLS: Mapping[str, Mapping[str, Family]] = {
-    "dining": DINING,
-    "kitchen": KITCHEN,
-    "study": STUDY,
-    "office": OFFICE,
-    "household": HOUSEHOLD,
+    # What stands on a laid table.
+    "dining": {
+        "mug": drinkware.mug,
+        "bowl": crockery.bowl,
+        "dinner_plate": crockery.dinner_plate,
+        "water_glass": drinkware.water_glass,
+        "wine_glass": drinkware.wine_glass,
+        "bottle": containers.bottle,
+        "soup_can": containers.soup_can,
+        "cereal_box": cartons.cereal_box,
+        "pepper_mill": millwork.pepper_mill,
+        "fork": utensils.fork,
+    },
+    # What lies on a worktop.
+    "kitchen": {
+        "pot": cookware.pot,
+        "frying_pan": cookware.frying_pan,
+        "teapot": teapot.teapot,
+        "colander": cookware.colander,
+        "toaster": appliances.toaster,
+        "jar": containers.jar,
+        "milk_carton": cartons.milk_carton,
+        "knife": utensils.knife,
+        "wooden_spoon": utensils.wooden_spoon,
+        "cutting_board": utensils.cutting_board,
+    },
+    # What stands about on a study's desk.
+    "study": {
+        "hardback_book": paper.hardback_book,
+        "desk_lamp": lamps.desk_lamp,
+        "alarm_clock": gadgets.alarm_clock,
+        "camera": gadgets.camera,
+        "globe": curios.globe,
+        "laptop": computing.laptop,
+        "mouse": computing.mouse,
+        "stapler": stationery.stapler,
+        "eyeglasses": curios.eyeglasses,
+        "pencil_cup": organizers.pencil_cup,
+    },
+    # What is worked with at a desk.
+    "office": {
+        "keyboard": computing.keyboard,
+        "calculator": computing.calculator,
+        "tape_dispenser": stationery.tape_dispenser,
+        "scissors": stationery.scissors,
+        "pen_holder": organizers.pen_holder,
+        "desk_phone": computing.desk_phone,
+        "letter_tray": organizers.letter_tray,
+        "hole_punch": stationery.hole_punch,
+        "sticky_notes": paper.sticky_notes,
+        "ring_binder": paper.ring_binder,
+    },
+    # What is found about the house.
+    "household": {
+        "tissue_box": homeware.tissue_box,
+        "tape_roll": homeware.tape_roll,
+        "spray_bottle": bathroom.spray_bottle,
+        "candle": lamps.candle,
+        "flower_pot": homeware.flower_pot,
+        "remote_control": gadgets.remote_control,
+        "toy_car": curios.toy_car,
+        "soap_dispenser": bathroom.soap_dispenser,
+        "photo_frame": curios.photo_frame,
+        "basket": homeware.basket,
+    },
 }
 
 FAMILIES: dict[str, Family] = {name: family for pool in _POOLS.values() for name, family in pool.items()}

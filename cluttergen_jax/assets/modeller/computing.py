@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from manifold3d import Manifold
 
-from cluttergen_jax.assets.modeller.draw import Rng, choose, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, choose, made, shade, vary
 from cluttergen_jax.assets.modeller.lettering import lettering
 from cluttergen_jax.assets.modeller.palette import (
     BLACK,
@@ -100,9 +100,8 @@ def laptop(rng: Rng = None) -> Shape:
     keys = union(*[one for row in grid for one in row]).translate((0, 0, base))
     pad = box((0.34 * width, 0.27 * depth, 0.001), (0, -0.29 * depth), base - 0.0006)
     shell = rounded_box((width, depth, base), 0.003) + raised(rounded_box(screen_size, 0.003))
-    return Shape(
+    return made(
         name="laptop",
-        label="laptop",
         pieces=(
             piece(shell, shade(rng, (SILVER, GREY, CHARCOAL, STEEL, NAVY))),
             piece(keys, shade(rng, (BLACK, CHARCOAL), 0.02)),
@@ -110,7 +109,6 @@ def laptop(rng: Rng = None) -> Shape:
             piece(raised(screen), choose(rng, (NAVY, TEAL, BLACK))),
             *[piece(raised(solid), color) for solid, color in windows],
         ),
-        provenance=made_by("laptop"),
         parts=(
             box_part((width, depth, base)),
             turned(box_part(screen_size), pose["rotate"], pose["move"]),
@@ -136,7 +134,7 @@ def mouse(rng: Rng = None) -> Shape:
     feet = _mouse_skin(levels[:1], 4)
     lifted = _mouse_skin(levels, 8) + (0, 0, 0.03) * (np.arange(32) < 8)[:, None]
     outline = np.concatenate([feet, lifted[:8], lifted[8:24], lifted[24::2]]) * size
-    return Shape(
+    return made(
         name="mouse",
         label="computer mouse",
         pieces=(
@@ -144,7 +142,6 @@ def mouse(rng: Rng = None) -> Shape:
             piece(front - groove - split, shade(rng, (GREY, CHARCOAL, BLACK))),
             piece(wheel, shade(rng, (RED, BLUE, GREEN, BLACK))),
         ),
-        provenance=made_by("mouse"),
         parts=(hull_part(outline),),
         mass=vary(rng, 0.10, 0.2),
     )
@@ -181,7 +178,7 @@ def keyboard(rng: Rng = None) -> Shape:
     ]
     plain = [one for line in grid for one in line if all(one is not other for other in accent + grey)]
     tops = corners[corners[:, 2] > 0] * (0.955, 0.90, 1) + (0, 0, 0.85 * travel)
-    return Shape(
+    return made(
         name="keyboard",
         label="computer keyboard",
         pieces=(
@@ -190,7 +187,6 @@ def keyboard(rng: Rng = None) -> Shape:
             piece(_on_slope(union(*grey), front, back, slope), shade(rng, (GREY, TEAL))),
             piece(_on_slope(union(*accent), front, back, slope), shade(rng, (ORANGE, RED, BLUE, GREEN))),
         ),
-        provenance=made_by("keyboard"),
         parts=(hull_part(np.concatenate([corners, tops])),),
         mass=vary(rng, 0.65, 0.2),
     )
@@ -220,14 +216,12 @@ def calculator(rng: Rng = None) -> Shape:
         (digits, BLACK),
     ]
     tops = corners[corners[:, 2] > 0] * (0.86, 0.88, 1) + (0, 0, 0.003)
-    return Shape(
+    return made(
         name="calculator",
-        label="calculator",
         pieces=(
             piece(hull(corners), shade(rng, (CHARCOAL, NAVY, TEAL, *BRIGHT))),
             *[piece(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
         ),
-        provenance=made_by("calculator"),
         parts=(hull_part(np.concatenate([corners, tops])),),
         mass=vary(rng, 0.22, 0.2),
     )
@@ -256,14 +250,13 @@ def desk_phone(rng: Rng = None) -> Shape:
         (cradle - handset, BLACK),
         (handset, shade(rng, (RED, CHARCOAL, GREY, BLACK))),
     ]
-    return Shape(
+    return made(
         name="desk_phone",
         label="desk telephone",
         pieces=(
             piece(hull(corners), shade(rng, (CHARCOAL, *DARK, RED, GREEN, PAPER))),
             *[piece(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
         ),
-        provenance=made_by("desk_phone"),
         parts=(
             hull_part(corners),
             *[turned(box_part(size, at, z), turn, lift) for size, at, z in (*ends, grip)],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from manifold3d import Manifold
 
-from cluttergen_jax.assets.modeller.draw import Rng, choose, hex_rgb, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, choose, hex_rgb, made, shade, vary
 from cluttergen_jax.assets.modeller.parts import disc_part
 from cluttergen_jax.assets.modeller.solids import difference, piece, revolve
 from cluttergen_jax.assets.shape import Shape
@@ -29,7 +29,7 @@ def bottle(rng: Rng = None) -> Shape:
     foil_foot = top + 0.25 * (height - top)
     foil = _sleeve(neck, foil_foot, height - 0.001, 0.0008)
     low, high = 0.14 * height, shoulder - 0.05 * height
-    return Shape(
+    return made(
         name="bottle",
         label="wine bottle",
         pieces=(
@@ -38,7 +38,6 @@ def bottle(rng: Rng = None) -> Shape:
             piece(_sleeve(radius, low, high), PAPER),
             piece(_sleeve(radius, low + 0.25 * (high - low), low + 0.45 * (high - low), 0.0008), cap),
         ),
-        provenance=made_by("bottle"),
         parts=(
             disc_part([(radius, 0.0), (radius, shoulder)], 12, is_standing=True),
             disc_part([(radius, shoulder - 0.002), curve[1], (neck, top)], 8),
@@ -59,16 +58,14 @@ def soup_can(rng: Rng = None) -> Shape:
     middle = low + (0.52 if rng is None else rng.uniform(0.35, 0.65)) * (high - low)
     band = 0.07 * (high - low)
     color = shade(rng, LABELS)
-    return Shape(
+    return made(
         name="soup_can",
-        label="soup can",
         pieces=(
             piece(revolve([(0.0, 0.0), *tin]), STEEL),
             piece(_sleeve(radius, middle + band, high), color),
             piece(_sleeve(radius, middle - band, middle + band), hex_rgb("d8b354")),
             piece(_sleeve(radius, low, middle - band), PAPER),
         ),
-        provenance=made_by("soup_can"),
         parts=(disc_part([(radius + rim, 0.0), (radius + rim, height)], 12, is_standing=True),),
         mass=vary(rng, 0.35, 0.2) * (radius / 0.034) ** 2,
     )
@@ -88,7 +85,7 @@ def jar(rng: Rng = None) -> Shape:
     low, high = 0.24 * shoulder, 0.78 * shoulder
     ribs = [(neck + 0.0005 * (k % 2), height - lid + 0.002 + (lid - 0.005) * k / 8) for k in range(9)]
     cap = revolve([(0.0, height - lid), (neck, height - lid), *ribs, (neck - 0.002, height), (0.0, height)])
-    return Shape(
+    return made(
         name="jar",
         label="jar with a lid",
         pieces=(
@@ -98,7 +95,6 @@ def jar(rng: Rng = None) -> Shape:
             piece(_sleeve(radius, low, high), PAPER),
             *(piece(_sleeve(radius, z, z + 0.0024, 0.0008), color) for z in (low + 0.004, high - 0.006)),
         ),
-        provenance=made_by("jar"),
         parts=(
             disc_part([(radius, 0.0), (radius, shoulder)], 12, is_standing=True),
             disc_part([(radius, shoulder - 0.002), (neck, height - lid - 0.001)], 12),

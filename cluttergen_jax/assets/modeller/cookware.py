@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
-from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made, shade, vary
 from cluttergen_jax.assets.modeller.parts import swept_parts, thinned
 from cluttergen_jax.assets.modeller.solids import (
     cylinder,
@@ -42,7 +42,7 @@ def pot(rng: Rng = None) -> Shape:
     rim = revolve([(radius - wall, height - 0.004), (edge, height - 0.004), (edge, height)])
     corners = bar[[0, 3, 4, 7, 8, 11, 12, 15]]
     legs = [cell for path in loops for cell in swept_parts(thinned(path, 3, 0.05), corners, UP)]
-    return Shape(
+    return made(
         name="pot",
         label="cooking pot",
         pieces=(
@@ -51,7 +51,6 @@ def pot(rng: Rng = None) -> Shape:
             piece(difference(rim, body.solid(), body.inside()), hex_rgb("b4b8bc")),
             *(piece(handle, DARK) for handle in handles),
         ),
-        provenance=made_by("pot"),
         parts=(*body.parts(8), *legs),
         cavity=body.cavity(),
         mass=vary(rng, 1.30, 0.15) * (radius / 0.1) ** 2,
@@ -82,15 +81,13 @@ def frying_pan(rng: Rng = None) -> Shape:
     grip = difference(sweep(path, bar, scales=sizes), body.inside(), body.solid())
     stations = thinned(path, 3)
     scales = np.interp(stations[:, 0], path[:, 0], sizes)
-    return Shape(
+    return made(
         name="frying_pan",
-        label="frying pan",
         pieces=(
             piece(outside, shade(rng, (*ENAMELS[5:], *ENAMELS[:5]), 0.03)),
             piece(lining, hex_rgb("3a3d42")),
             piece(grip, shade(rng, (hex_rgb("6b4226"), DARK, hex_rgb("9a6a3a")), 0.03)),
         ),
-        provenance=made_by("frying_pan"),
         parts=(*body.parts(8), *swept_parts(stations, ellipse(0.0125, 0.0070, 8), scales=scales)),
         cavity=body.cavity(),
         mass=vary(rng, 0.95, 0.15) * (radius / 0.125) ** 2,
@@ -116,11 +113,9 @@ def colander(rng: Rng = None) -> Shape:
     shell = difference(union(body.solid(), revolve(rim_path)), *holes)
     wires = [difference(tube(path, 0.0034, UP, segments=10), body.inside()) for path in ears]
     legs = [cell for path in ears for cell in swept_parts(thinned(path, 3, 0.04), 0.0036, UP)]
-    return Shape(
+    return made(
         name="colander",
-        label="colander",
         pieces=(piece(union(shell, *wires), shade(rng, METALS, 0.03)),),
-        provenance=made_by("colander"),
         parts=(*body.parts(8), *legs),
         cavity=body.cavity(),
         mass=vary(rng, 0.42, 0.15),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made, shade, vary
 from cluttergen_jax.assets.modeller.solids import piece, revolve
 from cluttergen_jax.assets.modeller.vessel import Vessel
 from cluttergen_jax.assets.shape import Shape
@@ -27,11 +27,10 @@ def bowl(rng: Rng = None) -> Shape:
     floor = inner[0][1] - 0.003
     body = Vessel([(foot, 0.0), (foot, 0.004), *outer], [(inner[0][0] - 0.006, floor), *inner])
     outside, lining = body.layers(0.0012)
-    return Shape(
+    return made(
         name="bowl",
         label="cereal bowl",
         pieces=(piece(outside, shade(rng, GLAZES)), piece(lining, (0.96, 0.94, 0.90))),
-        provenance=made_by("bowl"),
         parts=body.parts(8, cuts=(floor + 0.33 * (height - floor),)),
         cavity=body.cavity(),
         mass=vary(rng, 0.38, 0.15),
@@ -48,11 +47,9 @@ def dinner_plate(rng: Rng = None) -> Shape:
     near, far = 0.80 * radius, 0.93 * radius
     low, high = (np.interp(r, [p[0] for p in body.inner], [p[1] for p in body.inner]) for r in (near, far))
     band = revolve([(near, low - 0.0010), (far, high - 0.0010), (far, high + 0.0003), (near, low + 0.0003)])
-    return Shape(
+    return made(
         name="dinner_plate",
-        label="dinner plate",
         pieces=(piece(body.solid() - band, shade(rng, PORCELAIN, 0.02)), piece(band, shade(rng, GLAZES))),
-        provenance=made_by("dinner_plate"),
         parts=body.parts(10),
         cavity=body.cavity(),
         mass=vary(rng, 0.55, 0.2),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
-from cluttergen_jax.assets.modeller.draw import Rng, choose, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, choose, made, shade, vary
 from cluttergen_jax.assets.modeller.palette import (
     BLACK,
     BLUE,
@@ -96,9 +96,8 @@ def globe(rng: Rng = None) -> Shape:
     brass = shade(rng, (GOLD, SILVER, STEEL))
     coarse = np.radians(np.linspace(-90, 90, 6))
     bow = np.column_stack([1.03 * reach * np.cos(coarse), 0 * coarse, 1.03 * reach * np.sin(coarse)])
-    return Shape(
+    return made(
         name="globe",
-        label="globe",
         pieces=(
             piece(skin.rotate(tilt).translate(at), sea),
             piece(
@@ -109,7 +108,6 @@ def globe(rng: Rng = None) -> Shape:
             piece(union(ring, pins).rotate(tilt).translate(at), brass),
             piece(union(revolve(base), revolve(stem)), shade(rng, (DARK_WOOD, WOOD, CHARCOAL))),
         ),
-        provenance=made_by("globe"),
         parts=(
             disc_part([(foot, 0.0), (0.62 * foot, 0.018)], 14, is_standing=True),
             disc_part([(0.012, 0.010), (0.008, lowest)], 6),
@@ -156,14 +154,12 @@ def eyeglasses(rng: Rng = None) -> Shape:
     bridge = ((2 * gap + 0.006, deep - 0.001, 0.006), (0, 0), 0.62 * size[1])
     frame = union(*rims, box(*bridge))
     tint = shade(rng, (SKY, (0.25, 0.27, 0.30), (0.55, 0.40, 0.25)))
-    return Shape(
+    return made(
         name="eyeglasses",
-        label="eyeglasses",
         pieces=(
             piece(frame, shade(rng, (BLACK, CRIMSON, DARK_WOOD, NAVY))),
             piece(union(*panes) - frame, tint, 0.45),
         ),
-        provenance=made_by("eyeglasses"),
         parts=(*parts, box_part(*bridge)),
         mass=vary(rng, 0.035, 0.2),
     )
@@ -204,9 +200,8 @@ def toy_car(rng: Rng = None) -> Shape:
     paint = shade(rng, (RED, *BRIGHT))
     roller = turned(disc_part([(wheel, -tread / 2), (wheel, tread / 2)], 12, np.pi / 12), (90, 0, 0))
     rollers = [turned(roller, (0, 0, 0), (x, y, axle)) for x, y in places]
-    return Shape(
+    return made(
         name="toy_car",
-        label="toy car",
         pieces=(
             piece(shell, paint),
             piece(glass, SKY),
@@ -214,7 +209,6 @@ def toy_car(rng: Rng = None) -> Shape:
             piece(union(*caps) - union(*tyres) - shell, STEEL),
             piece(lamps - shell, YELLOW),
         ),
-        provenance=made_by("toy_car"),
         parts=(
             upright_part(body, width),
             upright_part(cabin, 0.86 * width),
@@ -258,16 +252,14 @@ def photo_frame(rng: Rng = None) -> Shape:
     strut = [(s * 0.022, y, z) for s in (-1, 1) for y, z in edge]
     strut += [(s * 0.030, y, 0.0) for s in (-1, 1) for y in (far_foot - 0.008, far_foot)]
     back = leaning(rim)
-    return Shape(
+    return made(
         name="photo_frame",
-        label="photo frame",
         pieces=(
             piece(leaning(rim_open), shade(rng, (DARK_WOOD, WOOD, GOLD, BLACK, WHITE, SILVER))),
             piece(leaning(mat), WHITE),
             *[piece(leaning(solid), color) for solid, color in scene],
             piece(hull(strut) - back, BLACK),
         ),
-        provenance=made_by("photo_frame"),
         parts=(corners_of(back), hull_part(strut)),
         mass=vary(rng, 0.35, 0.2),
     )

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from cluttergen_jax.assets.modeller.solids import Rgb
-from cluttergen_jax.assets.shape import Provenance, Shape
+from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 
 T = TypeVar("T")
 Rng = np.random.Generator | None
@@ -37,6 +37,16 @@ def shade(rng: Rng, options: Sequence[Rgb], spread: float = 0.06) -> Rgb:
 def made_by(family: str) -> Provenance:
     """The provenance of everything that a family makes."""
     return Provenance(f"cluttergen_jax modeller, family {family}", "Apache-2.0")
+
+
+def made(name: str, pieces: Sequence[Piece], label: str = "", **body: Any) -> Shape:
+    """A shape of the family `name`.
+
+    Args:
+      label: what people call it; the name's words if empty.
+      body: more of the shape's fields: parts, mass, cavity.
+    """
+    return Shape(name, label or name.replace("_", " "), tuple(pieces), made_by(name), **body)
 
 
 def hex_rgb(code: str) -> Rgb:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluttergen_jax.assets.modeller.draw import Rng, choose, hex_rgb, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, choose, hex_rgb, made, shade, vary
 from cluttergen_jax.assets.modeller.parts import disc_part, swept_parts, thinned
 from cluttergen_jax.assets.modeller.solids import ellipse, piece, revolve, smooth_path, sweep, to_mesh, union
 from cluttergen_jax.assets.modeller.vessel import Vessel
@@ -28,11 +28,10 @@ def mug(rng: Rng = None) -> Shape:
     section = ellipse(vary(rng, 0.0068), vary(rng, 0.0038), 20)
     outside, lining = body.layers(0.0012)
     outside = union(outside, sweep(path, section) - body.inside() - lining)
-    return Shape(
+    return made(
         name="mug",
         label="coffee mug",
         pieces=(piece(outside, shade(rng, GLAZES)), piece(lining, (0.95, 0.93, 0.89))),
-        provenance=made_by("mug"),
         parts=(
             *body.parts(8),
             *swept_parts(thinned(path, 4, 0.04), section[[1, 4, 6, 9, 11, 14, 16, 19]] * 1.04),
@@ -66,11 +65,9 @@ def water_glass(rng: Rng = None) -> Shape:
     at_base = foot + (radius - foot) * base / height
     inner = [(at_base - wall - 0.002, base), (at_base - wall, base + 0.003), (radius - wall + 0.0004, height)]
     body = Vessel(outer, inner)
-    return Shape(
+    return made(
         name="water_glass",
-        label="water glass",
         pieces=(piece(body.solid(), shade(rng, GLASS), 0.5),),
-        provenance=made_by("water_glass"),
         parts=body.parts(8),
         cavity=body.cavity(),
         mass=vary(rng, 0.25, 0.15),
@@ -90,11 +87,9 @@ def wine_glass(rng: Rng = None) -> Shape:
     body = Vessel([(0.35 * belly, base), *outside], [(0.3 * belly, base + 0.0035), *inside])
     profile = [(0.0, 0.0), *lower, *body.outer, *reversed(body.inner), (0.0, body.floor)]
     cavity = revolve([(0.0, body.floor), *body.inner, (0.0, rim)])
-    return Shape(
+    return made(
         name="wine_glass",
-        label="wine glass",
         pieces=(piece(revolve(profile), shade(rng, GLASS), 0.5),),
-        provenance=made_by("wine_glass"),
         parts=(
             disc_part([(foot, 0.0), (foot, 0.0022), (0.25 * foot, 0.0060)], 8, is_standing=True),
             disc_part([(1.1 * radius, 0.004), (1.1 * radius, base + 0.001)], 6),

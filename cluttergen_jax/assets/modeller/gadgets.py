@@ -6,7 +6,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.modeller.draw import Rng, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, made, shade, vary
 from cluttergen_jax.assets.modeller.palette import (
     BLACK,
     BLUE,
@@ -73,9 +73,8 @@ def alarm_clock(rng: Rng = None) -> Shape:
     hammer = box((0.008, 0.006, 0.020), z=top - 0.002) + box((0.022, 0.008, 0.008), z=top + 0.014)
     metal = shade(rng, (GOLD, SILVER, STEEL))
     stand = union(hammer, *[hull(part.vertices) for part in feet]) - case
-    return Shape(
+    return made(
         name="alarm_clock",
-        label="alarm clock",
         pieces=(
             piece(body, shade(rng, (RED, TEAL, *BRIGHT, CHARCOAL))),
             piece(facing(radius - 0.006, 0.001, (0, middle), front + 0.0035), WHITE),
@@ -83,7 +82,6 @@ def alarm_clock(rng: Rng = None) -> Shape:
             piece(union(*bells, tube(arch, 0.003)), metal),
             piece(stand, GREY if rng is None else metal),
         ),
-        provenance=made_by("alarm_clock"),
         parts=(
             turned(disc_part([(radius, -depth / 2), (radius, depth / 2)], 16), (90, 0, 0), (0, 0, middle)),
             *bell_parts,
@@ -152,9 +150,8 @@ def camera(rng: Rng = None) -> Shape:
         for radius, rise, share in ((0.010, 0.008, 0.40), (0.007, 0.006, -0.40))
     ]
     trim = shade(rng, (SILVER, STEEL, CHARCOAL, GOLD))
-    return Shape(
+    return made(
         name="camera",
-        label="camera",
         pieces=(
             piece(dark, shade(rng, (BLACK, *DARK, (0.42, 0.24, 0.15)), 0.02)),
             piece(union(shell, *rings), trim),
@@ -162,7 +159,6 @@ def camera(rng: Rng = None) -> Shape:
             piece(union(*knobs), RED if rng is None else shade(rng, (RED, BLACK, ORANGE))),
             piece(box((0.020, 0.002, 0.010), (x, -0.34 * depth - 0.0005), height + 0.005), WHITE),
         ),
-        provenance=made_by("camera"),
         parts=(
             box_part((width, depth, height)),
             upright_part(hump, 0.68 * depth),
@@ -207,11 +203,9 @@ def remote_control(rng: Rng = None) -> Shape:
         for sy in (-0.5, 0.5)
         for a, b, z in ((1, 0.95, 0.5 * height), (0.8, 1, 0.5 * height), (0.87, 0.94, height + 0.001))
     ]
-    return Shape(
+    return made(
         name="remote_control",
-        label="remote control",
         pieces=(piece(body, shade(rng, (CHARCOAL, *DARK, NAVY, STEEL))), *[piece(s, c) for s, c in tinted]),
-        provenance=made_by("remote_control"),
         parts=(hull_part(footing + sides),),
         mass=vary(rng, 0.14, 0.2),
     )

@@ -6,7 +6,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from cluttergen_jax.assets.modeller.crate import Crate
-from cluttergen_jax.assets.modeller.draw import Rng, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, made, shade, vary
 from cluttergen_jax.assets.modeller.palette import (
     BLACK,
     BLUE,
@@ -61,9 +61,8 @@ def tissue_box(rng: Rng = None) -> Shape:
         cell = knots[i : i + 2, j : j + 2].reshape(-1, 3)
         cells.append(hull(np.concatenate([np.add(cell, (0, s * 0.0012, 0)) for s in (-1, 1)])))
     coarse = knots[[0, 3, 6, 8, 11, 14]][:, [0, -1]].reshape(-1, 3)
-    return Shape(
+    return made(
         name="tissue_box",
-        label="tissue box",
         pieces=(
             piece(box((width, depth, height)), shade(rng, (SKY, PINK, CREAM, *BRIGHT))),
             piece(lower, shade(rng, (BLUE, TEAL, RED, GREEN))),
@@ -71,7 +70,6 @@ def tissue_box(rng: Rng = None) -> Shape:
             piece(slot - ring, GREY),
             piece(union(*cells), WHITE),
         ),
-        provenance=made_by("tissue_box"),
         parts=(
             box_part((width, depth, height)),
             hull_part(np.concatenate([np.add(coarse, (0, s * 0.0012, 0)) for s in (-1, 1)])),
@@ -102,7 +100,7 @@ def tape_roll(rng: Rng = None) -> Shape:
         for k in range(3)
     ]
     section = [(inner, 0.0), (1.03 * outer, 0.0), (1.03 * outer, width), (inner, width)]
-    return Shape(
+    return made(
         name="tape_roll",
         label="roll of tape",
         pieces=(
@@ -113,7 +111,6 @@ def tape_roll(rng: Rng = None) -> Shape:
             piece(core, CREAM if rng is None else shade(rng, (CREAM, WHITE))),
             piece(seam, BLACK),
         ),
-        provenance=made_by("tape_roll"),
         parts=ring_sectors(section, 8),
         mass=vary(rng, 0.16, 0.25),
     )
@@ -131,14 +128,12 @@ def flower_pot(rng: Rng = None) -> Shape:
     saucer = [(0.0, 0.0), (foot + 0.004, 0.0), (dish, 0.014), (dish - 0.003, 0.014)]
     saucer += [(foot + 0.002, 0.004), (0.0, 0.004)]
     clay = shade(rng, (TERRACOTTA, TERRACOTTA, (0.86, 0.82, 0.74), TEAL))
-    return Shape(
+    return made(
         name="flower_pot",
-        label="flower pot",
         pieces=(
             piece(revolve(saucer) + pot.solid(), clay),
             piece(_trim(pot, band, height), (0.86 * clay[0], 0.86 * clay[1], 0.86 * clay[2])),
         ),
-        provenance=made_by("flower_pot"),
         parts=(
             disc_part([(foot + 0.004, 0.0), (dish, floor)], 14, is_standing=True),
             *pot.parts(8)[1:],
@@ -177,15 +172,13 @@ def basket(rng: Rng = None) -> Shape:
     handle = sweep(bow(25, 1.0), flat) - hull(
         np.concatenate([tub.outline(z, 0.001) for z in (0.0, tub.height)])
     )
-    return Shape(
+    return made(
         name="basket",
-        label="basket",
         pieces=(
             piece(tub.solid(), shade(rng, (KRAFT, (0.62, 0.44, 0.27), CREAM))),
             piece(_weave(tub, edge), shade(rng, (CREAM, WOOD, TEAL, WHITE))),
             piece(union(handle, rim), shade(rng, (WOOD, (0.50, 0.33, 0.20)))),
         ),
-        provenance=made_by("basket"),
         parts=(*tub.parts(), *swept_parts(bow(6, 1.03), flat)),
         cavity=tub.cavity(),
         mass=vary(rng, 0.40, 0.25),

@@ -152,12 +152,8 @@ def planks(
 
 
 def table(
-    name: str,
-    label: str,
-    top: float,
-    region: Rectangle,
-    boxes: Sequence[Box],
-    pieces: Sequence[Piece],
+    name: str, top: float, region: Rectangle, boxes: Sequence[Box], pieces: Sequence[Piece], label: str = ""
 ) -> SupportAsset:
-    """Puts a table together; its provenance is the modeller."""
+    """Puts a table together; its provenance is the modeller, and its label the name's words if empty."""
+    label = label or name.replace("_", " ")
     return SupportAsset(name, label, tuple(boxes), top, region, made_by(name), tuple(pieces))

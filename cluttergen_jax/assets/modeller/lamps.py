@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
-from cluttergen_jax.assets.modeller.draw import Rng, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, made, shade, vary
 from cluttergen_jax.assets.modeller.palette import (
     BLACK,
     BRIGHT,
@@ -59,9 +59,8 @@ def desk_lamp(rng: Rng = None) -> Shape:
         *swept_parts([elbow, head], 0.008 * size),
         turned(disc_part([(mouth, -depth), (0.019 * size, 0.012 * size)], 14), (0, pitch, 0), head),
     ]
-    return Shape(
+    return made(
         name="desk_lamp",
-        label="desk lamp",
         pieces=(
             piece(revolve([(0, 0), *base, (0, 0.020 * size)]), color),
             piece(arms, shade(rng, (SILVER, GOLD, CHARCOAL))),
@@ -69,7 +68,6 @@ def desk_lamp(rng: Rng = None) -> Shape:
             piece(shade_solid.rotate((0, pitch, 0)).translate(head), color),
             piece(glow.rotate((0, pitch, 0)).translate(head), WARM),
         ),
-        provenance=made_by("desk_lamp"),
         parts=tuple(parts),
         mass=vary(rng, 1.4, 0.2),
     )
@@ -106,7 +104,7 @@ def candle(rng: Rng = None) -> Shape:
         for cell in ring_sectors([(r * 1.08, z) for r, z in square], 5, phase=turns[6])
     ]
     metal = union(revolve([*saucer, (0.0, floor)]), revolve(socket), loop)
-    return Shape(
+    return made(
         name="candle",
         label="candle in a holder",
         pieces=(
@@ -116,7 +114,6 @@ def candle(rng: Rng = None) -> Shape:
             piece(flame, shade(rng, (ORANGE,))),
             piece(flame.scale((1.02, 1.02, 1.0)).trim_by_plane((0, 0, -1), -wick_top - 0.002), YELLOW),
         ),
-        provenance=made_by("candle"),
         parts=(
             disc_part([(0.72 * dish, 0.0), (dish, lip)], 14, is_standing=True),
             disc_part([(radius, 0.002), (radius, floor + height)], 12),

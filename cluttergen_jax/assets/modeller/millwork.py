@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made, shade, vary
 from cluttergen_jax.assets.modeller.parts import disc_part
 from cluttergen_jax.assets.modeller.solids import piece, revolve, smooth_path
 from cluttergen_jax.assets.shape import Shape
@@ -26,15 +26,13 @@ def pepper_mill(rng: Rng = None) -> Shape:
     ring = [(0.70 * chest, neck), (0.76 * chest, neck), (0.76 * chest, crown), (0.70 * chest, crown)]
     low, high = (waist, 0.27 * height), (waist, 0.34 * height)
     steel = hex_rgb("c9ccd0")
-    return Shape(
+    return made(
         name="pepper_mill",
-        label="pepper mill",
         pieces=(
             piece(revolve([*body, *smooth_path(ball, 20), (0.0, head)]), shade(rng, WOODS, 0.04)),
             piece(revolve(ring), steel),
             piece(revolve([(0.0, head), *smooth_path(knob, 14), (0.0, height)]), steel),
         ),
-        provenance=made_by("pepper_mill"),
         parts=(
             disc_part([(radius, 0.0), (radius, 0.055 * height), (waist, 0.28 * height)], 8, is_standing=True),
             disc_part([low, high, (chest, 0.52 * height), (0.72 * chest, neck)], 8),

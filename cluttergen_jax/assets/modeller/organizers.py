@@ -6,7 +6,7 @@ import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller.crate import Crate
-from cluttergen_jax.assets.modeller.draw import Rng, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, made, shade, vary
 from cluttergen_jax.assets.modeller.palette import (
     BLACK,
     BLUE,
@@ -65,11 +65,9 @@ def pencil_cup(rng: Rng = None) -> Shape:
         )
         pieces += solids
         parts.append(part)
-    return Shape(
+    return made(
         name="pencil_cup",
-        label="pencil cup",
         pieces=tuple(pieces),
-        provenance=made_by("pencil_cup"),
         parts=tuple(parts),
         cavity=cup.cavity(),
         mass=vary(rng, 0.22, 0.2),
@@ -118,11 +116,9 @@ def pen_holder(rng: Rng = None) -> Shape:
     outline = [*edge, (right - 0.001, top + 0.012), (right - 0.004, top + 0.012)]
     flat = {"depth": 0.026, "y": 0.5 * crate.depth - 0.020}
     ruler = hull(upright_part(outline, **flat).vertices)
-    return Shape(
+    return made(
         name="pen_holder",
-        label="pen holder",
         pieces=(*pieces, piece(ruler - box(*wall), YELLOW)),
-        provenance=made_by("pen_holder"),
         parts=(*parts, upright_part(outline, **flat)),
         cavity=Cavity(
             to_mesh(hull(crate.cavity().solid.vertices) - box(*wall)),
@@ -161,15 +157,13 @@ def letter_tray(rng: Rng = None) -> Shape:
     frame = union(*[hull(panel) for panel in panels], *[box(*cell) for cell in (back, *shelves, *lips)])
     floor = step + wall
     inside = box((inner, depth - 2 * wall, height - floor), z=floor) - box(*papers[1])
-    return Shape(
+    return made(
         name="letter_tray",
-        label="letter tray",
         pieces=(
             piece(frame, shade(rng, (WOOD, *DARK, DARK_WOOD, TEAL))),
             piece(box(*papers[0]), WHITE),
             piece(box(*papers[1]), shade(rng, (PAPER, WHITE), 0.02)),
         ),
-        provenance=made_by("letter_tray"),
         parts=(
             *[hull_part(panel) for panel in panels],
             *[box_part(*cell) for cell in (back, *shelves, *lips, *papers)],

@@ -6,7 +6,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.modeller.draw import Rng, choose, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, choose, made, shade, vary
 from cluttergen_jax.assets.modeller.lettering import lettering
 from cluttergen_jax.assets.modeller.palette import (
     BRIGHT,
@@ -42,15 +42,13 @@ def hardback_book(rng: Rng = None) -> Shape:
     cover = union(*boards, hull([*rounded, *[(x, -depth / 2 + 0.001, z) for x, _, z in rounded]]))
     pages = box((width - 0.010, depth - 0.008, height - 2 * BOARD), (0, 0.002), BOARD)
     title = _cover_art(choose(rng, ("ATLAS", "FABLES", "DUNES", "TALES")), width, depth, height)
-    return Shape(
+    return made(
         name="hardback_book",
-        label="hardback book",
         pieces=(
             piece(cover, shade(rng, (NAVY, *MUTED))),
             piece(pages - cover, shade(rng, (PAPER,), 0.03)),
             piece(title, shade(rng, (GOLD, CREAM, STEEL))),
         ),
-        provenance=made_by("hardback_book"),
         parts=(hull_part([*rounded[::4], *rounded[1::4], *_box_corners(width, depth, height)]),),
         mass=720.0 * width * depth * height,
     )
@@ -93,16 +91,14 @@ def sticky_notes(rng: Rng = None) -> Shape:
     for k, length in enumerate((0.62, 0.52, 0.58)):
         row = (0.06 - 0.15 * k) * side
         note += box((length * side, 0.0022, 0.0012), ((length - 0.74) * side / 2, row), -0.0006)
-    return Shape(
+    return made(
         name="sticky_notes",
-        label="sticky notes",
         pieces=(
             piece(block, colors[0]),
             *pads,
             piece(_curled_sheet(side).translate((0, 0, height)), colors[0]),
             piece(note.translate((0, 0.02 * side, height)), NAVY),
         ),
-        provenance=made_by("sticky_notes"),
         parts=(box_part((side, side, height)), _curl_part(side, height)),
         mass=700.0 * side * side * height,
     )
@@ -149,9 +145,8 @@ def ring_binder(rng: Rng = None) -> Shape:
     label = box((0.68 * width, 0.0016, 0.42 * height), (0, front + 0.0008), 0.46 * height)
     words = lettering("FILE", 0.13 * width).rotate((90, 0, 0)).translate((0, front, 0.79 * height))
     lines = [box((0.5 * width, 0.001, 0.003), (0, front), z * height) for z in (0.54, 0.61, 0.68)]
-    return Shape(
+    return made(
         name="ring_binder",
-        label="ring binder",
         pieces=(
             piece(union(spine, *sides), shade(rng, (CRIMSON, NAVY, FOREST, *BRIGHT[:3], CHARCOAL))),
             piece(pages, PAPER),
@@ -159,7 +154,6 @@ def ring_binder(rng: Rng = None) -> Shape:
             piece(label, WHITE),
             piece(union(words, *lines), CHARCOAL),
         ),
-        provenance=made_by("ring_binder"),
         parts=(
             box_part((width, 0.004, height), (0, -depth / 2 + 0.002)),
             *[box_part((BOARD, depth, height), (s * (width - BOARD) / 2, 0)) for s in (-1, 1)],

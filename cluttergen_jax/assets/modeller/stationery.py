@@ -6,7 +6,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.modeller.draw import Rng, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, made, shade, vary
 from cluttergen_jax.assets.modeller.palette import (
     BLACK,
     BLUE,
@@ -66,15 +66,13 @@ def stapler(rng: Rng = None) -> Shape:
     lid += [(nose + 0.035, low + 0.030), (nose + 0.010, low + 0.026), (nose, low + 0.018)]
     anvil = box((0.022, 0.6 * width, 0.002), (nose + 0.018, 0), 0.0092)
     metal = union(upright(pivot, 0.36 * width), anvil, upright(rail, 0.7 * width))
-    return Shape(
+    return made(
         name="stapler",
-        label="stapler",
         pieces=(
             piece(upright(base, width + 0.004), shade(rng, (CHARCOAL, BLACK, GREY))),
             piece(metal, STEEL),
             piece(upright(lid, width), shade(rng, (RED, TEAL, *BRIGHT, CHARCOAL))),
         ),
-        provenance=made_by("stapler"),
         parts=(
             upright_part(base, width + 0.004),
             upright_part(pivot, 0.36 * width),
@@ -112,16 +110,14 @@ def tape_dispenser(rng: Rng = None) -> Shape:
     comb = hull([*tooth, (0.001, 0, 0.054)])
     teeth = [comb.translate((nose, float(y), 0)) for y in np.linspace(-0.4, 0.4, 9) * slot]
     ribbon = hull(upright_part(strip, 0.72 * slot).vertices)
-    return Shape(
+    return made(
         name="tape_dispenser",
-        label="tape dispenser",
         pieces=(
             piece(frame, shade(rng, (CHARCOAL, *DARK, *BRIGHT))),
             piece(union(spool, ribbon), TAPE),
             piece(core, WHITE),
             piece(union(*teeth), STEEL),
         ),
-        provenance=made_by("tape_dispenser"),
         parts=(
             upright_part(base, width),
             upright_part(post, slot + 0.006),
@@ -157,16 +153,14 @@ def hole_punch(rng: Rng = None) -> Shape:
     holes = [cylinder(0.0055, 1.0, center=(x, -0.36 * depth), segments=24) for x in places]
     sheet = difference(box((0.80 * width, 0.84 * depth, 0.0015), (0, -0.07 * depth), 0.012), *holes)
     metal = union(box(*bar), box(*wall), *pins, *rests) - lid - tray
-    return Shape(
+    return made(
         name="hole_punch",
-        label="hole punch",
         pieces=(
             piece(tray, shade(rng, (CHARCOAL, BLACK, GREY))),
             piece(metal, STEEL),
             piece(sheet - metal, WHITE),
             piece(lid, shade(rng, (BLUE, *BRIGHT, CHARCOAL))),
         ),
-        provenance=made_by("hole_punch"),
         parts=(box_part((width, depth, 0.012)), box_part(*bar), box_part(*wall), hull_part(lever)),
         mass=vary(rng, 0.38, 0.2),
     )
@@ -195,11 +189,9 @@ def scissors(rng: Rng = None) -> Shape:
         parts += [turned(cell, spin, (*center, 0.0)) for cell in cells]
     handles = union(*grips)
     steel = union(*blades, cylinder(0.0045 * size, 0.0085, segments=24))
-    return Shape(
+    return made(
         name="scissors",
-        label="scissors",
         pieces=(piece(handles, shade(rng, (RED, *BRIGHT, CHARCOAL))), piece(steel - handles, STEEL)),
-        provenance=made_by("scissors"),
         parts=tuple(parts),
         mass=vary(rng, 0.075, 0.2),
     )

@@ -44,7 +44,6 @@ def l_desk(rng: Rng = None) -> SupportAsset:
     is_wide = width * depth >= limb * reach
     return table(
         "l_desk",
-        "L-shaped desk",
         top,
         long_limb if is_wide else short_limb,
         [
@@ -57,6 +56,7 @@ def l_desk(rng: Rng = None) -> SupportAsset:
             piece(extrude(outline, 0.003, low), DARK_STEEL),
             piece(union(*rails, *legs), shade(rng, METALS, 0.02)),
         ],
+        "L-shaped desk",
     )
 
 
@@ -80,7 +80,6 @@ def shelf_desk(rng: Rng = None) -> SupportAsset:
     rails += [box((0.022, 2 * y, 0.04), (sign * x, 0), shelf_low - 0.04) for sign in (-1, 1)]
     return table(
         "shelf_desk",
-        "desk with shelf and riser",
         top,
         Rectangle((0.0, (front - 0.01 - depth / 2) / 2), (width / 2, (front - 0.01 + depth / 2) / 2)),
         [
@@ -98,6 +97,7 @@ def shelf_desk(rng: Rng = None) -> SupportAsset:
             piece(board((riser_width, riser_depth, sheet), (0, middle), top + under), wood),
             piece(board(shelf, shelf_place, shelf_low), darker(wood, 0.95)),
         ],
+        "desk with shelf and riser",
     )
 
 
@@ -121,7 +121,6 @@ def drawer_desk(rng: Rng = None) -> SupportAsset:
     plinth = box((cabinet[0] - 0.04, cabinet[1] - 0.04, 0.07), place)
     return table(
         "drawer_desk",
-        "desk with drawers",
         top,
         Rectangle((0.0, 0.0), (width / 2, depth / 2)),
         [
@@ -139,6 +138,7 @@ def drawer_desk(rng: Rng = None) -> SupportAsset:
             piece(union(*(board(*front, 0.003) for front in fronts)), darker(wood, 0.95)),
             piece(union(*knobs), METALS[1]),
         ],
+        "desk with drawers",
     )
 
 

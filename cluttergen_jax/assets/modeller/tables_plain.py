@@ -46,7 +46,6 @@ def tray_table(rng: Rng = None) -> SupportAsset:
         ]
     return table(
         "tray_table",
-        "tray table",
         top,
         Rectangle((0.0, 0.0), (inner_x, inner_y)),
         [
@@ -81,7 +80,6 @@ def trestle_table(rng: Rng = None) -> SupportAsset:
                 boxes.append(slab((0.035, 0.05, beam), (sx * x + sz * 0.07, sy * (foot + head) / 2), 0.0))
     return table(
         "trestle_table",
-        "trestle table",
         top,
         Rectangle((0.0, 0.0), (width / 2, depth / 2)),
         [slab((width, depth, top - low), (0, 0), low), *boxes],
@@ -120,7 +118,6 @@ def picnic_table(rng: Rng = None) -> SupportAsset:
             )
     return table(
         "picnic_table",
-        "picnic table",
         top,
         Rectangle((0.0, 0.0), (width / 2, depth / 2)),
         [*boxes, *frame],

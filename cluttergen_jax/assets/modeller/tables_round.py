@@ -50,7 +50,6 @@ def round_table(rng: Rng = None) -> SupportAsset:
     middle = 0.5 * (head + foot)
     return table(
         "round_table",
-        "round table",
         top,
         oval_region(radius, radius),
         [
@@ -87,7 +86,6 @@ def oval_table(rng: Rng = None) -> SupportAsset:
     boxes.append(slab((2 * x - 0.075, 0.03, 0.09), (0, 0), 0.22))
     return table(
         "oval_table",
-        "oval dining table",
         top,
         oval_region(rx, ry),
         [*oval_boxes(rx, ry, low, top), *boxes],
@@ -95,6 +93,7 @@ def oval_table(rng: Rng = None) -> SupportAsset:
             piece(plate(ellipse(rx, ry, 96), low, top, 0.006), wood),
             piece(union(*solids), darker(wood, 0.80)),
         ],
+        "oval dining table",
     )
 
 
@@ -112,7 +111,6 @@ def bar_table(rng: Rng = None) -> SupportAsset:
     core = 0.8 * base
     return table(
         "bar_table",
-        "bar table",
         top,
         oval_region(radius, radius),
         [
@@ -146,7 +144,6 @@ def coffee_table(rng: Rng = None) -> SupportAsset:
     cut = radius * _ROUND_CORNER
     return table(
         "coffee_table",
-        "coffee table",
         top,
         Rectangle((0.0, 0.0), (width / 2 - cut, depth / 2 - cut)),
         [

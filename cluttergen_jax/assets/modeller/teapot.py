@@ -6,7 +6,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made, shade, vary
 from cluttergen_jax.assets.modeller.parts import disc_part, swept_parts, thinned
 from cluttergen_jax.assets.modeller.solids import (
     difference,
@@ -46,15 +46,13 @@ def teapot(rng: Rng = None) -> Shape:
     vessel = difference(union(body, tube(spout, 0.0115, scales=sizes), sweep(arm, bar)), bore)
     trim = shade(rng, TRIMS, 0.03)
     cells = thinned(spout, 2)
-    return Shape(
+    return made(
         name="teapot",
-        label="teapot",
         pieces=(
             piece(vessel, shade(rng, GLAZES, 0.04)),
             piece(_lid(neck, height), trim),
             piece(difference(_band(body, height), vessel), trim),
         ),
-        provenance=made_by("teapot"),
         parts=(
             *_belly([(base, 0.0), *belly[1:]]),
             disc_part([(neck + 0.003, height - 0.001), (0.6 * neck, height + 0.010)], 10),

@@ -6,7 +6,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.modeller.draw import Rng, choose, hex_rgb, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, choose, hex_rgb, made, shade, vary
 from cluttergen_jax.assets.modeller.parts import LIFT, box_part, hull_part, prism_part
 from cluttergen_jax.assets.modeller.solids import (
     Points2,
@@ -54,11 +54,10 @@ def fork(rng: Rng = None) -> Shape:
     tines = [_slab(ends[-2:], np.full(2, prong / 2), lifts[-2:] + RAISE, thick, y, 0.88 * y) for y in places]
     shift = np.array([-length / 2, 0.0, 0.0])
     parts = [part.transformed(np.eye(3), shift) for part in (end, *legs[2:], *tines)]
-    return Shape(
+    return made(
         name="fork",
         label="table fork",
         pieces=(piece(solid.translate((-length / 2, 0, 0)), shade(rng, STEELS, 0.03)),),
-        provenance=made_by("fork"),
         parts=tuple(parts),
         mass=vary(rng, 0.050, 0.15),
     )
@@ -116,7 +115,7 @@ def knife(rng: Rng = None) -> Shape:
     rivets = union(*(cylinder(0.0036, height - 0.003, 0.0018, center=spot, segments=20) for spot in spots))
     steel = shade(rng, STEELS[:2], 0.03)
     top = height - 0.0016
-    return Shape(
+    return made(
         name="knife",
         label="chef's knife",
         pieces=(
@@ -124,7 +123,6 @@ def knife(rng: Rng = None) -> Shape:
             piece(handle, shade(rng, GRIPS, 0.03)),
             piece(difference(rivets, handle), steel),
         ),
-        provenance=made_by("knife"),
         parts=(
             prism_part([(-0.004, spine), (0.70 * blade, spine), *belly[1:], (-0.004, -0.012)], 0.0024),
             prism_part([(0.70 * blade, spine), *belly[:2]], 0.0024),
@@ -147,11 +145,9 @@ def wooden_spoon(rng: Rng = None) -> Shape:
     rings = [(0.82, 0.0, 4), (0.86, LIFT, 8), (1.0, 0.009, 8), (0.91, 0.016, 8)]
     corners = [np.column_stack([ellipse(s * reach, s * half, n), np.full(n, z)]) for s, z, n in rings]
     grip = [(x, y, z) for x, size in ends for y, z in _rod_corners(size)]
-    return Shape(
+    return made(
         name="wooden_spoon",
-        label="wooden spoon",
         pieces=(piece(difference(union(bowl, stick), scoop), shade(rng, WOODS)),),
-        provenance=made_by("wooden_spoon"),
         parts=(hull_part(np.concatenate(corners) + np.array([center, 0, 0])), hull_part(grip)),
         mass=vary(rng, 0.045, 0.2),
     )
@@ -186,11 +182,9 @@ def cutting_board(rng: Rng = None) -> Shape:
     stripe = choose(rng, (0.28, -0.28, 0.0)) * depth
     band = difference(box((width, 0.10 * depth, thick), (0.0, stripe)) ^ board, groove)
     dark = tuple(0.62 * channel for channel in wood)
-    return Shape(
+    return made(
         name="cutting_board",
-        label="cutting board",
         pieces=(piece(difference(board, groove, hole, band), wood), piece(band, (dark[0], dark[1], dark[2]))),
-        provenance=made_by("cutting_board"),
         parts=(box_part((width, depth, thick)), prism_part(tip, thick - RAISE, RAISE)),
         mass=thick * (width * depth + handle * span) * vary(rng, 650.0, 0.1),
     )

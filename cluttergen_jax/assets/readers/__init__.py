@@ -1,7 +1,8 @@
 """Readers: from files of many formats to `Shape`s in metres, z up.
 
 tree.py finds what a path holds; mesh_file.py, urdf.py and mjcf.py each read one family; axes.py says which
-way is up; sizes.py refuses files that announce more than they hold; check.py, shapes of impossible size.
+way is up; damage.py refuses files that are broken or announce more than they hold; read.py, shapes of
+impossible size.
 """
 
 from cluttergen_jax.assets.readers.read import read_shape, read_source

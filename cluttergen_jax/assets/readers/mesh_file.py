@@ -13,7 +13,6 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers.companions import Companions
 from cluttergen_jax.assets.readers.damage import check_whole, unreadable
 from cluttergen_jax.assets.readers.materials import Dresser, gltf_notes
-from cluttergen_jax.assets.readers.sizes import check_sizes
 from cluttergen_jax.assets.readers.text import opened
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
@@ -47,7 +46,6 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
     """
     if not path.is_file():
         raise AssetError(f"mesh file {path} is missing", hint="restoring the file or its name")
-    check_sizes(path)
     check_whole(path)
     beside = Companions(path)
     try:
@@ -80,36 +78,3 @@ def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise AssetError(f"{path} is damaged: its triangles name vertices that it does not have")
     return Mesh(vertices, faces)
-
-
-def cleaned(mesh: Mesh, is_closed: bool = False) -> Mesh:
-    """The mesh with equal vertices welded; collapsed and doubled triangles and unused vertices dropped.
-
-    Slivers stay: to drop one would open a closed surface. Of coinciding triangles one stays; of a surface
-    that should be closed, a triangle and its reverse cancel out.
-    """
-    if not len(mesh.faces):
-        return mesh
-    digits = 6 - int(np.floor(np.log10(max(float(np.ptp(mesh.vertices)), 1e-9))))
-    _, first, inverse = np.unique(
-        np.round(mesh.vertices, digits), axis=0, return_index=True, return_inverse=True
-    )
-    faces = inverse.reshape(-1)[mesh.faces]
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
-    if not len(faces):
-        return Mesh(np.zeros((0, 3)), faces)
-    corners, turn = np.sort(faces, axis=1), np.sign(_parity(faces))
-    _, which = np.unique(corners, axis=0, return_inverse=True)
-    which = which.reshape(-1)
-    if is_closed:
-        balance = np.bincount(which, turn)[which] * turn
-        which, faces = which[balance > 0], faces[balance > 0]
-    faces = faces[np.sort(np.unique(which, return_index=True)[1])]
-    used, faces = np.unique(faces, return_inverse=True)
-    return Mesh(mesh.vertices[first][used], faces.reshape(-1, 3))
-
-
-def _parity(faces: np.ndarray) -> np.ndarray:
-    """Positive where a triangle's corners are an even permutation of their sorted order."""
-    a, b, c = faces.T
-    return np.where((a < b).astype(int) + (b < c) + (c < a) == 2, 1, -1)

@@ -13,8 +13,7 @@ from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers import primitives
-from cluttergen_jax.assets.readers.convex import MAX_PARTS
-from cluttergen_jax.assets.readers.model import Model, frozen, frozen_note
+from cluttergen_jax.assets.readers.model import MAX_PARTS, Model, frozen, frozen_note
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.stated_mass import combined
 from cluttergen_jax.assets.texture import Texture
@@ -46,14 +45,14 @@ def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     root = _root(model, path, body)
-    solid = [i for i in range(model.ngeom) if _belongs(model, i, root) and is_solid(model, i)]
+    bodies = [i for i in range(model.nbody) if _hangs_on(model, i, root)]
+    solid = [i for i in range(model.ngeom) if model.geom_bodyid[i] in bodies and is_solid(model, i)]
     if not solid:
         raise AssetError(f"{path}: body {body or root!r} has no geoms that are solid")
     is_colliding = {i: bool(model.geom_contype[i] or model.geom_conaffinity[i]) for i in solid}
     visual = [i for i in solid if not is_colliding[i]] or solid
     pieces = [geom_piece(model, data, i, max_side) for i in visual]
     parts = tuple(Mesh.points(geom_mesh(model, data, i, 16).vertices) for i in solid if is_colliding[i])
-    bodies = [i for i in range(model.nbody) if _hangs_on(model, i, root)]
     return Model(
         pieces=pieces,
         parts=parts if 0 < len(parts) <= MAX_PARTS else None,
@@ -105,10 +104,6 @@ def _root(model: mujoco.MjModel, path: Path, body: str) -> int:
         names = ", ".join(model.body(i).name for i in children)
         raise AssetError(f"{path} holds {len(children)} bodies and none was chosen", names)
     return children[0] if children else 0
-
-
-def _belongs(model: mujoco.MjModel, geom: int, root: int) -> bool:
-    return _hangs_on(model, int(model.geom_bodyid[geom]), root)
 
 
 def _hangs_on(model: mujoco.MjModel, body: int, root: int) -> bool:

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import trimesh
 
-from cluttergen_jax.assets.cloud import farthest_first
+from cluttergen_jax.assets.cloud import farthest_first, sample_surface
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, RestingPose
 from cluttergen_jax.assets.readers.mjcf import compiled, geom_mesh, geom_piece, is_solid
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.geometry import rotation_matrix, transformed
 
 _FLAT = 0.01
 
@@ -66,9 +66,7 @@ def _object(model: mujoco.MjModel, data: mujoco.MjData, body: int, provenance: P
         raise AssetError(f"body {name} has no solid geoms")
     local = {i: geom_mesh(model, data, i).transformed(turn.T, -turn.T @ origin) for i in geoms}
     pieces = tuple(geom_piece(model, data, i).transformed(turn.T, -turn.T @ origin) for i in seen)
-    inertial = np.zeros(9)
-    mujoco.mju_quat2Mat(inertial, model.body_iquat[body])
-    axes = inertial.reshape(3, 3)
+    axes = rotation_matrix(model.body_iquat[body])
     parts = tuple(Mesh.points(local[i].vertices) for i in touches or geoms)
     return ObjectAsset(
         name=name,
@@ -92,8 +90,7 @@ def _root(model: mujoco.MjModel, geom: int) -> int:
 
 def _cloud(mesh: Mesh) -> np.ndarray:
     """f32[1024, 3], farthest-point ordered."""
-    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    points = np.asarray(trimesh.sample.sample_surface(surface, CLOUD_SIZE, seed=0)[0])
+    points = sample_surface(mesh, CLOUD_SIZE, 0)
     return points[farthest_first(points)].astype(np.float32)
 
 
@@ -111,7 +108,9 @@ def _support(
     touches = [i for i in fixed if model.geom_contype[i] or model.geom_conaffinity[i]]
     seen = [i for i in fixed if i not in touches] or fixed
     pieces = tuple(geom_piece(model, data, i) for i in seen)
-    standing = np.concatenate([_world_vertices(*each) for each in zip(objects, poses, strict=True)])
+    placed = zip(objects, poses, strict=True)
+    corners = [transformed(pose, part.vertices) for each, pose in placed for part in each.parts]
+    standing = np.concatenate(corners)
     top = float(standing[:, 2].min())
     flat = [piece.mesh.vertices for piece in pieces] or [standing]
     level = np.concatenate(flat)
@@ -122,10 +121,3 @@ def _support(
     center, half = (low + high) / 2, np.maximum((high - low) / 2, _FLAT)
     region = Rectangle((float(center[0]), float(center[1])), (float(half[0]), float(half[1])))
     return SupportAsset("support", "support", (), top, region, provenance, pieces)
-
-
-def _world_vertices(asset: ObjectAsset, pose: np.ndarray) -> np.ndarray:
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, pose[3:])
-    vertices = np.concatenate([part.vertices for part in asset.parts])
-    return vertices @ turn.reshape(3, 3).T + pose[:3]

@@ -8,8 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.stated_mass import StatedMass
+
+MAX_PARTS = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,3 +42,23 @@ def frozen(name: str, kind: str, value: float, is_turn: bool) -> str:
     """A movable joint in words; `value` in radians or metres."""
     place = f"{np.degrees(value) + 0.0:.3g} degrees" if is_turn else f"{value + 0.0:.3g} m"
     return f"{name!r} ({kind}) at {place}"
+
+
+def convex_parts(meshes: list[Mesh], tolerance: float = 0.02) -> tuple[Mesh, ...] | None:
+    """The vertices of each mesh as a part, if there are few and each fills its hull; else None.
+
+    A mesh fills its hull if the volume that its triangles enclose is within `tolerance` of the hull's.
+    """
+    if not 0 < len(meshes) <= MAX_PARTS:
+        return None
+    return (
+        tuple(Mesh.points(mesh.vertices) for mesh in meshes)
+        if all(_is_convex(mesh, tolerance) for mesh in meshes)
+        else None
+    )
+
+
+def _is_convex(mesh: Mesh, tolerance: float = 0.02) -> bool:
+    """Whether the triangles enclose all of the hull but a share of `tolerance`."""
+    hull = hull_of(mesh.vertices)
+    return hull is not None and bool(abs(mesh.volume) > (1 - tolerance) * hull.volume)

@@ -17,10 +17,9 @@ from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.readers import primitives
-from cluttergen_jax.assets.readers.convex import convex_parts
 from cluttergen_jax.assets.readers.materials import GREY
 from cluttergen_jax.assets.readers.mesh_file import read_mesh_file
-from cluttergen_jax.assets.readers.model import Model, frozen, frozen_note
+from cluttergen_jax.assets.readers.model import Model, convex_parts, frozen, frozen_note
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.stated_mass import combined
 from cluttergen_jax.assets.texture import Texture

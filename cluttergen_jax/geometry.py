@@ -1,0 +1,102 @@
+"""Geometry of arrays: rotations, rigid transforms, turns about z, rectangles.
+
+Quaternions are wxyz, poses are position and then quaternion, f[7]; radians and metres. What takes the array
+module `xp` serves NumPy and JAX alike, as host callbacks may not call JAX; the rest is for the host. Pose
+algebra in compiled code is jaxlie's.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+Array = Any
+"""A NumPy array, or a JAX array where the function takes `xp`."""
+
+
+def norm(xp: Any, vector: Array) -> Array:
+    """Euclidean length over the last axis."""
+    return xp.sqrt(xp.sum(vector * vector, axis=-1))
+
+
+def cross(xp: Any, a: Array, b: Array) -> Array:
+    """Cross product of f[..., 3] with f[..., 3]."""
+    return xp.stack(
+        [
+            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
+            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
+            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
+        ],
+        axis=-1,
+    )
+
+
+def rotate(xp: Any, quaternion: Array, vector: Array) -> Array:
+    """`vector`, f[..., 3], turned by the unit `quaternion`, f[..., 4] wxyz."""
+    w, xyz = quaternion[..., :1], quaternion[..., 1:]
+    twice = 2 * cross(xp, xyz, vector)
+    return vector + w * twice + cross(xp, xyz, twice)
+
+
+def turn_between(xp: Any, quaternion: Array, reference: Array) -> Array:
+    """The angle in [0, pi] between two orientations, f[..., 4] wxyz each, exact for small angles."""
+    w, xyz = quaternion[..., :1], quaternion[..., 1:]
+    w0, xyz0 = reference[..., :1], -reference[..., 1:]
+    vector = w * xyz0 + w0 * xyz + cross(xp, xyz, xyz0)
+    scalar = w[..., 0] * w0[..., 0] - xp.sum(xyz * xyz0, axis=-1)
+    return 2 * xp.atan2(norm(xp, vector), xp.abs(scalar))
+
+
+def conjugate(quaternion: Array) -> Array:
+    """The inverse of unit quaternions, f[..., 4]."""
+    return quaternion * np.array([1, -1, -1, -1])
+
+
+def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Quaternions f64[..., 4] that turn as `b` does and then as `a` does."""
+    w, v, u, x = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
+    scalar = w * u - (v * x).sum(-1, keepdims=True)
+    return np.concatenate([scalar, w * x + u * v + np.cross(v, x)], axis=-1)
+
+
+def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
+    """f64[3, 3] of a unit quaternion f[4]."""
+    w, x, y, z = np.asarray(quaternion, np.float64)
+    return np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
+
+
+def transformed(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """f64[..., 3]: points f[..., 3] of a frame that stands at `pose`, in the frame of that pose."""
+    pose = np.asarray(pose, np.float64)
+    return np.asarray(points, np.float64) @ rotation_matrix(pose[3:]).T + pose[:3]
+
+
+def yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
+    """The quaternion of a turn about z."""
+    return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+
+
+def yaw_matrix(yaw: float) -> np.ndarray:
+    """f64[3, 3]: a turn about z."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+def turned(points: np.ndarray, yaw: float) -> np.ndarray:
+    """f64[..., 2]: points of the plane turned about the origin."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return np.asarray(points, np.float64) @ np.array([[cos, sin], [-sin, cos]])
+
+
+def rectangle_corners(center: Any, half_extents: Any, yaw: float) -> np.ndarray:
+    """f64[4, 2]: the corners of a turned rectangle, one after the other around it, counter-clockwise."""
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    return np.asarray(center) + turned(signs * half_extents, yaw)

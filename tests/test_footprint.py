@@ -1,0 +1,114 @@
+"""Features of footprints: shares of its footprint, counted here point by point and there by a transform."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cluttergen_jax.networks.footprint import FootprintFeatures
+
+CELL = 0.01
+SIDE = 48 * CELL
+PLATE, BLOCK = (0.08, 0.02), (0.03, 0.03)
+PADDLE = (0.08, 0.02), (0.1, 0.01)
+
+
+def cloud_of(half, middle=(0.0, 0.0)) -> np.ndarray:
+    """f32[1024, 3]: a flat sheet in no order, at the object's middle height."""
+    line = np.linspace(-1, 1, 32)
+    grid = np.stack(np.meshgrid(line, line, indexing="ij"), -1).reshape(-1, 2) * half + middle
+    return np.random.default_rng(0).permutation(np.c_[grid, np.zeros(1024)]).astype(np.float32)
+
+
+def observation(at=(0.1, -0.05, 0.02), turn=0.0, half=(0.24, 0.24)):
+    """The plate is in hand; the block stands at `at`, turned."""
+    pose = jnp.array([*at, np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)])
+    return {
+        "region": jnp.array([*half, 0.3]),
+        "focus": jnp.int32(0),
+        "is_placed": jnp.array([False, True]),
+        "T_region_object": jnp.zeros((2, 7)).at[1].set(pose),
+    }
+
+
+@pytest.fixture(scope="module")
+def room():
+    return FootprintFeatures.of(jnp.array([cloud_of(PLATE), cloud_of(BLOCK)]), SIDE, 12, 4)
+
+
+@pytest.mark.parametrize(("held", "symmetry"), [((PLATE, (0.0, 0.0)), 2), (PADDLE, 1)])
+def test_shares_are_those_of_the_footprint(held, symmetry):
+    half, middle = held
+    room = FootprintFeatures.of(jnp.array([cloud_of(half, middle), cloud_of(BLOCK)]), SIDE, 12, 4, symmetry)
+    shares = np.asarray(jax.jit(room)(observation()))
+    assert shares.shape == room.shape == (12, 12, 4, 2)
+    line = (np.arange(12) + 0.5) / 12 * SIDE - SIDE / 2
+    inside = np.random.default_rng(1).uniform(-1, 1, (4000, 2)) * (np.array(half) + CELL) + middle
+    worst = 0.0
+    for turn, angle in enumerate((np.arange(4) + 0.5) / 4 * 2 * np.pi / symmetry):
+        turned = inside @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        for i, x in enumerate(line):
+            for j, y in enumerate(line):
+                points = turned + np.array([x, y])
+                over = np.mean(np.all(np.abs(points - [0.1, -0.05]) < BLOCK, axis=1))
+                beyond = np.mean(np.any(np.abs(points) > SIDE / 2, axis=1))
+                worst = max(worst, *np.abs(shares[i, j, turn] - [over, beyond]))
+    # A cell is half as wide as the plate.
+    assert worst < 0.15
+
+
+def test_both_ways_round_a_paddle_takes_both_sides():
+    once, twice = (
+        FootprintFeatures.of(jnp.array([cloud_of(*PADDLE), cloud_of(BLOCK)]), SIDE, 12, num_turns, symmetry)
+        for num_turns, symmetry in [(8, 1), (4, 2)]
+    )
+    once, twice = (np.asarray(room(observation()))[..., 0] for room in (once, twice))
+    np.testing.assert_allclose(twice, (once[..., :4] + once[..., 4:]) / 2, atol=0.03)
+    assert np.abs(once[..., :4] - once[..., 4:]).max() > 0.3
+
+
+@pytest.mark.parametrize(("height", "is_in_the_way"), [(0.02, False), (0.07, True)])
+def test_what_is_lower_than_an_underside_is_not_in_its_way(height, is_in_the_way):
+    """A pan is in hand, its handle 5 cm up; the block's top is at `height`, in the middle of the region."""
+    pan, handle = cloud_of((0.03, 0.03), (-0.1, 0.0)), cloud_of((0.08, 0.01), (0.05, 0.0))
+    handle[:, 2] += 0.05
+    held = np.concatenate([pan, handle])
+    block = np.tile(cloud_of(BLOCK), (2, 1))
+    # Turned by 45 degrees; once the handle's middle is over the block, once the pan itself.
+    line = (np.arange(12) + 0.5) / 12 * SIDE - SIDE / 2
+    spots = {"handle": (-0.035, -0.035), "pan": (0.07, 0.07)}
+    for undersides in (False, True):
+        room = FootprintFeatures.of(jnp.array([held, block]), SIDE, 12, 4, 1, undersides)
+        shares = np.asarray(room(observation(at=(0.0, 0.0, height))))[..., 0, 0]
+        for spot, (x, y) in spots.items():
+            share = shares[np.abs(line - x).argmin(), np.abs(line - y).argmin()]
+            if undersides and spot == "handle" and not is_in_the_way:
+                assert abs(share) < 1e-5
+            else:
+                assert share > 0.1
+
+
+def test_a_place_is_free_or_not(room):
+    shares = np.asarray(room(observation()))[..., 0]
+    assert shares[8, 4].max() > 0.3
+    assert np.abs(shares[:5]).max() < 5e-3
+    assert np.abs(shares[:, 9:]).max() < 5e-3
+
+
+def test_the_block_may_turn_a_quarter(room):
+    straight, turned = (np.asarray(room(observation(turn=turn))) for turn in (0.0, np.pi / 2))
+    np.testing.assert_allclose(straight, turned, atol=0.03)
+
+
+def test_flat_ground_and_far_objects_take_no_room(room):
+    for at in ((0.1, 0.0, 0.001), (0.9, 0.0, 0.02), (0.0, -5.0, 0.02)):
+        assert np.abs(np.asarray(room(observation(at=at)))[..., 0]).max() < 1e-6
+
+
+def test_larger_regions_are_told_beyond_the_picture_what_is_over_its_edge(room):
+    shares = np.asarray(room(observation(half=(0.5, 0.5))))
+    # Between pixels the transform rings a little.
+    assert (np.abs(shares - 0.5) < 0.51).all()
+    assert shares[7, 5, :, 0].max() > 0.3
+    # The picture repeats every 0.64 m: the block at x = 0.1 must not be seen again at x = -0.54 + cells.
+    assert np.abs(shares[:4, :, :, 0]).max() < 5e-3
