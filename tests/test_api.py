@@ -13,6 +13,7 @@ from cluttergen_jax.cli.commands import COMMANDS
 from cluttergen_jax.cli.flags import ARGUMENTS, with_flags
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ClutterGenError, ConfigError
+from cluttergen_jax.policies.embedded import list_policies
 
 ROOT = Path(__file__).parents[1]
 # The functions of a command, options that its function calls otherwise, and those that it has no use for.
@@ -131,6 +132,7 @@ def test_nothing_but_programs_imports_the_command_line(folder):
 
 def test_python_and_the_command_line_name_what_each_of_them_knows(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    policy = str(next(iter(list_policies().values())))
     doors = [
         (
             lambda: cluttergen_jax.generate(num_threads=-1),
@@ -145,9 +147,9 @@ def test_python_and_the_command_line_name_what_each_of_them_knows(tmp_path, monk
             ["train", "--memory-limit", "-1"],
         ),
         (
-            lambda: cluttergen_jax.generate(method="drop", checkpoint="x"),
+            lambda: cluttergen_jax.generate(method="drop", checkpoint=policy),
             "`checkpoint` with method 'drop'",
-            ["generate", "--method", "drop", "--checkpoint", "x"],
+            ["generate", "--method", "drop", "--checkpoint", policy],
         ),
     ]
     flags = ["--threads -1", "--num-scenes 0", "--jobs -1", "--memory-limit -1.0", "--checkpoint with method"]
