@@ -17,9 +17,8 @@ import numpy as np
 from benchmarks.section import prose, report, table
 from benchmarks.trained import WINDOW
 from cluttergen_jax.agent.checkpoint import read_record
-from cluttergen_jax.cli.train import Train
 from cluttergen_jax.training.metrics_log import read_rows
-from cluttergen_jax.training.presets import Settings
+from cluttergen_jax.training.train import TrainConfig, run_training
 
 
 @dataclass(frozen=True)
@@ -59,23 +58,9 @@ ROWS = (
 )
 
 
-class Ablation(Train):
-    """`cluttergen train` with single settings changed."""
-
-    row: Row
-
-    def settings(self) -> Settings:
-        settings = super().settings()
-        return replace(
-            settings,
-            network=replace(settings.network, **self.row.network),
-            ppo=replace(settings.ppo, **self.row.ppo),
-        )
-
-
 def train(row: Row, out: Path, pool: str, num_attempts: int, seed: int) -> None:
     """Trains and evaluates one row, or takes it up again."""
-    run = Ablation(
+    config = TrainConfig(
         pool=pool,
         preset=row.preset,
         variant=row.variant,
@@ -83,8 +68,13 @@ def train(row: Row, out: Path, pool: str, num_attempts: int, seed: int) -> None:
         seed=seed,
         out=str(out / row.name),
     )
-    object.__setattr__(run, "row", row)
-    run.train()
+    settings = config.settings()
+    settings = replace(
+        settings,
+        network=replace(settings.network, **row.network),
+        ppo=replace(settings.ppo, **row.ppo),
+    )
+    run_training(config, settings)
 
 
 def cells(row: Row, out: Path) -> list[str]:

@@ -6,19 +6,39 @@
     envs = cluttergen_jax.make_vector_env(64, pool="dining")               # a VectorEnv of Gymnasium
     bank = cluttergen_jax.load_bank("owner/name")                          # pulled from a hub
 
+What a command does, one function does, with the same defaults:
+
+    import_pool, import_support    meshes, URDF, MJCF -> a pool, a support
+    generate, verify, stats_of     scenes -> a bank on disk; which of them stand; what it holds
+    train, train_suite, pretrain   a pool -> a policy; those of a suite; an encoder
+    export, render, view           scenes -> other programs, pictures, a viewer
+    push_bank, pull_bank           a bank to and from a hub
+
 `Rectangle` tells `make_sampler` of a region or a keep-out box; `make_region` and `KeepOut` are for those of
 `sample(key, region=..., keep_out=...)`, which may be traced. CONTRIBUTING.md says what the packages are.
 """
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cluttergen_jax.assets.pool import find_pool as load_pool
+    from cluttergen_jax.assets.pool import list_pools, remove_pool
     from cluttergen_jax.assets.support import Rectangle
+    from cluttergen_jax.assets.support_file import find_support as load_support
+    from cluttergen_jax.assets.support_file import list_supports
+    from cluttergen_jax.bank import read_bank
     from cluttergen_jax.bank.hub import pull_bank, push_bank
+    from cluttergen_jax.bank.scene import read_scenes
+    from cluttergen_jax.bank.stats import stats_of, stats_text
+    from cluttergen_jax.bank.verify import verify
     from cluttergen_jax.certification import certify
     from cluttergen_jax.evaluation.comparison import evaluate
     from cluttergen_jax.evaluation.running import evaluate_suite
+    from cluttergen_jax.importing.run import import_pool
+    from cluttergen_jax.importing.table import import_support
     from cluttergen_jax.placement.region import KeepOut, make_region
     from cluttergen_jax.sampler import (
         SampledScene,
@@ -30,6 +50,13 @@ if TYPE_CHECKING:
         make_sampler,
     )
     from cluttergen_jax.sampler.environments import make_env, make_gym_env, make_sb3_env, make_vector_env
+    from cluttergen_jax.sampler.generate import generate
+    from cluttergen_jax.sources.exporting import export
+    from cluttergen_jax.sources.rendering import render
+    from cluttergen_jax.sources.viewing import view
+    from cluttergen_jax.training.pretrain import pretrain
+    from cluttergen_jax.training.suite_run import train_suite
+    from cluttergen_jax.training.train import train
 
 __all__ = [
     "KeepOut",
@@ -42,37 +69,84 @@ __all__ = [
     "certify",
     "evaluate",
     "evaluate_suite",
+    "export",
+    "generate",
+    "import_pool",
+    "import_support",
+    "list_pools",
+    "list_supports",
     "load_bank",
+    "load_pool",
+    "load_support",
     "make_env",
     "make_gym_env",
     "make_region",
     "make_sampler",
     "make_sb3_env",
     "make_vector_env",
+    "pretrain",
     "pull_bank",
     "push_bank",
+    "read_bank",
+    "read_scenes",
+    "remove_pool",
+    "render",
+    "stats_of",
+    "stats_text",
+    "train",
+    "train_suite",
+    "verify",
+    "view",
 ]
 
-_ELSEWHERE = {
-    "Rectangle": "assets.support",
-    "KeepOut": "placement.region",
-    "make_region": "placement.region",
-    "certify": "certification",
-    "evaluate": "evaluation.comparison",
-    "evaluate_suite": "evaluation.running",
-    "make_env": "sampler.environments",
-    "make_gym_env": "sampler.environments",
-    "make_sb3_env": "sampler.environments",
-    "make_vector_env": "sampler.environments",
-    "pull_bank": "bank.hub",
-    "push_bank": "bank.hub",
+_MODULES = {
+    "assets.pool": ("list_pools", "remove_pool"),
+    "assets.support": ("Rectangle",),
+    "assets.support_file": ("list_supports",),
+    "bank": ("read_bank",),
+    "bank.hub": ("pull_bank", "push_bank"),
+    "bank.scene": ("read_scenes",),
+    "bank.stats": ("stats_of", "stats_text"),
+    "bank.verify": ("verify",),
+    "certification": ("certify",),
+    "evaluation.comparison": ("evaluate",),
+    "evaluation.running": ("evaluate_suite",),
+    "importing.run": ("import_pool",),
+    "importing.table": ("import_support",),
+    "placement.region": ("KeepOut", "make_region"),
+    "sampler.environments": ("make_env", "make_gym_env", "make_sb3_env", "make_vector_env"),
+    "sampler.generate": ("generate",),
+    "sources.exporting": ("export",),
+    "sources.rendering": ("render",),
+    "sources.viewing": ("view",),
+    "training.pretrain": ("pretrain",),
+    "training.suite_run": ("train_suite",),
+    "training.train": ("train",),
 }
+_ELSEWHERE = {name: module for module, names in _MODULES.items() for name in names}
+_RENAMED = {
+    "load_pool": ("assets.pool", "find_pool"),
+    "load_support": ("assets.support_file", "find_support"),
+}
+
+
+class _Package(ModuleType):
+    """This package; `export` and `render` are its functions, though packages within it are called so too."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # An import binds a package within this one to its name here; `import` finds it without that.
+        if not (name in __all__ and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> Any:
     """The names of `__all__`, imported when first asked for: JAX and MuJoCo take a second to load."""
     if name in __all__:
-        return getattr(import_module(f"cluttergen_jax.{_ELSEWHERE.get(name, 'sampler')}"), name)
+        module, there = _RENAMED.get(name, (_ELSEWHERE.get(name, "sampler"), name))
+        return getattr(import_module(f"cluttergen_jax.{module}"), there)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -34,6 +34,7 @@ Containment = Literal["center", "footprint"]
 Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "all"]
 Reward = Literal["paper", "code", "compressed"]
 Encoder = Literal["set", "pointnet", "pointnet2"]
+EvalAction = Literal["sampled", "mean"]
 Suite = Literal["paper", "extended", "honest"]
 """`honest` is the former name of `extended`, understood in this release."""
 FilmFormat = Literal["gif", "mp4"]
@@ -63,14 +64,16 @@ def check_positive(config: object, *names: str) -> None:
 MAX_WORKERS = 4096
 
 
-def check_workers(option: str, number: int) -> None:
+def check_workers(argument: str, number: int) -> None:
     """Refuses a number of threads or processes that cannot be meant; 0 takes every core.
 
     Raises:
-      ConfigError: it names the option.
+      ConfigError: it names the argument.
     """
     if not 0 <= number <= MAX_WORKERS:
-        raise ConfigError(f"{option} {number}", f"0 to {MAX_WORKERS}", f"{option} 0, which takes every core")
+        raise ConfigError(
+            f"{argument} = {number}", f"0 to {MAX_WORKERS}", f"{argument}=0, which takes every core"
+        )
 
 
 @dataclass(frozen=True)

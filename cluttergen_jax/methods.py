@@ -69,11 +69,11 @@ def checkpoint_of(method: str, pool: str, given: Checkpoint | None = None) -> Ch
     """
     if method not in METHODS:
         raise ConfigError(
-            f"method {method!r}", ", ".join(METHODS), "--method clear", closest(method, METHODS)
+            f"method {method!r}", ", ".join(METHODS), "method='clear'", closest(method, METHODS)
         )
     if method in BASELINES:
         if given is not None:
-            raise ConfigError(f"--checkpoint with method {method!r}, which has none", ", ".join(VARIANTS))
+            raise ConfigError(f"`checkpoint` with method {method!r}, which has none", ", ".join(VARIANTS))
         return None
     if given is None:
         name = DEFAULT_METHOD if method == FILTERED else method
@@ -90,7 +90,7 @@ def _check_variant(method: str, given: Checkpoint) -> None:
     raise ConfigError(
         f"method {method!r} with {given.path}, which was trained as {variant!r}",
         "a policy of poses" if method == FILTERED else f"method {variant!r}",
-        f"--method {variant}",
+        f"method={variant!r}",
     )
 
 

@@ -63,7 +63,7 @@ class ProblemConfig:
     contact: ContactConfig = field(default_factory=ContactConfig)
 
     def __post_init__(self) -> None:
-        check_workers("--threads", self.num_threads)
+        check_workers("num_threads", self.num_threads)
         find_change(self.change)
 
 
@@ -118,7 +118,7 @@ def compose(
         objects = repeated(objects, wanted)
     region = config.region or support.region
     if min(region.half_extents) * 2 < SMALLEST_REGION:
-        raise ConfigError(f"a region of {region}", f"sides from {SMALLEST_REGION} m", "--region 0.4x0.5")
+        raise ConfigError(f"a region of {region}", f"sides from {SMALLEST_REGION} m", "a larger `region`")
     world = make_world([*objects, *standing], support, config.stability, config.contact)
     physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
     rules = Rules(
@@ -144,7 +144,7 @@ def check_number(wanted: int, available: int, pool: str, repeat: bool = False) -
         raise ConfigError(
             f"{wanted} objects asked for, {available} chosen of pool {pool!r}",
             f"1 to {available}, or more (up to {MAX_SLOTS}) where objects may stand there more than once",
-            "fewer objects, the pool 'all' with its 50, or --repeat (of generate and evaluate)",
+            "fewer objects, the pool 'all' with its 50, or repeat=True (of generate and evaluate)",
         )
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import trimesh
 from PIL import Image, ImageDraw, ImageFont
 
-from cluttergen_jax.cli.main import main as cluttergen
+import cluttergen_jax as cg
 
 HERE = Path(__file__).parent / "images"
 Colour = tuple[int, int, int]
@@ -240,19 +240,18 @@ def write(folder: Path) -> None:
             mesh.export(str(folder / f"{name}.obj"), mtl_name=f"{name}.mtl")
 
 
-def main(folder: Path) -> int:
+def main(folder: Path) -> None:
     """Makes meshes, pool, scenes and the picture."""
     write(folder / "meshes")
-    bank = ["--method", "clear", "--num-objects", "8", "--num-scenes", "8", "--out", str(folder / "scenes")]
-    draw = ["--sheet", "--no-picture", "--scenes", "0-7", "--size", "400x300", "--columns", "4"]
-    status = cluttergen(["import", str(folder / "meshes"), "--pool", "printed"])
-    status = status or cluttergen(["generate", "--pool", "printed", "--support", "table-0.50x0.60", *bank])
-    status = status or cluttergen(["render", str(folder / "scenes"), *draw, "--out", str(folder)])
-    if not status:
-        sheet = Image.open(folder / "sheet.png").convert("P", palette=Image.Palette.ADAPTIVE, colors=256)
-        sheet.save(HERE / "textured.png", optimize=True)
-    return status
+    cg.import_pool(folder / "meshes", "printed")
+    table = "table-0.50x0.60"
+    bank = cg.generate(
+        folder / "scenes", pool="printed", support=table, method="clear", num_objects=8, num_scenes=8
+    )
+    cg.render(bank.path, folder, sheet=True, picture=False, scenes=range(8), size=(400, 300), columns=4)
+    sheet = Image.open(folder / "sheet.png").convert("P", palette=Image.Palette.ADAPTIVE, colors=256)
+    sheet.save(HERE / "textured.png", optimize=True)
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1] if len(sys.argv) > 1 else "out/textured")))
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "out/textured"))

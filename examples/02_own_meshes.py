@@ -9,14 +9,12 @@ from pathlib import Path
 
 import trimesh
 
-from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.cli.pool_table import pool_table
-from cluttergen_jax.importing.run import ImportConfig, import_sources
+import cluttergen_jax as cg
 
 SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 
 # %% [markdown]
-# Files are in metres and z is up, or say otherwise (`--scale`, `--up`). A file that betrays another unit is
+# Files are in metres and z is up, or say otherwise (`scale`, `up`). A file that betrays another unit is
 # refused with a proposal.
 
 
@@ -42,10 +40,10 @@ def make_meshes(folder: Path) -> None:
 # %%
 if __name__ == "__main__":
     make_meshes(Path("my_meshes"))
-    config = ImportConfig(jobs=1 if SMALL else 0, progress=not SMALL)
-    report = import_sources(["my_meshes"], "my_pool", config)
+    report = cg.import_pool("my_meshes", "my_pool", jobs=1 if SMALL else 0, progress=not SMALL)
     for failure in report.failures:
         print(f"not imported: {failure.name}: {failure.reason}")
-    print(pool_table(find_pool("my_pool").objects))
-    for asset in report.objects:
-        print(f"{asset.name}: {'; '.join(asset.flags) or 'nothing to remark'}")
+    for asset in report.pool.objects:
+        parts, solo = len(asset.parts), asset.quality.solo_rate
+        print(f"{asset.name}: {parts} convex parts, {asset.mass:.3f} kg, stands in {solo:.0%} of its trials")
+        print(f"  {'; '.join(asset.flags) or 'nothing to remark'}")

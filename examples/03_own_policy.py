@@ -10,7 +10,6 @@ import os
 import jax
 
 import cluttergen_jax as cg
-from cluttergen_jax.cli.train import Train
 
 SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 pool, num_objects = os.environ.get("CLUTTERGEN_POOL", "my_pool"), 3
@@ -23,12 +22,9 @@ num_attempts = 2048 if SMALL else 40_000
 # trained with (5), but not more.
 
 # %%
-Train(
-    pool=pool, support=support, num_objects=num_objects, num_attempts=num_attempts, out="runs/my_pool"
-).run()  # fmt: skip
+checkpoint = cg.train(pool, support, num_objects, num_attempts=num_attempts, out="runs/my_pool")
 
 # %%
-checkpoint = "runs/my_pool/policy"
 keys = jax.random.split(jax.random.key(0), 16 if SMALL else 256)
 
 

@@ -8,35 +8,34 @@ import os
 
 import numpy as np
 
-from cluttergen_jax.bank import read_bank
-from cluttergen_jax.cli.generate import Generate
-from cluttergen_jax.cli.stats import Stats
-from cluttergen_jax.cli.verify import Verify
+import cluttergen_jax as cg
 
 SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 num_scenes, num_objects = (6, 2) if SMALL else (1000, 10)
 
 # %%
-Generate(
-    out="bank", pool="dining", num_scenes=num_scenes, num_objects=num_objects, method="clear",
+bank = cg.generate(
+    "bank", pool="dining", num_scenes=num_scenes, num_objects=num_objects, method="clear",
     render=not SMALL, max_files=20,
-).run()  # fmt: skip
+)  # fmt: skip
+print(bank)
 
 # %% [markdown]
 # Each saved file (at most `max_files`), loaded afresh in plain MuJoCo, everything awake, for ten seconds.
 
 # %%
-assert Verify("bank").run() == 0
+report = cg.verify("bank")
+print(report)
+assert report.is_sound
 
 # %%
-Stats("bank").run()
+print(cg.stats_text(bank, cg.stats_of(bank)))
 
 # %% [markdown]
 # A row per scene, failures included, in Parquet: pandas, Polars, DuckDB read it too. `bank/README.md`
 # explains every column.
 
 # %%
-bank = read_bank("bank")
 table = bank.table.select(["is_success", "num_placed", "simulated_steps"])
 print(table.schema)
 print(f"median steps simulated for a scene: {np.median(table['simulated_steps']):.0f}")

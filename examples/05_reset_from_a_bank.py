@@ -18,14 +18,13 @@ from mujoco import mjx
 import cluttergen_jax as cg
 from cluttergen_jax.agent.config import PPOConfig
 from cluttergen_jax.agent.ppo import PPO
-from cluttergen_jax.cli.generate import Generate
 from cluttergen_jax.networks.distributions import Beta
 
 SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 
 # %%
 pair = ("cereal_box", "soup_can")
-Generate(out="push_bank", objects=pair, num_scenes=64, method="clear", max_files=0).run()
+cg.generate("push_bank", objects=pair, num_scenes=64, method="clear", max_files=0)
 bank = cg.load_bank("push_bank")
 
 

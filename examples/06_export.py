@@ -8,25 +8,20 @@ from pathlib import Path
 
 import mujoco
 
-from cluttergen_jax.bank import read_bank
-from cluttergen_jax.bank.scene import read_scenes
-from cluttergen_jax.cli.generate import Generate
-from cluttergen_jax.export import FORMATS, export_scenes
+import cluttergen_jax as cg
 
 SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 num_objects = 2 if SMALL else 8
 
 # %%
-Generate(out="scenes", num_scenes=4, num_objects=num_objects, method="clear", max_files=0).run()
-scenes = list(read_scenes(read_bank("scenes")))
+bank = cg.generate("scenes", num_scenes=4, num_objects=num_objects, method="clear", max_files=0)
 
 # %% [markdown]
 # The same from the command line: `cluttergen export scenes --format urdf --out exported/urdf`.
 
 # %%
 for kind in ("mjcf", "urdf", "sdf", "glb"):
-    folder = export_scenes(scenes, f"exported/{kind}", kind, overwrite=True)
-    print(f"{kind:5} {folder}: opens in {FORMATS[kind].opens_in}")
+    print(f"{kind:5} {cg.export(bank.path, f'exported/{kind}', kind, overwrite=True)}")
 
 # %%
 first = min(Path("exported/mjcf/scenes").glob("*.xml"))
@@ -40,7 +35,7 @@ print(f"read back by MuJoCo: {model.nbody} bodies, {model.nmesh} meshes")
 spec = mujoco.MjSpec()
 spec.option.timestep = 0.002
 spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(1, 1, 0.1), pos=(0, 0, 0.1))
-place = scenes[0].attach_to(spec, prefix="clutter/", position=(0, 0, 0.2))
+place = next(cg.read_scenes(bank)).attach_to(spec, prefix="clutter/", position=(0, 0, 0.2))
 model = spec.compile()
 data = mujoco.MjData(model)
 data.qpos[:] = place.qpos(model)

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 
 import cluttergen_jax as cg
-from cluttergen_jax.cli.generate import Generate
 
 SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 num_scenes, num_objects = (4, 2) if SMALL else (32, 4)
@@ -48,7 +47,7 @@ tell("kept free", jax.jit(jax.vmap(lambda key: sample(key, keep_out=robot)))(key
 # Around a saved scene, on the same table: what stands there stays, and counts as a neighbour.
 
 # %%
-Generate(out="served", num_scenes=2, objects=("dinner_plate", "mug"), method="clear", max_files=0).run()
+cg.generate("served", num_scenes=2, objects=("dinner_plate", "mug"), method="clear", max_files=0)
 around = cg.make_sampler(
     objects=("fork", "wine_glass", "bowl"), num_objects=2, method="clear", start="served:0",
     keep_out=[cg.Rectangle((0.25, 0.0), (0.05, 0.35))],

@@ -11,8 +11,8 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.bank.table import COUNTED, SCHEMA
 from cluttergen_jax.bank.writer import BankWriter
-from cluttergen_jax.cli.files import write_files
 from cluttergen_jax.problem import ProblemConfig
+from cluttergen_jax.sampler.files import write_files
 from cluttergen_jax.sampling import BLOCK_SIZE
 from tests.worlds import trio
 

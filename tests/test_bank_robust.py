@@ -114,7 +114,7 @@ def test_other_assets_of_the_same_name_are_refused(bank, whole):
     other = {asset.name: asset for asset in trio()} | {"tall": box("tall", (0.01, 0.01, 0.09))}
     with pytest.raises(BankError, match="other assets of the same name: tall") as caught:
         banks.writer(bank, 600, objects=other)
-    assert "--overwrite" in str(caught.value)
+    assert "`overwrite`" in str(caught.value)
     assert_complete(bank, whole)
     # Swapped behind the bank's back: sound in themselves, but not what the scenes were made with.
     shutil.rmtree(bank / "assets")

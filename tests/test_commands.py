@@ -13,7 +13,6 @@ from cluttergen_jax import config
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.cli import generation
 from cluttergen_jax.cli.commands import COMMANDS, overview
 from cluttergen_jax.cli.main import main, parsed
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
@@ -23,7 +22,7 @@ from cluttergen_jax.methods import METHODS
 from cluttergen_jax.physics.log import silent_import
 from cluttergen_jax.placement.changes import CHANGES
 from cluttergen_jax.problem import ProblemConfig, crowding, make_problem
-from cluttergen_jax.sampler import make_sampler
+from cluttergen_jax.sampler import generate, make_sampler
 from cluttergen_jax.training.presets import PRESETS
 from tests.banks import two_scenes
 from tests.worlds import box
@@ -160,7 +159,7 @@ def test_nothing_is_guessed_from_far_away():
     ],
 )
 def test_a_request_that_cannot_be_met_is_refused_at_once(words, said, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(generation, "run_blocks", None)
+    monkeypatch.setattr(generate, "run_blocks", None)
     assert main(["generate", *words, "--out", str(tmp_path / "bank")]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "bank").exists()

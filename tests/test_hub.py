@@ -271,7 +271,7 @@ def test_nothing_else_is_overwritten(bank, tmp_path, server, folder):
     (tmp_path / "here" / "thesis.tex").write_text("important")
     with pytest.raises(BankError, match="exists and is not a bank"):
         cg.pull_bank(NAME, tmp_path / "here", hub=str(folder), overwrite=True)
-    with pytest.raises(BankError, match="--overwrite"):
+    with pytest.raises(BankError, match="`overwrite`"):
         cg.pull_bank(NAME, bank, hub=str(folder))
     (bank / "overview.png").write_bytes(b"old")
     cg.pull_bank(NAME, bank, hub=str(folder), overwrite=True)

@@ -69,12 +69,12 @@ def test_an_unchanged_pool_is_read_not_made(tree, here):
     second = import_sources([tree / "crate.obj"], "mine", QUICK)
     assert time.perf_counter() - start < 1.0
     assert (first.num_cached, second.num_cached) == (0, 1)
-    assert second.status == 0
+    assert not second.failures
 
 
 def test_changed_content_needs_force(tree, here):
     import_sources([tree / "crate.obj"], "mine", QUICK)
-    with pytest.raises(PoolError, match="--force"):
+    with pytest.raises(PoolError, match="`force`"):
         import_sources([tree / "cube.stl"], "mine", QUICK)
     assert find_pool("mine").names == ("crate",)
     forced = ImportConfig(QUICK.object, 1, force=True, progress=False)
@@ -92,7 +92,7 @@ def test_nothing_to_import_fails_without_a_pool(tmp_path):
     with pytest.raises(AssetError, match="nothing to import"):
         import_sources([], "mine", QUICK)
     report = import_sources([tmp_path / "nowhere"], "mine", QUICK)
-    assert report.status == 1
+    assert report.failures
     assert report.path is None
     assert not (user_root() / "mine").exists()
 

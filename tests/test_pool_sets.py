@@ -9,7 +9,6 @@ from cluttergen_jax.assets import pool as pools
 from cluttergen_jax.assets.pool import Pool, composed, find_pool, public_name, user_root, write_pool
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.cli.train import Train
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.importing import run
@@ -17,6 +16,7 @@ from cluttergen_jax.importing.run import ImportConfig, import_sources
 from cluttergen_jax.importing.worker import ObjectConfig
 from cluttergen_jax.methods import choose_method
 from cluttergen_jax.sampler import make_sampler
+from cluttergen_jax.training.train import TrainConfig
 from tests.test_pool import make_box
 from tests.worlds import box, prism
 
@@ -74,7 +74,7 @@ def test_names_without_folders():
     assert public_name("/home/me/pools/a+dining~mug") == "a+dining~mug"
     assert public_name("dining") == "dining"
     assert Trial(pool="/home/me/a+/home/me/b~mug").pool_name == "a+b~mug"
-    assert Train(pool=composed("/home/me/a", ["mug"])).folder.name == "a~mug-policy-0"
+    assert TrainConfig(pool=composed("/home/me/a", ["mug"])).folder.name == "a~mug-policy-0"
 
 
 def test_part_of_a_pool_has_its_policy():
@@ -143,7 +143,7 @@ def test_adding_to_a_pool(tmp_path):
     assert find_pool("a").names == ("mug", "pan", "crate")
     # Another object of that name is refused, or replaced where it was.
     cube.replace(crate)
-    with pytest.raises(PoolError, match=r"other objects called crate.*--force"):
+    with pytest.raises(PoolError, match=r"other objects called crate.*`force`"):
         add(crate, add=True)
     assert find_pool("a")["crate"].half_extents[0] == pytest.approx(0.04, abs=1e-4)
     add(crate, add=True, force=True)

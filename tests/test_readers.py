@@ -66,7 +66,7 @@ def test_y_up_and_scale(tmp_path):
 
 def test_a_mug_of_thirty_metres_is_refused_with_the_likely_cause(tmp_path):
     path = save_box(tmp_path / "mug.stl", size=(30, 20, 25))
-    with pytest.raises(AssetError, match=r"30 m across.*--scale 0\.001.*millimetres"):
+    with pytest.raises(AssetError, match=r"30 m across.*scale=0\.001.*millimetres"):
         read_source(path)
     with pytest.raises(AssetError, match="applied twice"):
         read_source(path, ReadOptions(scale=1e-5))

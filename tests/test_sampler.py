@@ -362,7 +362,7 @@ def path_of(method, checkpoint):
 )
 def test_a_checkpoint_of_another_method_is_refused(method, trained):
     folder = list_policies()[f"dining-{trained}"]
-    with pytest.raises(ConfigError, match=f"--method {trained}"):
+    with pytest.raises(ConfigError, match=f"method={trained!r}"):
         path_of(method, str(folder))
     assert path_of(trained, folder) == folder
 

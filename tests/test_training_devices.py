@@ -88,7 +88,7 @@ def test_two_processes_train_like_one_and_stop_and_go_on_together(tmp_path):
     "given", [("127.0.0.1:1", None, 0), (None, 2, 0), ("127.0.0.1:1", 2, 2), ("127.0.0.1:1", 2, -1)]
 )
 def test_half_a_set_of_processes_is_refused(given):
-    with pytest.raises(ConfigError, match="--process-id"):
+    with pytest.raises(ConfigError, match="process_id"):
         join(*given)
 
 

@@ -10,15 +10,16 @@ import pytest
 from cluttergen_jax.agent.checkpoint import read_record, save_policy, save_state
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.cli.train import Train, recipe_of
-from cluttergen_jax.cli.training_suite import command_of
 from cluttergen_jax.config import VARIANTS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.checkpoints import Checkpoints
 from cluttergen_jax.evaluation.suites import Scale, find_suite
 from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.training import suite_run
 from cluttergen_jax.training.run import Run, RunConfig
 from cluttergen_jax.training.suite import ATTEMPTS, POOLS, PlannedRun, plan
+from cluttergen_jax.training.suite_run import config_of
+from cluttergen_jax.training.train import TrainConfig, recipe_of
 from tests.problems import made_up_rules
 
 
@@ -53,7 +54,7 @@ def test_extended_tables_are_covered_with_one_seed():
         if trial.method in VARIANTS
     }
     assert {"dining-ranked-0", "all-policy-0", "all-ranked-0"} <= asked == set(names)
-    commands = [command_of(Train(suite="extended"), run, Path("runs")) for run in runs]
+    commands = [config_of(TrainConfig(), run, Path("runs")) for run in runs]
     assert {(args.pool, args.support, args.num_objects) for args in commands if args.variant == "ranked"} == {
         ("dining", "table-0.30x0.40", 10),
         ("all", "table", 20),
@@ -93,14 +94,14 @@ def trains(monkeypatch):
     """Runs are only noted, and left as if they had been made; the third one is stopped."""
     made = []
 
-    def train(self):
-        made.append(self.folder.name)
+    def train(config, show):
+        made.append(config.folder.name)
         if len(made) == 3:
-            finish_run(self, 1, is_whole=False)
+            finish_run(config, 1, is_whole=False)
             raise KeyboardInterrupt
-        finish_run(self, self.settings().ppo.num_updates)
+        finish_run(config, config.settings().ppo.num_updates)
 
-    monkeypatch.setattr(Train, "train", train)
+    monkeypatch.setattr(suite_run, "run_training", train)
     return made
 
 
@@ -132,13 +133,13 @@ def test_suite_stops_as_a_whole_and_goes_on_where_it_stopped(trains, tmp_path, c
 def test_failed_run_does_not_stop_the_others(monkeypatch, tmp_path, capsys):
     made = []
 
-    def train(self):
-        made.append(self.folder.name)
+    def train(config, show):
+        made.append(config.folder.name)
         if len(made) == 1:
             raise ConfigError("something")
-        finish_run(self, self.settings().ppo.num_updates)
+        finish_run(config, config.settings().ppo.num_updates)
 
-    monkeypatch.setattr(Train, "train", train)
+    monkeypatch.setattr(suite_run, "run_training", train)
     command = ["train", "--suite", "paper", "--suite-only", "dining-policy*", "--seeds", "0"]
     assert main([*command, "--out", str(tmp_path)]) == 1
     assert len(made) == 5
@@ -155,7 +156,7 @@ def test_run_with_other_settings_is_refused_before_anything_begins(trains, tmp_p
 
 def test_evaluation_finds_the_runs_by_their_names(tmp_path):
     for run in plan("paper", ("dining",), (0, 2)):
-        args = Train(pool=run.pool, variant=run.variant, seed=run.seed, attempts=run.attempts)
+        args = TrainConfig(pool=run.pool, variant=run.variant, seed=run.seed, max_attempts=run.attempts)
         args = replace(args, out=str(tmp_path / run.name))
         finish_run(args, 1)
     found = Checkpoints(tmp_path)
@@ -199,7 +200,7 @@ def test_what_cannot_be_meant_is_refused(wrong, tmp_path, capsys):
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_variant_begins_with_one_attempt_and_with_ten(variant, attempts, tmp_path):
     """From the command's settings to the shapes of a whole update."""
-    args = Train(variant=variant, attempts=attempts, num_objects=2)
+    args = TrainConfig(variant=variant, max_attempts=attempts, num_objects=2)
     settings = args.settings()
     ppo = replace(settings.ppo, num_envs=2, num_steps=2, num_minibatches=1, num_epochs=1)
     rules = made_up_rules(2, max_attempts=attempts, num_objects=2, history_stride=60)

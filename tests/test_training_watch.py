@@ -38,7 +38,7 @@ def test_memory_is_what_the_compiled_program_reports():
     assert sizes.temp_size_in_bytes > 4_000_000
     assert "state 4.0 MB before and 4.0 MB after" in check_memory(program)
     check_memory(program, needed)
-    with pytest.raises(ConfigError, match=r"--num-envs.*--memory-limit"):
+    with pytest.raises(ConfigError, match=r"`num_envs`.*`memory_limit`"):
         check_memory(program, needed - 1)
     assert free_bytes() > 10_000_000
 

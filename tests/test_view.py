@@ -14,10 +14,11 @@ import pytest
 from cluttergen_jax.assets.readers.mjcf_scene import read_mjcf_scene
 from cluttergen_jax.bank import read_bank
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.cli.rendering import chosen_numbers, parse_size
-from cluttergen_jax.cli.view import native_model
+from cluttergen_jax.cli.parse import parse_size
 from cluttergen_jax.errors import AssetError, BankError, ConfigError, MissingExtraError, PoolError
 from cluttergen_jax.sources import BankSource, LiveConfig, LiveSource, open_source
+from cluttergen_jax.sources.rendering import chosen_numbers
+from cluttergen_jax.sources.viewing import native_model
 from cluttergen_jax.viewer.native import DisplayError, check_display
 from cluttergen_jax.viewer.server import free_port, open_server
 from cluttergen_jax.viewer.words import attempt_words, scene_words
@@ -138,10 +139,10 @@ def test_scenes_to_draw(source):
     assert chosen_numbers(source, 2, None, 1) == [2]
     assert chosen_numbers(source, None, None, 1) == [source.successes[0]]
     assert chosen_numbers(source, None, None, 12) == list(source.successes)
-    assert chosen_numbers(source, None, "0,2-3", 1) == [0, 2, 3]
+    assert chosen_numbers(source, None, [0, 2, 3], 1) == [0, 2, 3]
     assert chosen_numbers(source, None, "all", 1) == [0, 1, 2, 3]
     with pytest.raises(ConfigError, match="single scene"):
-        chosen_numbers(source, 2, "1", 1)
+        chosen_numbers(source, 2, [1], 1)
     assert parse_size("320x200") == (320, 200)
     with pytest.raises(ConfigError, match="pixels"):
         parse_size("320")
@@ -233,7 +234,7 @@ def test_display_check_reads_the_environment(monkeypatch):
     monkeypatch.setattr("platform.system", lambda: "Linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(DisplayError, match="without --native"):
+    with pytest.raises(DisplayError, match="without `native`"):
         check_display()
     monkeypatch.setenv("DISPLAY", ":0")
     check_display()

@@ -98,7 +98,7 @@ def check_folder(folder: Path, recipe: dict[str, Any]) -> None:
         raise ConfigError(
             f"{folder} holds a run with another {', '.join(changed)}",
             "the same settings, which continue it",
-            "another --out",
+            "another `out`",
         )
 
 

@@ -33,7 +33,7 @@ def make_mesh(num_envs: int) -> Mesh | None:
         raise ConfigError(
             f"{num_envs} environments on {len(devices)} devices",
             f"a multiple of {len(devices)}",
-            f"--num-envs {near}, or fewer devices (CUDA_VISIBLE_DEVICES)",
+            f"num_envs={near}, or fewer devices (CUDA_VISIBLE_DEVICES)",
         )
     return Mesh(np.array(devices), (AXIS,), axis_types=(AxisType.Auto,))
 

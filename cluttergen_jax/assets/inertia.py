@@ -48,7 +48,7 @@ def mass_properties(mesh: Mesh, density: float, mass: float | None = None) -> Ma
     weight = density * volume if mass is None else mass
     if not (np.isfinite(weight) and weight > 0 and volume > 0):
         raise AssetError(
-            f"a volume of {volume:.3g} m^3 and a mass of {weight:.3g} kg", "both above zero", "--mass"
+            f"a volume of {volume:.3g} m^3 and a mass of {weight:.3g} kg", "both above zero", "`mass`"
         )
     tri.density = weight / volume
     inertia = np.asarray(tri.moment_inertia, np.float64)

@@ -49,7 +49,7 @@ def check_reach(region: Rectangle, support: SupportAsset) -> None:
         raise ConfigError(
             f"a region of {region} reaches beyond support {support.name!r}",
             f"a rectangle on its top, by default {support.region}",
-            "a smaller region, or a larger table such as --support table-1.40x1.40",
+            "a smaller region, or a larger table such as support='table-1.40x1.40'",
         )
 
 

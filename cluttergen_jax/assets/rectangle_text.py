@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
+from typing import Any
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
@@ -46,3 +48,10 @@ def parse_keep_out(text: str) -> Rectangle:
     if len(values) not in (4, 5):
         raise ConfigError(f"keep-out box {text!r}", form)
     return parse_region(text, Rectangle())
+
+
+def keep_out_box(entry: str | Mapping[str, Any]) -> Rectangle:
+    """A keep-out box of a bank's record: the text of a command line, or the fields of a `Rectangle`."""
+    if isinstance(entry, str):
+        return parse_keep_out(entry)
+    return Rectangle(tuple(entry["center"]), tuple(entry["half_extents"]), float(entry["yaw"]))

@@ -194,9 +194,9 @@ def _check_place(out: Path, overwrite: bool) -> None:
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
     if not (out / INDEX).is_file():
-        raise BankError(f"{out} exists and is not a bank", "a new folder, or that of a bank", "another --out")
+        raise BankError(f"{out} exists and is not a bank", "a new folder, or that of a bank", "another `out`")
     if not overwrite:
-        raise BankError(f"{out} exists", "a new folder", "another --out, or --overwrite to replace it")
+        raise BankError(f"{out} exists", "a new folder", "another `out`, or `overwrite` to replace it")
 
 
 def _check_name(name: str) -> None:

@@ -171,7 +171,7 @@ class HuggingFaceHub:
             hint = "another OWNER/NAME; for a private one hf auth login, or HF_TOKEN=..."
             raise BankError(f"there is no data set {where}, or you may not see it", hint=hint) from error
         except errors.RevisionNotFoundError as error:
-            raise BankError(f"{where} has no such revision", hint="no --revision for the latest") from error
+            raise BankError(f"{where} has no such revision", hint="no `revision` for the latest") from error
         except errors.HfHubHTTPError as error:
             status = getattr(error.response, "status_code", None)
             hint = "a token that may do that: hf auth login" if status in (401, 403) else "again later"

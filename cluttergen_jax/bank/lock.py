@@ -72,7 +72,7 @@ def _locked(path: Path) -> int:
             raise BankError(
                 f"{path.parent} is being written by {_holder(path)}",
                 "one writer at a time",
-                "waiting for it to end, stopping it, or another --out",
+                "waiting for it to end, stopping it, or another `out`",
             ) from error
         except OSError as error:
             if error.errno not in _NO_LOCKS:

@@ -127,7 +127,7 @@ class BankWriter:
         # A writer that was killed before anything was finished leaves no more than these.
         ours = (LOCK, f".{INDEX}{PARTIAL}")
         if not self.path.is_dir() or any(each.name not in ours for each in self.path.iterdir()):
-            raise BankError(f"{self.path} exists and is not a bank", "a new or empty folder", "another --out")
+            raise BankError(f"{self.path} exists and is not a bank", "a new or empty folder", "another `out`")
 
     def _begin(self, num_scenes: int, overwrite: bool) -> None:
         remove_partial(self.path)
@@ -153,7 +153,7 @@ class BankWriter:
                 raise BankError(
                     f"{self.path} holds a bank of which nothing tells how it was made ({error.given})",
                     "a bank that this version wrote",
-                    "another --out, or --overwrite to begin anew",
+                    "another `out`, or `overwrite` to begin anew",
                 ) from error
             return None
 
@@ -206,7 +206,7 @@ def _check_same(path: Path, ours: dict[str, Any], theirs: dict[str, Any]) -> Non
         raise BankError(
             f"{path} holds a bank made with another {', '.join(changed)}",
             "the same settings, which continue it",
-            "another --out, or --overwrite to begin anew",
+            "another `out`, or `overwrite` to begin anew",
         )
     known = theirs.get("assets", ours["assets"])
     other = sorted(n for n, digest in ours["assets"]["objects"].items() if known["objects"].get(n) != digest)
@@ -215,7 +215,7 @@ def _check_same(path: Path, ours: dict[str, Any], theirs: dict[str, Any]) -> Non
         raise BankError(
             f"{path} holds a bank made with other assets of the same name: {', '.join(other)}",
             "the assets that it was made with",
-            "another --out, or --overwrite to begin anew; the bank's own copies are in its folder `assets`",
+            "another `out`, or `overwrite` to begin anew; the bank's own copies are in its folder `assets`",
         )
 
 

@@ -20,5 +20,5 @@ def make_proposer(method: str, rules: Rules) -> Proposer:
       ConfigError: there is no such method.
     """
     if method not in METHODS:
-        raise ConfigError(f"method {method!r}", ", ".join(METHODS), "--method clear")
+        raise ConfigError(f"method {method!r}", ", ".join(METHODS), "method='clear'")
     return METHODS[method](rules)

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from cluttergen_jax.cli.flags import with_flags
+from cluttergen_jax.cli.parse import keywords
 from cluttergen_jax.config import Containment, Engine, Method, Order
 from cluttergen_jax.placement.config import MIN_MARGIN
 
@@ -72,6 +74,7 @@ class Generate:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        from cluttergen_jax.cli.generation import generate
+        from cluttergen_jax.sampler.generate import generate
 
-        return generate(self)
+        print(with_flags(str(generate(**keywords(self))), Generate))
+        return 0

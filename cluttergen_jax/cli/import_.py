@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from cluttergen_jax.assets.config import MAX_TEXTURE, DecompositionConfig
-from cluttergen_jax.cli.parse import refuse_given
+from cluttergen_jax.cli.flags import with_flags
+from cluttergen_jax.cli.parse import keywords, refuse_given
 from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
-    from cluttergen_jax.assets.readers import ReadOptions
     from cluttergen_jax.importing.run import ImportReport
 
 Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
@@ -77,45 +77,31 @@ class Import:
 
     def run(self) -> int:
         """Runs the command: 0, or 1 if an object could not be imported."""
-        from cluttergen_jax.assets.body import BodyConfig
-        from cluttergen_jax.assets.readers import ReadOptions
-        from cluttergen_jax.importing.run import ImportConfig, import_sources
-        from cluttergen_jax.importing.worker import ObjectConfig
-
-        read = ReadOptions(
-            scale=self.scale,
-            up=self.up,
-            front=self.front,
-            density=self.density,
-            mass=self.mass,
-            friction=self.friction,
-            licence=self.licence,
-            attribution=self.attribution,
-            max_texture=self.max_texture,
-        )
         if self.support is not None:
             refuse_given(self, _OF_OBJECTS, "with --support", "leaving it out: a table is not an object")
-            return self._import_support(self.support, read)
+            return self._import_support(self.support)
         if self.pool is None or self.name is not None:
             raise ConfigError(
                 "import with neither --pool nor --support" if self.pool is None else "--name with --pool",
                 "SOURCES --pool NAME for objects, or --support FILE [--name NAME] for a table",
             )
-        config = ObjectConfig(read, BodyConfig(self.tier, self.decomposition), self.trials)
-        how = ImportConfig(config, self.jobs, self.force, self.progress, self.add, self.settings)
-        report = import_sources(self.sources, self.pool, how)
+        from cluttergen_jax.importing.run import import_pool
+
+        report = import_pool(**keywords(self, without=("support", "name")))
         print_report(report)
-        return report.status
+        return 1 if report.failures else 0
 
-    def _import_support(self, path: str, read: ReadOptions) -> int:
-        from cluttergen_jax.importing.table import import_support
-
+    def _import_support(self, path: str) -> int:
         if self.sources or self.pool is not None:
             raise ConfigError("--support together with sources or --pool", "one of them", "two commands")
-        folder, support = import_support(path, self.name, read, self.force)
+        from cluttergen_jax.importing.table import import_support, user_supports
+
+        ignored = ("sources", "pool", "support", "decomposition", "jobs", "progress", *_OF_OBJECTS)
+        support = import_support(path, **keywords(self, without=ignored))
         x, y = support.region.half_extents
         print(
-            f"{folder}: top at {support.top:.3f} m, made of {len(support.boxes)} boxes; "
+            f"{user_supports() / support.name}: top at {support.top:.3f} m, "
+            f"made of {len(support.boxes)} boxes; "
             f"the queried region is {2 * x:.3f} x {2 * y:.3f} m\nUse it: --support {support.name}"
         )
         return 0
@@ -134,7 +120,7 @@ def print_report(report: ImportReport) -> None:
     for (axis, reason), names in _grouped(
         [(each.axis, each.reason, n) for n, each in report.up_axes.items()]
     ):
-        print(f"up is {axis} ({reason}): {names}")
+        print(f"up is {axis} ({with_flags(reason, Import)}): {names}")
     if any(each.axis == "y" for each in report.up_axes.values()):
         print('  (an object that lies on its side: --up z, or up = "z" for its file in objects.toml)')
     if report.skipped:
@@ -145,8 +131,8 @@ def print_report(report: ImportReport) -> None:
         print(f"{len(report.failures)} failed:", file=sys.stderr)
         for failure in report.failures:
             # A source that could not be found is named in its reason already.
-            is_named = failure.reason.startswith(failure.name)
-            print(f"  {failure.reason if is_named else f'{failure.name}: {failure.reason}'}", file=sys.stderr)
+            is_named, reason = failure.reason.startswith(failure.name), with_flags(failure.reason, Import)
+            print(f"  {reason if is_named else f'{failure.name}: {reason}'}", file=sys.stderr)
 
 
 def _grouped(rows: Sequence[tuple[str, ...]]) -> Iterator[tuple[tuple[str, ...], str]]:

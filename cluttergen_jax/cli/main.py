@@ -10,6 +10,7 @@ from types import FrameType
 from typing import Any
 
 from cluttergen_jax.cli.commands import COMMANDS, all_commands, overview
+from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.files import advice_on
 from cluttergen_jax.progress import stop_asked
@@ -80,7 +81,7 @@ def run(command: Any) -> int:
         _check_backend()
         return command.run()
     except ClutterGenError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {with_flags(str(error), type(command))}", file=sys.stderr)
         return 2
     except BrokenPipeError:
         # Whoever read the output has seen enough; nothing more may be written to it, not even at exit.

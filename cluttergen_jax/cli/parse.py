@@ -1,4 +1,4 @@
-"""Small grammars of the command line: scene numbers, options that do not go together."""
+"""Small grammars of the command line: scene numbers, sizes, options that do not go together."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+from cluttergen_jax.cli.flags import ARGUMENTS
 from cluttergen_jax.errors import ConfigError
 
 _MOST = 1_000_000
@@ -30,6 +31,27 @@ def parse_numbers(text: str | None) -> list[int] | None:
             raise ConfigError(f"--scenes {text!r}", f"at most {_MOST:,} numbers in a range")
         numbers += range(first, last + 1)
     return list(dict.fromkeys(numbers))
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Pixels of WIDTHxHEIGHT.
+
+    Raises:
+      ConfigError: it is something else.
+    """
+    match = re.fullmatch(r"(\d+)x(\d+)", text)
+    if match is None:
+        raise ConfigError(f"--size {text!r}", "WIDTHxHEIGHT in pixels, such as 1280x960")
+    return int(match[1]), int(match[2])
+
+
+def keywords(command: Any, without: Sequence[str] = ()) -> dict[str, Any]:
+    """A command's options as keyword arguments of its function."""
+    return {
+        ARGUMENTS.get(field.name, field.name): getattr(command, field.name)
+        for field in dataclasses.fields(command)
+        if field.name not in without
+    }
 
 
 def refuse_given(command: Any, names: Sequence[str], where: str, hint: str) -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
-from pathlib import Path
 
+from cluttergen_jax.cli.parse import keywords
 from cluttergen_jax.config import Encoder
 
 
@@ -48,24 +47,11 @@ class Pretrain:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        from cluttergen_jax.training.pretrain import PretrainConfig, Pretraining, small
+        from cluttergen_jax.training.pretrain import pretrain
 
-        changes = {name: getattr(self, name) for name in ("object_points", "num_centroids", "group_size")}
-        if self.features is not None:
-            changes |= {"object_features": self.features, "scene_features": self.features}
-        config = PretrainConfig(
-            dataclasses.replace(small(self.encoder), **changes),
-            num_shapes=self.num_shapes,
-            num_held_out=self.num_held_out,
-            num_epochs=self.num_epochs,
-            batch_size=self.batch_size,
-            learning_rate=self.learning_rate,
-            seed=self.seed,
-        )
-        folder = Path(self.out or f"runs/encoder-{self.encoder}")
-        print(f"run        {folder}")
-        accuracy = Pretraining(config, folder).run()
-        total = config.num_held_out * len(config.families)
-        print(f"held out   {accuracy:.3f} of {total} shapes of {len(config.families)} families recognised")
-        print(f"done       --encoder {self.encoder} --encoder-weights {folder}")
+        print(f"run        {self.out or f'runs/encoder-{self.encoder}'}")
+        report = pretrain(**keywords(self))
+        found = f"{report.accuracy:.3f} of {report.num_held_out} shapes of {report.num_families} families"
+        print(f"held out   {found} recognised")
+        print(f"done       --encoder {self.encoder} --encoder-weights {report.folder}")
         return 0

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import tyro
 
+from cluttergen_jax.cli.flags import with_flags
+from cluttergen_jax.cli.parse import keywords, parse_numbers, parse_size
 from cluttergen_jax.config import FilmFormat
+from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.render.config import FilmConfig, View
 
 
@@ -61,7 +66,22 @@ class Render:
     columns: int = 4
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
-        from cluttergen_jax.cli.rendering import Rendering
+        """Runs the command; the exit status, 1 if something could not be made."""
+        from cluttergen_jax.sources.rendering import render
 
-        return Rendering(**vars(self)).make()
+        numbers = "all" if self.scenes and self.scenes.strip() == "all" else parse_numbers(self.scenes)
+        size = None if self.size is None else parse_size(self.size)
+        report = render(**keywords(self) | {"scenes": numbers, "size": size})
+        for path in report.paths:
+            print(path)
+        if report.failures:
+            print(with_flags(failures_text(report.failures), Render), file=sys.stderr)
+        return 1 if report.failures else 0
+
+
+def failures_text(failures: Sequence[tuple[str, ClutterGenError]]) -> str:
+    """What could not be made and why, a line each; what to try, once."""
+    lines = [f"error: {len(failures)} could not be made, the rest was:"]
+    lines += [f"  {name}: {error.given}" for name, error in failures]
+    hints = dict.fromkeys(error.hint for _, error in failures if error.hint)
+    return "\n".join([*lines, *(f"Try: {hint}." for hint in hints)])

@@ -71,11 +71,11 @@ def _check_place(out: Path, overwrite: bool) -> None:
         return
     if not overwrite:
         raise ConfigError(
-            f"{out} exists", "a new folder", "another --out, or --overwrite for an earlier export"
+            f"{out} exists", "a new folder", "another `out`, or `overwrite` for an earlier export"
         )
     if not (out / MANIFEST).is_file():
         raise ConfigError(
-            f"{out} exists and is no export", "a new folder, or an earlier export", "another --out"
+            f"{out} exists and is no export", "a new folder, or an earlier export", "another `out`"
         )
 
 

@@ -186,6 +186,6 @@ def find_format(name: str) -> Format:
       MissingExtraError: it needs a package that is not installed.
     """
     if name not in FORMATS:
-        raise ConfigError(f"format {name!r}", ", ".join(FORMATS), "--format mjcf", closest(name, FORMATS))
+        raise ConfigError(f"format {name!r}", ", ".join(FORMATS), "format='mjcf'", closest(name, FORMATS))
     FORMATS[name].require()
     return FORMATS[name]

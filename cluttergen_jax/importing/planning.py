@@ -110,7 +110,7 @@ def _planned(source: Source, group: _Group, options: ReadOptions) -> Planned:
     elif group.settings is not None and "up" in reading:
         up = UpAxis(own.up, f"as {group.settings.path.name} says")
     else:
-        up = UpAxis(own.up, "as --up says")
+        up = UpAxis(own.up, "as `up` says")
     naming = {key: value for key, value in values.items() if key not in OF_READING}
     return Planned(replace(source, **naming), own, up, "name" in naming)
 

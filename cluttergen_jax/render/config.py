@@ -64,5 +64,5 @@ class FilmConfig:
                 raise ConfigError(f"{name} = {getattr(self, name)}", "a finite number above zero")
         if self.fps * self.seconds > MAX_FRAMES:
             raise ConfigError(
-                f"a film of {self.fps * self.seconds:.0f} frames", f"{MAX_FRAMES} at most", "fewer --seconds"
+                f"a film of {self.fps * self.seconds:.0f} frames", f"{MAX_FRAMES} at most", "fewer `seconds`"
             )

@@ -42,7 +42,7 @@ def closed_loop_slot(recording: Recording, min_failures: int = 2) -> int:
         raise ConfigError(
             f"{recording.title}: no object failed {min_failures} times and then stood (the most is {most})",
             "a recording with one",
-            "another scene, or scenes by --method random",
+            "another scene, or scenes by method='random'",
         )
     return max(candidates)[-1]
 

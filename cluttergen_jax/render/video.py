@@ -66,7 +66,7 @@ def save_film(frames: Iterable[np.ndarray], path: Path, fps: float) -> Path:
 def _write_gif(frames: Iterable[np.ndarray], path: Path, fps: float) -> None:
     hundredths = round(100 / fps)
     if hundredths < 2:
-        raise ConfigError(f"a GIF of {fps:g} frames per second", "50 at most", "--fps 20, or --film mp4")
+        raise ConfigError(f"a GIF of {fps:g} frames per second", "50 at most", "fps=20, or film='mp4'")
     images = [Image.fromarray(frame) for frame in frames]
     if not images:
         raise ConfigError("a film without frames", "at least one")
@@ -115,4 +115,4 @@ def _write_mp4(frames: Iterable[np.ndarray], path: Path, fps: float) -> None:
         said = encoder.stderr.read().decode(errors="replace").strip()
     if encoder.returncode:
         reason = said.splitlines()[-1] if said else f"code {encoder.returncode}"
-        raise ClutterGenError(f"{path.name} could not be encoded: {reason}", hint="--film gif")
+        raise ClutterGenError(f"{path.name} could not be encoded: {reason}", hint="film='gif'")

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Never
 
-from cluttergen_jax.assets.pool import composed
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.physics.brax_env import Env
-from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig
+from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.problem import ProblemConfig
-from cluttergen_jax.sampler.arguments import check_known, check_names, check_rectangles, check_whole
-from cluttergen_jax.sampler.wiring import bind, number_of
+from cluttergen_jax.sampler.arguments import check_known, check_whole
+from cluttergen_jax.sampler.wiring import check_range, make_setup, problem_config
 from cluttergen_jax.sampler.wrappers import ActionRange, FlatObservation, OnSurface
 
 if TYPE_CHECKING:
@@ -90,52 +88,40 @@ def make_env(
       BankError: the scene to start from cannot be read, or does not stand.
     """
     check_known(unknown, make_env)
-    check_whole(
-        num_objects=num_objects,
-        num_cells=num_cells,
-        history_stride=history_stride,
-        num_scene_points=num_scene_points,
-        max_attempts=max_attempts,
-        num_threads=num_threads,
-    )
-    check_names(objects, "objects")
-    check_names(exclude, "exclude")
-    check_rectangles(region, keep_out)
+    check_whole(num_cells=num_cells, history_stride=history_stride, num_scene_points=num_scene_points)
     _check_choices(observation, action)
-    name = composed(pool, exclude)
     observed = ObservationConfig(num_scene_points=num_scene_points, num_cells=num_cells)
-    placement = PlacementConfig(
-        num_objects=number_of(num_objects, name, objects, repeat),
+    config = problem_config(
+        pool=pool,
+        support=support,
+        num_objects=num_objects,
+        objects=objects,
+        exclude=exclude,
+        repeat=repeat,
+        region=region,
+        keep_out=keep_out,
         max_attempts=max_attempts,
         containment=containment,
         order=order,
         reward=reward,
         history_stride=history_stride,
         min_margin=min_margin,
-    )
-    config = ProblemConfig(
-        pool=name,
-        objects=tuple(objects),
-        repeat=repeat,
-        support=str(support),
-        region=region,
         change=change,
         engine=engine,
         num_threads=num_threads,
-        placement=placement,
     )
-    bound = bind(config, keep_out, start)
+    setup = make_setup(config, keep_out, start)
     env: Env = PlacementEnv(
-        bound.problem.rules,
+        setup.problem.rules,
         observed,
         auto_reset=auto_reset,
-        start=bound.start,
-        keep_out=bound.keep_out,
+        start=setup.start,
+        keep_out=setup.keep_out,
     )
     if observation == "flat":
         env = FlatObservation(env)
     if action == "surface":
-        env = OnSurface(env, bound.problem.rules)
+        env = OnSurface(env, setup.problem.rules)
     return ActionRange(env, *action_range)
 
 
@@ -166,9 +152,7 @@ def make_vector_env(num_envs: int = 64, **settings: Any) -> GymnasiumVectorEnv:
       ConfigError: `num_envs` is out of range; the others are those of `make_env`.
       MissingExtraError: Gymnasium is not installed.
     """
-    check_whole(num_envs=num_envs)
-    if not 1 <= num_envs <= MAX_ENVS:
-        raise ConfigError(f"num_envs = {num_envs}", f"1 to {MAX_ENVS:,}", "num_envs=64")
+    check_range("num_envs", num_envs, 1, MAX_ENVS, 64)
     _need_gymnasium("make_vector_env")
     from cluttergen_jax.sampler.gymnasium_envs import GymnasiumVectorEnv
 

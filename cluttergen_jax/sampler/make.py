@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Never
 
-from cluttergen_jax.assets.pool import composed
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.methods import choose_method, proposer_of, suited
-from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig
+from cluttergen_jax.methods import suited
+from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.problem import ProblemConfig
-from cluttergen_jax.sampler.arguments import check_known, check_names, check_rectangles, check_whole
+from cluttergen_jax.sampler.arguments import check_known, check_whole
 from cluttergen_jax.sampler.sampler import Sampler
-from cluttergen_jax.sampler.wiring import bind, number_of
-from cluttergen_jax.sampling import BlockSampler
+from cluttergen_jax.sampler.wiring import check_range, find_method, make_setup, problem_config
 
 MAX_RETRIES = 10_000
 
@@ -80,46 +77,33 @@ def make_sampler(
       BankError: the scene to start from cannot be read, or does not stand.
     """
     check_known(unknown, make_sampler)
-    check_whole(
-        num_objects=num_objects,
-        max_retries=max_retries,
-        max_attempts=max_attempts,
-        num_scene_points=num_scene_points,
-        num_threads=num_threads,
-    )
-    check_names(objects, "objects")
-    check_names(exclude, "exclude")
-    check_rectangles(region, keep_out)
-    if not 0 <= max_retries <= MAX_RETRIES:
-        raise ConfigError(f"max_retries = {max_retries}", f"0 to {MAX_RETRIES}", "max_retries=5")
+    check_range("max_retries", max_retries, 0, MAX_RETRIES, 5)
+    check_whole(num_scene_points=num_scene_points)
     ObservationConfig(num_scene_points=num_scene_points)
-    pool = composed(pool, exclude)
-    num_objects = number_of(num_objects, pool, objects, repeat)
-    method, policy = choose_method(method, pool, str(support), num_objects, checkpoint)
-    placement = PlacementConfig(
+    config = problem_config(
+        pool=pool,
+        support=support,
         num_objects=num_objects,
+        objects=objects,
+        exclude=exclude,
+        repeat=repeat,
+        region=region,
+        keep_out=keep_out,
         max_attempts=max_attempts,
         containment=containment,
         order=order,
         min_margin=min_margin,
-    )
-    config = ProblemConfig(
-        pool=pool,
-        objects=tuple(objects),
-        repeat=repeat,
-        support=str(support),
-        region=region,
         engine=engine,
         num_threads=num_threads,
-        placement=suited(placement, policy),
     )
-    bound = bind(config, keep_out, start)
-    rules = bound.problem.rules
+    chosen = find_method(method, checkpoint, config)
+    config = replace(config, placement=suited(config.placement, chosen.checkpoint))
+    setup = make_setup(config, keep_out, start)
     return Sampler(
-        problem=bound.problem,
-        steps=BlockSampler(rules, proposer_of(method, policy, rules)),
-        keep_out=bound.keep_out,
-        start=bound.start,
+        problem=setup.problem,
+        steps=setup.sampler(chosen),
+        keep_out=setup.keep_out,
+        start=setup.start,
         max_retries=max_retries,
         num_scene_points=num_scene_points,
     )

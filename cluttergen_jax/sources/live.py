@@ -9,6 +9,7 @@ from cluttergen_jax.methods import checkpoint_of
 from cluttergen_jax.placement.recording import Recording
 from cluttergen_jax.policies.checkpoint import read_checkpoint
 from cluttergen_jax.sampler import make_sampler
+from cluttergen_jax.sampler.wiring import Setup
 from cluttergen_jax.sources.workshop import Workshop
 
 _MOST = 2**31 - 1
@@ -56,7 +57,7 @@ class LiveSource:
             max_attempts=placement.get("max_attempts", 5),
         )
         trained = {} if found is None else {method: found}
-        self._workshop = Workshop(sampler.problem, sampler.keep_out, sampler.start, trained)
+        self._workshop = Workshop(Setup(sampler.problem, sampler.keep_out, sampler.start), trained)
         self.name = pool if checkpoint is None else f"{method} of {checkpoint.resolve().name}"
         self.numbers = range(_MOST)
         first = (method,) if method in self._workshop.methods else ()

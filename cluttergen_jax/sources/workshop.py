@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,22 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.rectangle_text import parse_keep_out
+from cluttergen_jax.assets.rectangle_text import keep_out_box
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.bank.bank import Bank
-from cluttergen_jax.bank.reference import read_start, start_of
+from cluttergen_jax.bank.reference import read_start
 from cluttergen_jax.bank.scene import config_of
 from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.methods import checkpoint_of, proposer_of, suited
+from cluttergen_jax.methods import checkpoint_of
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.recording import Recording
-from cluttergen_jax.placement.region import KeepOut
-from cluttergen_jax.placement.types import Start
 from cluttergen_jax.policies.checkpoint import Checkpoint, read_checkpoint
-from cluttergen_jax.problem import Problem, ProblemConfig, compose, keep_out_of
-from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler
+from cluttergen_jax.problem import ProblemConfig
+from cluttergen_jax.sampler.wiring import Method, Setup, make_setup
+from cluttergen_jax.sampling import BLOCK_SIZE
 from cluttergen_jax.sampling.record import Recorder
 from cluttergen_jax.world import base_name
 
@@ -37,14 +35,11 @@ class Workshop:
     """A problem ready to be worked on by any method.
 
     Attributes:
-      problem: the compiled world and its rules.
-      keep_out, start: as episodes begin.
+      setup: the compiled world, and how episodes begin.
       checkpoints: of trained methods, by the method's name.
     """
 
-    problem: Problem
-    keep_out: KeepOut
-    start: Start
+    setup: Setup
     checkpoints: dict[str, Checkpoint] = field(default_factory=dict)
     _made: dict[tuple[str, int], Recorder] = field(default_factory=dict)
     _used: set[str] = field(default_factory=set)
@@ -67,12 +62,8 @@ class Workshop:
     def recorder(self, method: str, width: int = 1) -> Recorder:
         """Records episodes of a method; kept, for it is compiled at first use."""
         if (method, width) not in self._made:
-            checkpoint = self.checkpoints.get(method)
-            rules = self.problem.rules
-            rules = dataclasses.replace(rules, config=suited(rules.config, checkpoint))
-            propose = proposer_of(method, checkpoint, rules)
-            sampler = BlockSampler(rules, propose, self.keep_out, self.start)
-            self._made[method, width] = Recorder(sampler, self.problem.world, width)
+            sampler = self.setup.sampler(Method(method, self.checkpoints.get(method)))
+            self._made[method, width] = Recorder(sampler, self.setup.problem.world, width)
         return self._made[method, width]
 
 
@@ -88,20 +79,16 @@ def workshop_of(bank: Bank) -> Workshop:
         names: Sequence[str] = recipe["names"]
         method, pool, checkpoint = recipe["method"], recipe["pool"], recipe.get("checkpoint")
         config = _problem_config(bank, recipe)
-        texts = recipe.get("keep_out", ())
+        boxes = recipe.get("keep_out", ())
     except (KeyError, TypeError, ValueError) as error:
         raise BankError(f"{bank.path}: how it was made is not recorded whole ({error})") from error
-    standing, poses = read_start(recipe.get("start"))
+    standing, _ = read_start(recipe.get("start"))
     objects = [bank.object(base_name(name)) for name in names[: len(names) - len(standing)]]
-    problem = compose(objects, bank.support, config, standing)
+    keep_out = [keep_out_box(entry) for entry in boxes]
+    setup = make_setup(config, keep_out, recipe.get("start"), (objects, bank.support))
     given = None if checkpoint is None else read_checkpoint(Path(checkpoint))
     trained = checkpoint_of(method, pool, given)
-    return Workshop(
-        problem=problem,
-        keep_out=keep_out_of([parse_keep_out(text) for text in texts]),
-        start=start_of(problem.world, standing, poses),
-        checkpoints={} if trained is None else {method: trained},
-    )
+    return Workshop(setup, {} if trained is None else {method: trained})
 
 
 def remade(bank: Bank, workshop: Workshop, index: int, stored: Recording) -> Recording:

@@ -28,12 +28,12 @@ def join(coordinator: str | None, num_processes: int | None, process_id: int | N
         return
     if coordinator is None or num_processes is None or process_id is None:
         raise ConfigError(
-            "some of --coordinator, --num-processes and --process-id",
+            "some of `coordinator`, `num_processes` and `process_id`",
             "all three or none",
-            "--coordinator HOST:PORT --num-processes 2 --process-id 0, and the same with --process-id 1",
+            "coordinator='HOST:PORT', num_processes=2, process_id=0, and the same with process_id=1",
         )
     if not 0 <= process_id < num_processes:
-        raise ConfigError(f"--process-id {process_id} of {num_processes}", f"0 to {num_processes - 1}")
+        raise ConfigError(f"process_id = {process_id} of {num_processes}", f"0 to {num_processes - 1}")
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     try:
         jax.distributed.initialize(coordinator, num_processes, process_id)

@@ -45,9 +45,9 @@ def choose_encoder(
     if encoder is None and weights is None and not is_frozen:
         return network
     if not isinstance(network, NetworkConfig):
-        raise ConfigError("an encoder for a ranker, which reads no clouds", hint="another --variant")
+        raise ConfigError("an encoder for a ranker, which reads no clouds", hint="another `variant`")
     if is_frozen and weights is None:
-        raise ConfigError("--encoder-frozen without weights", hint="--encoder-weights of cluttergen pretrain")
+        raise ConfigError("`encoder_frozen` without weights", hint="`encoder_weights` of cluttergen pretrain")
     network = replace(network, scene_encoder=encoder or network.scene_encoder, encoder_frozen=is_frozen)
     return network if weights is None else fitted(network, Path(weights))
 

@@ -38,7 +38,7 @@ def check_memory(compiled: Any, limit: int | None = None) -> str:
         raise ConfigError(
             f"a run that needs {text}",
             f"{_amount(limit)} of memory",
-            "fewer environments (--num-envs), a smaller network, or a higher --memory-limit where one is set",
+            "fewer environments (`num_envs`), a smaller network, or a higher `memory_limit` where one is set",
         )
     return f"{text} (of {_amount(limit)})"
 

@@ -174,6 +174,6 @@ class Run:
         logger.save_policy(state)
         return DivergedError(
             f"update {number}: numbers are not finite" + (f", first in {where}" if where else ""),
-            hint=f"a smaller learning rate with another --out; the last good state, after "
+            hint=f"a smaller learning rate with another `out`; the last good state, after "
             f"{int(state.num_updates)} updates, is in {self.folder / 'last'}",
         )

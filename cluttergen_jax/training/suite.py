@@ -55,15 +55,15 @@ def plan(
       ConfigError: there is no such suite, or nothing is left.
     """
     if suite not in SUITES:
-        raise ConfigError(f"suite {suite!r}", ", ".join(SUITES), "--suite paper")
+        raise ConfigError(f"suite {suite!r}", ", ".join(SUITES), "suite='paper'")
     if len(set(seeds)) < len(seeds) or not all(seed >= 0 for seed in seeds):
-        raise ConfigError(f"seeds {' '.join(map(str, seeds))}", "different numbers from 0", "--seeds 0 1 2")
+        raise ConfigError(f"seeds {' '.join(map(str, seeds))}", "different numbers from 0", "seeds=(0, 1, 2)")
     runs = [run for seed in seeds for run in SUITES[suite](seed, pools)]
     chosen = [run for run in runs if only is None or fnmatchcase(run.name, only)]
     if not chosen:
         names = ", ".join(run.name for run in runs[:4])
         raise ConfigError(
-            f"no run of suite {suite!r} is called {only!r}", f"{names} ...", "--suite-list, which lists them"
+            f"no run of suite {suite!r} is called {only!r}", f"{names} ...", "`suite_list`, which lists them"
         )
     return chosen
 

@@ -29,7 +29,7 @@ class WandbLog:
         try:
             import wandb
         except ImportError as error:
-            raise MissingExtraError("wandb", "--wandb") from error
+            raise MissingExtraError("wandb", "`wandb`") from error
         identity = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:16]
         self._run = wandb.init(
             project=PROJECT,

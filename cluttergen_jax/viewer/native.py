@@ -24,7 +24,7 @@ def check_display() -> None:
     if platform.system() == "Linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise DisplayError(
             "MuJoCo's viewer needs a screen, and there is none (DISPLAY is not set)",
-            hint="the web viewer, which is the same command without --native, or ssh -X",
+            hint="the web viewer, which is the same command without `native`, or ssh -X",
         )
 
 
@@ -47,5 +47,5 @@ def show_native(model: mujoco.MjModel, qpos: np.ndarray) -> None:
         mujoco.viewer.launch(model, data)
     except (RuntimeError, mujoco.FatalError) as error:
         raise DisplayError(
-            f"MuJoCo's viewer could not open a window ({error})", hint="the web viewer: leave --native out"
+            f"MuJoCo's viewer could not open a window ({error})", hint="the web viewer: leave `native` out"
         ) from error

@@ -20,7 +20,7 @@ def free_port(host: str, port: int) -> int:
       ConfigError: the port is taken or may not be used, or the host is none of this machine's.
     """
     if not 0 <= port <= 65535:
-        raise ConfigError(f"--port {port}", "0 to 65535")
+        raise ConfigError(f"port = {port}", "0 to 65535")
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         with socket.socket(family, socket.SOCK_STREAM) as trial:
@@ -31,7 +31,7 @@ def free_port(host: str, port: int) -> int:
     except OSError as error:
         reason = error.strerror or str(error)
         raise ConfigError(
-            f"{host}:{port} cannot be listened on: {reason}", "a free port", "--port 0, which takes any"
+            f"{host}:{port} cannot be listened on: {reason}", "a free port", "port=0, which takes any"
         ) from error
 
 

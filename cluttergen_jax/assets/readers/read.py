@@ -109,10 +109,10 @@ def _check_size(shape: Shape, path: Path) -> None:
 def _likely_cause(size: float) -> str:
     """Which unit would make this an object of 2 cm to 60 cm, in words that name the option."""
     if size < MIN_SIZE:
-        return "--scale with the factor to metres; a scale may have been applied twice"
+        return "`scale` with the factor to metres; a scale may have been applied twice"
     fitting = [
-        f"--scale {factor:g} if the file is in {unit} ({size * factor:.2g} m across)"
+        f"scale={factor:g} if the file is in {unit} ({size * factor:.2g} m across)"
         for unit, factor in _UNITS.items()
         if 0.02 <= size * factor <= 0.6
     ]
-    return " or ".join(fitting) or "--scale with the factor from the file's unit to metres"
+    return " or ".join(fitting) or "`scale` with the factor from the file's unit to metres"

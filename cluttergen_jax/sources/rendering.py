@@ -1,23 +1,23 @@
-"""From the options of `cluttergen render` to pictures, films, contact sheets and measurements."""
+"""Pictures, films, contact sheets and measurements of scenes."""
 
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from cluttergen_jax.assets.scene_cloud import ply_of, scene_points
 from cluttergen_jax.bank.reference import missing_text
-from cluttergen_jax.cli.parse import parse_numbers
-from cluttergen_jax.cli.render import Render
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.placement.recording import Recording
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.render.assets import render_scene
+from cluttergen_jax.render.config import FilmConfig, View
 from cluttergen_jax.render.figure import closed_loop_figure
 from cluttergen_jax.render.film import replay, replay_frames, turntable
 from cluttergen_jax.render.gl import find_backend
@@ -35,11 +35,100 @@ _Make = Callable[[Path], Iterable[Path]]
 _Failure = tuple[str, ClutterGenError]
 
 
-class Rendering(Render):
-    """The options, and what is made of them."""
+@dataclass(frozen=True)
+class RenderReport:
+    """What `render` made.
 
-    def make(self) -> int:
-        """Makes everything that is asked for; the exit status."""
+    Attributes:
+      paths: the files.
+      failures: what could not be made, and why.
+    """
+
+    paths: tuple[Path, ...]
+    failures: tuple[_Failure, ...]
+
+
+def render(
+    source: str | Path,
+    out: str | Path = Path("out/pictures"),
+    *,
+    scenes: Sequence[int] | Literal["all"] | None = None,
+    picture: bool = True,
+    sheet: bool = False,
+    turntable: bool = False,
+    replay: bool = False,
+    figure: bool = False,
+    depth: bool = False,
+    segmentation: bool = False,
+    points: bool = False,
+    size: tuple[int, int] | None = None,
+    view: View | None = None,
+    whole: bool = False,
+    hulls: bool = False,
+    samples: int | None = None,
+    film: str = "gif",
+    pace: FilmConfig | None = None,
+    columns: int = 4,
+) -> RenderReport:
+    """Draws scenes: pictures, films, contact sheets and measurements (`cluttergen render`).
+
+    Args:
+      source: as of `view`.
+      out: the folder for what is made; files are named after the scene.
+      scenes: numbers, or "all"; the first that stands if not given (12 of them on a sheet).
+      picture: draw a PNG of each scene.
+      sheet: all scenes on one contact sheet, sheet.png.
+      turntable: a film once around the scene.
+      replay: a film of the placement as it happened, failed attempts in red.
+      figure: the closed-loop figure: an object's failed attempts ringed in red, until it stands.
+      depth: a 16-bit PNG in millimetres along the optical axis (0: nothing there), and the NPZ file.
+      segmentation: an indexed PNG: 0 floor or nothing, 1 support, 2 + k object k; and the NPZ file.
+      points: a PLY point cloud of all surfaces: metres, world frame, colours, labels as above.
+      size: of pictures, width and height in pixels; (1280, 960), and (640, 480) for films, if not given.
+      view: from which side the scene is seen; `View()` if not given.
+      whole: show the whole support instead of the objects and the region alone.
+      hulls: draw the collision parts instead of the surfaces.
+      samples: pictures averaged into one, for soft light; 32, and 10 for films, if not given.
+      film: "gif", or "mp4" (extra `video`).
+      pace: how fast films run; `FilmConfig()` if not given.
+      columns: of the contact sheet.
+
+    Raises:
+      PoolError, BankError, AssetError: there is no such source, no such scene, or none that stands.
+      ConfigError: a setting is out of range.
+      ClutterGenError: nothing can be drawn on this machine.
+    """
+    given = dict(locals())
+    given |= {"out": Path(out), "view": view or View(), "pace": pace or FilmConfig()}
+    return Rendering(**given | {"source": str(source)}).make()
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """What is drawn, and how; the fields are arguments of `render`."""
+
+    source: str
+    out: Path
+    scenes: Sequence[int] | Literal["all"] | None
+    picture: bool
+    sheet: bool
+    turntable: bool
+    replay: bool
+    figure: bool
+    depth: bool
+    segmentation: bool
+    points: bool
+    size: tuple[int, int] | None
+    view: View
+    whole: bool
+    hulls: bool
+    samples: int | None
+    film: str
+    pace: FilmConfig
+    columns: int
+
+    def make(self) -> RenderReport:
+        """Makes everything that is asked for."""
         if self.turntable or self.replay:
             check_format(self.film)
         sizes = {size: self._picture(size, _QUICK) for size in (_LARGE, _SMALL, _CELL)}
@@ -47,25 +136,26 @@ class Rendering(Render):
         numbers = chosen_numbers(source, own, self.scenes, _SHEET if self.sheet else 1)
         if self.picture or self.sheet or self.turntable or self.replay or self.figure or self._is_sensed:
             find_backend()
+        made: list[Path] = []
         failures: list[_Failure] = []
         for number in numbers:
-            failures += self._make(source, number, sizes[_SMALL])
+            failures += self._make(source, number, sizes[_SMALL], made)
         if self.sheet:
-            print(save_png(self._sheet(source, numbers), self.out / "sheet.png"))
-        if failures:
-            print(failures_text(failures), file=sys.stderr)
-        return 1 if failures else 0
+            made.append(save_png(self._sheet(source, numbers), self.out / "sheet.png"))
+        return RenderReport(tuple(made), tuple(failures))
 
     @property
     def _is_sensed(self) -> bool:
         return self.depth or self.segmentation
 
     def _picture(self, size: tuple[int, int], samples: int) -> PictureConfig:
-        width, height = parse_size(self.size) if self.size else size
+        width, height = self.size or size
         samples = samples if self.samples is None else self.samples
         return PictureConfig(width, height, samples, self.view, self.whole, self.hulls)
 
-    def _make(self, source: Source, number: int, small: PictureConfig) -> Iterator[_Failure]:
+    def _make(
+        self, source: Source, number: int, small: PictureConfig, made: list[Path]
+    ) -> Iterator[_Failure]:
         """Makes everything that is asked for of one scene; what cannot be made costs nothing else."""
         stem = self.out / (f"{number:06d}" if isinstance(source, BankSource) else _stem(source, number))
         attempted = None
@@ -81,8 +171,7 @@ class Rendering(Render):
             return
         for ending, make in self._products(recording, attempted is not None, small):
             try:
-                for path in make(_named(stem, ending)):
-                    print(path)
+                made.extend(make(_named(stem, ending)))
             except ClutterGenError as error:
                 yield stem.name + ending, error
 
@@ -135,49 +224,32 @@ class Rendering(Render):
         return contact_sheet(images, captions, self.columns)
 
 
-def parse_size(text: str) -> tuple[int, int]:
-    """Pixels of WIDTHxHEIGHT.
-
-    Raises:
-      ConfigError: it is something else.
-    """
-    match = re.fullmatch(r"(\d+)x(\d+)", text)
-    if match is None:
-        raise ConfigError(f"--size {text!r}", "WIDTHxHEIGHT in pixels, such as 1280x960")
-    return int(match[1]), int(match[2])
-
-
-def chosen_numbers(source: Source, own: int | None, text: str | None, count: int) -> list[int]:
+def chosen_numbers(
+    source: Source, own: int | None, asked: Sequence[int] | Literal["all"] | None, count: int
+) -> list[int]:
     """Which scenes: those asked for, else the first `count` that stand.
 
     Raises:
       ConfigError: two answers to one question.
       BankError: scenes were asked for that are not there; or no scene of the bank stands.
     """
-    if own is not None and text is not None:
-        raise ConfigError(f"--scenes {text} beside a single scene", "one of the two")
-    asked = parse_numbers(text) if own is None else [own]
-    if asked is not None:
+    if own is not None:
+        if asked is not None:
+            raise ConfigError("`scenes` beside a single scene", "one of the two")
+        asked = [own]
+    if asked is not None and asked != "all":
         if said := missing_text(asked, source.numbers):
             raise BankError(f"{source.name}: {said}", "scenes that are there", "leaving the others out")
-        return asked
+        return list(asked)
     if not isinstance(source, BankSource):
         return list(source.numbers[:count])
-    good = source.successes if text is None else source.numbers
+    good = source.successes if asked is None else source.numbers
     if not good:
         raise BankError(
             f"{source.name}: none of its {len(source.numbers)} scenes stands",
-            "--scenes NUMBER of a failed one",
+            "`scenes` with the number of a failed one",
         )
-    return list(good if text is not None else good[:count])
-
-
-def failures_text(failures: Sequence[_Failure]) -> str:
-    """What could not be made and why, a line each; what to try, once."""
-    lines = [f"error: {len(failures)} could not be made, the rest was:"]
-    lines += [f"  {name}: {error.given}" for name, error in failures]
-    hints = dict.fromkeys(error.hint for _, error in failures if error.hint)
-    return "\n".join([*lines, *(f"Try: {hint}." for hint in hints)])
+    return list(good if asked == "all" else good[:count])
 
 
 def drawn(recording: Recording, picture: PictureConfig) -> np.ndarray:

@@ -8,9 +8,9 @@ from typing import Any
 
 import jax
 import numpy as np
+from scipy.stats import binomtest
 
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.evaluation.proportion import wilson
 from cluttergen_jax.networks.config import AgentConfig
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.placement.rules import Rules
@@ -73,11 +73,11 @@ class Evaluator:
             success.append(scenes.is_success[is_wanted])
             filled.append(scenes.is_filled[is_wanted])
         found = np.concatenate(success)
-        low, high = wilson(int(found.sum()), len(found))
+        interval = binomtest(int(found.sum()), len(found)).proportion_ci(method="wilson")
         return {
             "success": float(found.mean()),
-            "low95": low,
-            "high95": high,
+            "low95": float(interval.low),
+            "high95": float(interval.high),
             "filled": float(np.concatenate(filled).mean()),
             "episodes": len(found),
             "action": "sampled" if self.is_sampled else "mean",

@@ -36,8 +36,11 @@ def write_files(
     config: ProblemConfig,
     is_drawn: bool,
     keep_digests: Callable[[dict[str, str]], None],
-) -> None:
+) -> str:
     """Writes what is missing or damaged: MJCF files, and pictures if they are wanted and can be drawn.
+
+    Returns:
+      What was written where, for people.
 
     Args:
       keep_digests: is given those of the MJCF files, before anything is drawn.
@@ -53,14 +56,13 @@ def write_files(
             write_atomically(path, text)
         digests[path.relative_to(bank.path).as_posix()] = digest_of(text)
     keep_digests(digests)
-    print(f"files      {len(scenes)} scenes in {bank.path / 'scenes'}")
+    written = f"files      {len(scenes)} scenes in {bank.path / 'scenes'}"
     if not (is_drawn and scenes):
-        return
+        return written
     can_draw, message = renderer_status()
     if not can_draw:
-        print(f"pictures   skipped: {message}")
-        return
-    _draw(bank, scenes, assets)
+        return f"{written}\npictures   skipped: {message}"
+    return f"{written}\npictures   {_draw(bank, scenes, assets)}"
 
 
 def _is_whole_png(path: Path) -> bool:
@@ -69,10 +71,9 @@ def _is_whole_png(path: Path) -> bool:
     return data.startswith(_PNG_BEGINS) and data.endswith(_PNG_ENDS)
 
 
-def _draw(bank: Bank, scenes: Sequence[SceneRecord], assets: dict) -> None:
+def _draw(bank: Bank, scenes: Sequence[SceneRecord], assets: dict) -> Path:
     images: list[np.ndarray] = []
     samples = _FINE if len(scenes) <= _MANY else _QUICK
-    print(f"drawing    {len(scenes)} pictures (--no-render leaves them out)", flush=True)
     for scene in tracked(scenes, "drawing", len(scenes), "picture"):
         path = scene_path(bank, scene.index, "png")
         if _is_whole_png(path) and len(images) >= min(_OVERVIEW, len(scenes)):
@@ -83,5 +84,4 @@ def _draw(bank: Bank, scenes: Sequence[SceneRecord], assets: dict) -> None:
         images.append(image)
     captions = [f"{scene.index:06d}" for scene in scenes[:_OVERVIEW]]
     overview = contact_sheet(images[:_OVERVIEW], captions, columns=4)
-    save_png(overview, bank.path / "overview.png")
-    print(f"pictures   {bank.path / 'overview.png'}")
+    return save_png(overview, bank.path / "overview.png")

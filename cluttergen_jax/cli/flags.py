@@ -1,0 +1,48 @@
+"""The library's errors speak of Python arguments; here these become the flags of the command that was run."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from typing import Any
+
+ARGUMENTS = {"attempts": "max_attempts", "threads": "num_threads", "private": "is_private"}
+"""Options whose function's argument is called otherwise."""
+_VALUE = r"""'[^']*'|"[^"]*"|\([^()]*\)|\[[^][]*\]|[\w.+-]*[\w+-]"""
+
+
+def options_of(command: Any) -> Iterator[str]:
+    """The options of a command's class, those of its nested settings among them; positional ones are none."""
+    for field in dataclasses.fields(command):
+        if dataclasses.is_dataclass(field.default_factory):
+            yield from options_of(field.default_factory)
+        elif "Positional" not in str(field.type):
+            yield field.name
+
+
+def with_flags(text: str, command: Any) -> str:
+    """A text with the flags of `command` in place of the arguments that it names.
+
+    Arguments stand in backticks (`num_threads`), with what was given (num_threads = -1), or with what to give
+    (num_threads=0); a class before the name (View.azimuth = 500) is left out. Whatever the command has no
+    option for stays as it is.
+    """
+    flags = {ARGUMENTS.get(name, name): name.replace("_", "-") for name in options_of(command)}
+    if not flags:
+        return text
+    names = "|".join(flags)
+    text = re.sub(rf"`({names})`", lambda found: f"--{flags[found[1]]}", text)
+    return re.sub(
+        rf"(?<![\w./=-])(?:[A-Z]\w*\.)?({names})(?: = |=)({_VALUE})",
+        lambda found: _flag(flags[found[1]], found[2]),
+        text,
+    )
+
+
+def _flag(flag: str, value: str) -> str:
+    """An option with a value as it is written on a command line."""
+    if value in ("True", "False"):
+        return f"--{flag}" if value == "True" else f"--no-{flag}"
+    words = re.split(r",\s*", value[1:-1].strip(",")) if value[0] in "([" else [value]
+    return " ".join([f"--{flag}", *(word.strip("'\"") for word in words)]).rstrip()
