@@ -10,7 +10,7 @@ PYTEST = $(RUN)/pytest -n auto --maxprocesses 4 --dist loadfile
 INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-wheel lint dist format scenes bench clean prerequisites
+.PHONY: help demo test test-all test-wheel lint dist docs format scenes bench clean prerequisites
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
@@ -33,7 +33,7 @@ $(VENV)/.dev: $(VENV)/.core
 	@touch $@
 
 $(VENV)/.all: $(VENV)/.dev
-	$(INSTALL) -e '.[dev,ycb,peers,usd,viewer,video,browser,fuzz,hub]'
+	$(INSTALL) -e '.[dev,ycb,peers,usd,viewer,video,browser,fuzz,hub,docs]'
 	@touch $@
 
 demo: $(VENV)/.core ## generate, draw, save and verify 20 scenes of ten dining objects in out/demo
@@ -51,6 +51,13 @@ lint: $(VENV)/.dev ## ruff, mypy and undeclared dependencies alone
 	$(RUN)/ruff format --check .
 	$(RUN)/mypy
 	$(RUN)/deptry .
+
+$(VENV)/.docs: $(VENV)/.dev
+	$(INSTALL) -e '.[dev,ycb,docs]'
+	@touch $@
+
+docs: $(VENV)/.docs ## build the documentation in out/site; a broken link is an error
+	$(RUN)/mkdocs build --strict
 
 dist: $(VENV)/.dev ## build the wheel and the source distribution in dist, and check them
 	rm -rf dist

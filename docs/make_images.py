@@ -1,4 +1,4 @@
-"""Makes the README's pictures again: python docs/make_images.py (two minutes on two cores)."""
+"""Makes the pictures of the README and the gallery again: python docs/make_images.py (minutes on two cores)."""
 
 from pathlib import Path
 
@@ -6,6 +6,7 @@ import jax
 import numpy as np
 
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.support_file import find_support, list_supports
 from cluttergen_jax.baselines import make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.problem import ProblemConfig, make_problem
@@ -14,6 +15,7 @@ from cluttergen_jax.render.sheet import contact_sheet, save_png
 from cluttergen_jax.sampling import BlockSampler
 
 HERE = Path(__file__).parent / "images"
+POOLS = ("dining", "study", "office", "kitchen", "household")
 SCENES = (
     ("dining", "table", 10, "drop"),
     ("study", "drawer_desk", 10, "clear"),
@@ -43,11 +45,19 @@ def draw(pool: str, support: str, num_objects: int, method: str) -> np.ndarray:
     )
 
 
+def draw_support(name: str) -> np.ndarray:
+    """A support alone."""
+    return render_scene([], np.zeros((0, 7)), find_support(name), width=480, height=360, samples=16)
+
+
 def main() -> None:
     """Draws every picture."""
     captions = [f"{pool}: {n} objects on {support}, {method}" for pool, support, n, method in SCENES]
     save_png(contact_sheet([draw(*scene) for scene in SCENES], captions, columns=3), HERE / "scenes.png")
-    save_png(object_sheet(find_pool("dining").objects, columns=5), HERE / "dining.png")
+    for pool in POOLS:
+        save_png(object_sheet(find_pool(pool).objects, columns=5), HERE / f"{pool}.png")
+    supports = sorted(list_supports())
+    save_png(contact_sheet([draw_support(name) for name in supports], supports, columns=4), HERE / "supports.png")
 
 
 if __name__ == "__main__":
