@@ -46,11 +46,12 @@ test: lint ## lint, types and the quick tests
 test-all: $(VENV)/.all ## every test, with the extras; writes tests/last_run.json
 	$(PYTEST) --record tests/last_run.json
 
-lint: $(VENV)/.dev ## ruff, mypy and undeclared dependencies alone
+lint: $(VENV)/.dev ## ruff, mypy, undeclared dependencies and the import contracts alone
 	$(RUN)/ruff check .
 	$(RUN)/ruff format --check .
 	$(RUN)/mypy
 	$(RUN)/deptry .
+	$(RUN)/lint-imports
 
 $(VENV)/.docs: $(VENV)/.dev
 	$(INSTALL) -e '.[dev,ycb,docs]'

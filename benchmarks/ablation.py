@@ -16,9 +16,9 @@ import numpy as np
 
 from benchmarks.section import prose, report, table
 from benchmarks.trained import WINDOW
-from cluttergen_jax.agent.checkpoint import read_record
-from cluttergen_jax.training.metrics_log import read_rows
-from cluttergen_jax.training.train import TrainConfig, run_training
+from cluttergen_jax.learning.ppo.checkpoint import read_record
+from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.learning.training.train import TrainConfig, run_training
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.measures.bullet_world import (
+from cluttergen_jax.evaluation.measures.bullet_world import (
     BodyFrames,
     add_object,
     add_support,
@@ -26,8 +26,8 @@ from cluttergen_jax.measures.bullet_world import (
 )
 from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing
 from cluttergen_jax.physics.stability import moved
+from cluttergen_jax.placement.world import World
 from cluttergen_jax.types import Settling, Standing, Verdict
-from cluttergen_jax.world import World
 
 try:
     import pybullet

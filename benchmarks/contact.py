@@ -24,7 +24,7 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.world import make_world
+from cluttergen_jax.placement.world import make_world
 
 MUJOCO = ContactConfig(
     friction=(1.0, 0.005, 0.0001),

@@ -13,8 +13,8 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.physics import make_physics
+from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.types import Verdict
-from cluttergen_jax.world import make_world
 
 _NUM_DROPS = 96
 _MAX_GAP = 0.02

@@ -17,10 +17,10 @@ import numpy as np
 import tyro
 
 from benchmarks.section import prose, report, table
-from cluttergen_jax.agent.pose_agent import PoseAgent
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.networks.config import NetworkConfig
-from cluttergen_jax.training.presets import paper
+from cluttergen_jax.learning.networks.config import NetworkConfig
+from cluttergen_jax.learning.ppo.pose_agent import PoseAgent
+from cluttergen_jax.learning.training.presets import paper
 
 _HISTORY = (5, 21)
 """Attempts, and the rows that are kept of each."""

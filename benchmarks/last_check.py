@@ -22,7 +22,7 @@ from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.problem import ProblemConfig, make_problem
+from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.types import Verdict
 
 _VERIFY_STEPS = 2400

@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.baselines import make_proposer
+from cluttergen_jax.placement.baselines import make_proposer
+from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.scenes import Scenes
-from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler
 
 Sampler = Callable[[int, int], Scenes]
 """Makes scenes 0 .. N - 1 from a seed, on the host, failures included: `sample(num_scenes, seed)`."""

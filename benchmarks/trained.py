@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.section import prose, report, table
-from cluttergen_jax.agent.checkpoint import read_record
-from cluttergen_jax.training.metrics_log import read_rows
-from cluttergen_jax.training.suite import DEFAULT_ATTEMPTS, DEFAULT_OBJECTS
+from cluttergen_jax.learning.ppo.checkpoint import read_record
+from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.learning.training.suite import DEFAULT_ATTEMPTS, DEFAULT_OBJECTS
 
 GOAL = 0.95
 WINDOW = 10

@@ -18,9 +18,7 @@ What a command does, one function does, with the same defaults:
 `sample(key, region=..., keep_out=...)`, which may be traced. CONTRIBUTING.md says what the packages are.
 """
 
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -29,18 +27,10 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.assets.support_file import find_support as load_support
     from cluttergen_jax.assets.support_file import list_supports
-    from cluttergen_jax.bank import read_bank
-    from cluttergen_jax.bank.hub import pull_bank, push_bank
-    from cluttergen_jax.bank.scene import read_scenes
-    from cluttergen_jax.bank.stats import stats_of, stats_text
-    from cluttergen_jax.bank.verify import verify
-    from cluttergen_jax.certification import certify
+    from cluttergen_jax.evaluation.certify import certify
     from cluttergen_jax.evaluation.comparison import evaluate
     from cluttergen_jax.evaluation.running import evaluate_suite
-    from cluttergen_jax.importing.run import import_pool
-    from cluttergen_jax.importing.table import import_support
-    from cluttergen_jax.placement.region import KeepOut, make_region
-    from cluttergen_jax.sampler import (
+    from cluttergen_jax.generation import (
         SampledScene,
         Sampler,
         SceneBank,
@@ -49,14 +39,22 @@ if TYPE_CHECKING:
         load_bank,
         make_sampler,
     )
-    from cluttergen_jax.sampler.environments import make_env, make_gym_env, make_sb3_env, make_vector_env
-    from cluttergen_jax.sampler.generate import generate
-    from cluttergen_jax.sources.exporting import export
-    from cluttergen_jax.sources.rendering import render
-    from cluttergen_jax.sources.viewing import view
-    from cluttergen_jax.training.pretrain import pretrain
-    from cluttergen_jax.training.suite_run import train_suite
-    from cluttergen_jax.training.train import train
+    from cluttergen_jax.generation.environments import make_env, make_gym_env, make_sb3_env, make_vector_env
+    from cluttergen_jax.generation.generate import generate
+    from cluttergen_jax.generation.sources.exporting import export
+    from cluttergen_jax.generation.sources.rendering import render
+    from cluttergen_jax.generation.sources.viewing import view
+    from cluttergen_jax.importing.run import import_pool
+    from cluttergen_jax.importing.table import import_support
+    from cluttergen_jax.learning.training.pretrain import pretrain
+    from cluttergen_jax.learning.training.suite_run import train_suite
+    from cluttergen_jax.learning.training.train import train
+    from cluttergen_jax.placement.region import KeepOut, make_region
+    from cluttergen_jax.scene.bank import read_bank
+    from cluttergen_jax.scene.bank.hub import pull_bank, push_bank
+    from cluttergen_jax.scene.bank.scene import read_scenes
+    from cluttergen_jax.scene.bank.stats import stats_of, stats_text
+    from cluttergen_jax.scene.bank.verify import verify
 
 __all__ = [
     "KeepOut",
@@ -103,25 +101,25 @@ _MODULES = {
     "assets.pool": ("list_pools", "remove_pool"),
     "assets.support": ("Rectangle",),
     "assets.support_file": ("list_supports",),
-    "bank": ("read_bank",),
-    "bank.hub": ("pull_bank", "push_bank"),
-    "bank.scene": ("read_scenes",),
-    "bank.stats": ("stats_of", "stats_text"),
-    "bank.verify": ("verify",),
-    "certification": ("certify",),
+    "scene.bank": ("read_bank",),
+    "scene.bank.hub": ("pull_bank", "push_bank"),
+    "scene.bank.scene": ("read_scenes",),
+    "scene.bank.stats": ("stats_of", "stats_text"),
+    "scene.bank.verify": ("verify",),
+    "evaluation.certify": ("certify",),
     "evaluation.comparison": ("evaluate",),
     "evaluation.running": ("evaluate_suite",),
     "importing.run": ("import_pool",),
     "importing.table": ("import_support",),
     "placement.region": ("KeepOut", "make_region"),
-    "sampler.environments": ("make_env", "make_gym_env", "make_sb3_env", "make_vector_env"),
-    "sampler.generate": ("generate",),
-    "sources.exporting": ("export",),
-    "sources.rendering": ("render",),
-    "sources.viewing": ("view",),
-    "training.pretrain": ("pretrain",),
-    "training.suite_run": ("train_suite",),
-    "training.train": ("train",),
+    "generation.environments": ("make_env", "make_gym_env", "make_sb3_env", "make_vector_env"),
+    "generation.generate": ("generate",),
+    "generation.sources.exporting": ("export",),
+    "generation.sources.rendering": ("render",),
+    "generation.sources.viewing": ("view",),
+    "learning.training.pretrain": ("pretrain",),
+    "learning.training.suite_run": ("train_suite",),
+    "learning.training.train": ("train",),
 }
 _ELSEWHERE = {name: module for module, names in _MODULES.items() for name in names}
 _RENAMED = {
@@ -130,22 +128,10 @@ _RENAMED = {
 }
 
 
-class _Package(ModuleType):
-    """This package; `export` and `render` are its functions, though packages within it are called so too."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        # An import binds a package within this one to its name here; `import` finds it without that.
-        if not (name in __all__ and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
-
-
 def __getattr__(name: str) -> Any:
     """The names of `__all__`, imported when first asked for: JAX and MuJoCo take a second to load."""
     if name in __all__:
-        module, there = _RENAMED.get(name, (_ELSEWHERE.get(name, "sampler"), name))
+        module, there = _RENAMED.get(name, (_ELSEWHERE.get(name, "generation"), name))
         return getattr(import_module(f"cluttergen_jax.{module}"), there)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

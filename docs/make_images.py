@@ -1,4 +1,4 @@
-"""Makes the pictures of the README and the gallery again: python docs/make_images.py (minutes on two cores)."""
+"""Makes the pictures of the README and the gallery: python docs/make_images.py (minutes on two cores)."""
 
 from pathlib import Path
 
@@ -7,12 +7,12 @@ import numpy as np
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support, list_supports
-from cluttergen_jax.baselines import make_proposer
+from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.problem import ProblemConfig, make_problem
-from cluttergen_jax.render.assets import object_sheet, render_scene
-from cluttergen_jax.render.sheet import contact_sheet, save_png
-from cluttergen_jax.sampling import BlockSampler
+from cluttergen_jax.placement.problem import ProblemConfig, make_problem
+from cluttergen_jax.placement.rollout import BlockSampler
+from cluttergen_jax.rendering.assets import object_sheet, render_scene
+from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 
 HERE = Path(__file__).parent / "images"
 POOLS = ("dining", "study", "office", "kitchen", "household")
@@ -57,7 +57,8 @@ def main() -> None:
     for pool in POOLS:
         save_png(object_sheet(find_pool(pool).objects, columns=5), HERE / f"{pool}.png")
     supports = sorted(list_supports())
-    save_png(contact_sheet([draw_support(name) for name in supports], supports, columns=4), HERE / "supports.png")
+    drawn = [draw_support(name) for name in supports]
+    save_png(contact_sheet(drawn, supports, columns=4), HERE / "supports.png")
 
 
 if __name__ == "__main__":

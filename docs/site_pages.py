@@ -99,16 +99,15 @@ def _commands() -> str:
 
 
 def _package_map() -> str:
-    """The layers of the import contract in pyproject.toml, each package with the first line of its docstring."""
+    """The layers of the import contract in pyproject.toml; each package has its docstring's first line."""
     with (ROOT / "pyproject.toml").open("rb") as file:
         contracts = tomllib.load(file)["tool"]["importlinter"]["contracts"]
     layers = next(each for each in contracts if each["type"] == "layers")["layers"]
     rows = []
     for height, layer in zip(range(len(layers) - 1, -1, -1), layers, strict=True):
         boxes = "".join(_box(name.strip()) for name in re.split(r"[|:]", layer))
-        rows.append(
-            f'<div style="display:flex;gap:.5em;margin:.5em 0"><b style="width:1.5em">{height}</b>{boxes}</div>'
-        )
+        style = "display:flex;gap:.5em;margin:.5em 0"
+        rows.append(f'<div style="{style}"><b style="width:1.5em">{height}</b>{boxes}</div>')
     arrow = "<p>A package imports from the layers below it, and from no other of its own layer.</p>"
     return f'<div class="package-map">{"".join(rows)}{arrow}</div>'
 

@@ -16,9 +16,9 @@ from brax.envs.base import Env, State
 from mujoco import mjx
 
 import cluttergen_jax as cg
-from cluttergen_jax.agent.config import PPOConfig
-from cluttergen_jax.agent.ppo import PPO
-from cluttergen_jax.networks.distributions import Beta
+from cluttergen_jax.learning.networks.distributions import Beta
+from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.learning.ppo.ppo import PPO
 
 SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 

@@ -8,12 +8,12 @@ import numpy as np
 import pyarrow as pa
 
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.bank import read_bank
-from cluttergen_jax.bank.table import COUNTED, SCHEMA
-from cluttergen_jax.bank.writer import BankWriter
-from cluttergen_jax.problem import ProblemConfig
-from cluttergen_jax.sampler.files import write_files
-from cluttergen_jax.sampling import BLOCK_SIZE
+from cluttergen_jax.generation.files import write_files
+from cluttergen_jax.placement.problem import ProblemConfig
+from cluttergen_jax.placement.rollout import BLOCK_SIZE
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.table import COUNTED, SCHEMA
+from cluttergen_jax.scene.bank.writer import BankWriter
 from tests.worlds import trio
 
 NAMES = tuple(asset.name for asset in trio())

@@ -14,11 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.agent.ppo import PPO
-from cluttergen_jax.agent.sharding import make_mesh
+from cluttergen_jax.learning.ppo.ppo import PPO
+from cluttergen_jax.learning.ppo.sharding import make_mesh
+from cluttergen_jax.learning.training.distributed import fresh_state, join
+from cluttergen_jax.learning.training.updates import Updates
 from cluttergen_jax.placement.env import PlacementEnv
-from cluttergen_jax.training.distributed import fresh_state, join
-from cluttergen_jax.training.updates import Updates
 from tests.probes import Bandit, Tiny, learner
 
 
@@ -51,8 +51,8 @@ def probe() -> None:
 
 def real() -> None:
     """Three objects in MuJoCo's C engine, which is called from both devices."""
-    from cluttergen_jax.agent.config import PPOConfig
-    from cluttergen_jax.agent.pose_agent import PoseAgent
+    from cluttergen_jax.learning.ppo.config import PPOConfig
+    from cluttergen_jax.learning.ppo.pose_agent import PoseAgent
     from tests.problems import trio_problem
     from tests.runs import SMALL
 

@@ -24,19 +24,19 @@ import numpy as np
 import pyarrow.parquet as pq
 import trimesh
 
-from cluttergen_jax.agent.checkpoint import read_policy, read_record, save_policy
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.assets.pool import Pool, read_pool, write_pool
-from cluttergen_jax.assets.readers import find_sources, read_shape
-from cluttergen_jax.assets.readers.mjcf_scene import read_mjcf_scene
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.assets.support_file import read_support, write_support
-from cluttergen_jax.bank import read_bank
-from cluttergen_jax.bank.scene import read_scenes
-from cluttergen_jax.bank.stats import stats_of
-from cluttergen_jax.bank.verify import verify_scene
 from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.importing.readers import find_sources, read_shape
+from cluttergen_jax.importing.readers.mjcf_scene import read_mjcf_scene
+from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_record, save_policy
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.scene.bank.stats import stats_of
+from cluttergen_jax.scene.bank.verify import verify_scene
 from cluttergen_jax.scene.xml import scene_xml
 from tests import banks
 from tests.worlds import trio

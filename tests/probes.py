@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from brax.envs.base import Env, State
 
-from cluttergen_jax.agent.config import PPOConfig
-from cluttergen_jax.agent.ppo import PPO
-from cluttergen_jax.networks.distributions import Beta
+from cluttergen_jax.learning.networks.distributions import Beta
+from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.learning.ppo.ppo import PPO
 from cluttergen_jax.types import Array
 
 

@@ -10,10 +10,10 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.physics.report import empty_settling, empty_standing
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.placement.region import Region, make_region
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Geometry
-from cluttergen_jax.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 from tests.worlds import trio
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
-from cluttergen_jax.placement.recording import Attempt, Recording
+from cluttergen_jax.placement.rollout.replay import Attempt, Recording
 from cluttergen_jax.types import Verdict
 from tests.test_render import GREEN, RED
 

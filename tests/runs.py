@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
-from cluttergen_jax.agent.config import PPOConfig
-from cluttergen_jax.networks.config import NetworkConfig
-from cluttergen_jax.training.interrupt import Interrupt
-from cluttergen_jax.training.run import Run, RunConfig
+from cluttergen_jax.learning.networks.config import NetworkConfig
+from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.learning.training.interrupt import Interrupt
+from cluttergen_jax.learning.training.run import Run, RunConfig
 from tests.problems import made_up_rules
 
 SMALL = NetworkConfig(

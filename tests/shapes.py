@@ -3,8 +3,8 @@
 import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.readers.primitives import box
 from cluttergen_jax.assets.shape import Cavity, Piece, Provenance, Shape
+from cluttergen_jax.importing.readers.primitives import box
 
 SOURCE = Provenance("a test", "CC0")
 

@@ -11,11 +11,11 @@ import pytest
 from PIL import Image
 
 from cluttergen_jax.assets.pool import Pool, write_pool
-from cluttergen_jax.bank import read_bank, verify
-from cluttergen_jax.bank.verify import verify_scene
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.render.gl import renderer_status
+from cluttergen_jax.rendering.gl import renderer_status
+from cluttergen_jax.scene.bank import read_bank, verify
+from cluttergen_jax.scene.bank.verify import verify_scene
 from tests.worlds import trio
 
 

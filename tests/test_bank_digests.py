@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from cluttergen_jax.bank import read_bank
-from cluttergen_jax.bank.bank import index_bytes
-from cluttergen_jax.bank.digests import changes_of
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, UnsafePathError
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.bank import index_bytes
+from cluttergen_jax.scene.bank.digests import changes_of
 from tests import banks
 
 PART, SCENE = "assets/objects/prism/part-00.obj", "scenes/000000.xml"

@@ -19,15 +19,15 @@ import pytest
 
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.bank import read_bank
-from cluttergen_jax.bank.bank import block_path
-from cluttergen_jax.bank.card import CARD, write_card
-from cluttergen_jax.bank.stats import stats_of, stats_text
-from cluttergen_jax.bank.table import SCHEMA
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.sampling import BLOCK_SIZE
+from cluttergen_jax.placement.rollout import BLOCK_SIZE
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.bank import block_path
+from cluttergen_jax.scene.bank.card import CARD, write_card
+from cluttergen_jax.scene.bank.stats import stats_of, stats_text
+from cluttergen_jax.scene.bank.table import SCHEMA
 from tests import banks
 from tests.worlds import box, trio
 

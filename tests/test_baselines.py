@@ -16,13 +16,13 @@ from shapely.geometry import box as rectangle
 
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
-from cluttergen_jax.baselines import METHODS, make_proposer
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.baselines import METHODS, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
+from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose, make_problem
 from cluttergen_jax.placement.region import KeepOut, is_kept_out, pose_of_action
-from cluttergen_jax.problem import Problem, ProblemConfig, compose, make_problem
-from cluttergen_jax.sampling import BlockSampler
+from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.types import Array
 from tests.problems import trio_problem
 from tests.worlds import trio

@@ -23,10 +23,10 @@ from cluttergen_jax.assets.parts import (
     sound_points,
     with_plain_bottom,
 )
-from cluttergen_jax.assets.readers.primitives import cylinder, ellipsoid
 from cluttergen_jax.assets.rest import settled_turn, tilt_of, upright_turn
 from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.errors import AssetError, ConfigError
+from cluttergen_jax.importing.readers.primitives import cylinder, ellipsoid
 from cluttergen_jax.importing.solo import solo_poses, solo_stability, with_solo
 from tests.shapes import open_box, open_box_slabs, shape_of, slab
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import cluttergen_jax
-from cluttergen_jax.bank import read_bank
-from cluttergen_jax.bank.bank import block_path, read_block
-from cluttergen_jax.bank.card import CARD
-from cluttergen_jax.bank.stats import stats_of
-from cluttergen_jax.bank.table import CERTIFICATE
-from cluttergen_jax.bank.writer import write_rows
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.sampling import BLOCK_SIZE
+from cluttergen_jax.placement.rollout import BLOCK_SIZE
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.bank import block_path, read_block
+from cluttergen_jax.scene.bank.card import CARD
+from cluttergen_jax.scene.bank.stats import stats_of
+from cluttergen_jax.scene.bank.table import CERTIFICATE
+from cluttergen_jax.scene.bank.writer import write_rows
 from tests import banks
 
 

@@ -6,10 +6,10 @@ import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.agent.checkpoint import read_policy, save_policy
-from cluttergen_jax.agent.pose_agent import ENCODER
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.training.encoder_weights import with_encoder
+from cluttergen_jax.learning.ppo.checkpoint import read_policy, save_policy
+from cluttergen_jax.learning.ppo.pose_agent import ENCODER
+from cluttergen_jax.learning.training.encoder_weights import with_encoder
 
 KERNEL, BIAS = "params/actor/kernel", "params/actor/bias"
 LIKE = {

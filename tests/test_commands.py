@@ -17,13 +17,13 @@ from cluttergen_jax.cli.commands import COMMANDS, overview
 from cluttergen_jax.cli.main import main, parsed
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.evaluation.suites import FORMER_NAMES, SUITES
-from cluttergen_jax.export.formats import FORMATS
-from cluttergen_jax.methods import METHODS
+from cluttergen_jax.generation import generate, make_sampler
+from cluttergen_jax.learning.methods import METHODS
+from cluttergen_jax.learning.training.presets import PRESETS
 from cluttergen_jax.physics.log import silent_import
 from cluttergen_jax.placement.changes import CHANGES
-from cluttergen_jax.problem import ProblemConfig, crowding, make_problem
-from cluttergen_jax.sampler import generate, make_sampler
-from cluttergen_jax.training.presets import PRESETS
+from cluttergen_jax.placement.problem import ProblemConfig, crowding, make_problem
+from cluttergen_jax.scene.export.formats import FORMATS
 from tests.banks import two_scenes
 from tests.worlds import box
 
@@ -209,6 +209,6 @@ def test_only_remarks_on_missing_packages_are_left_out(capsys):
 
 @pytest.mark.slow
 def test_mjx_says_nothing_of_warp():
-    code = "import sys; sys.modules['warp'] = None; from cluttergen_jax.physics.brax_env import Env"
+    code = "import sys; sys.modules['warp'] = None; from cluttergen_jax.placement.brax_env import Env"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == ""

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from cluttergen_jax.networks.distributions import EDGE, HEADS, Beta, Categorical, Mixture, TruncatedNormal
+from cluttergen_jax.learning.networks.distributions import (
+    EDGE,
+    HEADS,
+    Beta,
+    Categorical,
+    Mixture,
+    TruncatedNormal,
+)
 
 RAW = jax.random.normal(jax.random.key(0), (40, 4, 2)) * 2.5
 

@@ -9,17 +9,17 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
-from cluttergen_jax.agent.config import PPOConfig
-from cluttergen_jax.agent.pose_agent import PoseAgent
-from cluttergen_jax.agent.ppo import PPO
 from cluttergen_jax.assets.cloud import farthest_first
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.networks import cloud_encoder, sampling
-from cluttergen_jax.networks.actor_critic import NetworkConfig
-from cluttergen_jax.networks.cloud_encoder import CloudEncoder, CloudNet, encode_scenes, init_encoder
-from cluttergen_jax.networks.clouds import CloudLayout, even_points, scene_cloud
-from cluttergen_jax.networks.pointnet2 import PointNet2, SetAbstraction
-from cluttergen_jax.networks.sampling import ball_query, farthest_points
+from cluttergen_jax.learning.networks import cloud_encoder, sampling
+from cluttergen_jax.learning.networks.actor_critic import NetworkConfig
+from cluttergen_jax.learning.networks.cloud_encoder import CloudEncoder, CloudNet, encode_scenes, init_encoder
+from cluttergen_jax.learning.networks.pointnet2 import PointNet2, SetAbstraction
+from cluttergen_jax.learning.networks.sampling import ball_query, farthest_points
+from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.learning.ppo.pose_agent import PoseAgent
+from cluttergen_jax.learning.ppo.ppo import PPO
+from cluttergen_jax.placement.clouds import CloudLayout, even_points, scene_cloud
 from cluttergen_jax.placement.env import PlacementEnv
 from tests.problems import made_up_rules
 from tests.runs import compiled_once

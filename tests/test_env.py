@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from brax.envs.wrappers.training import AutoResetWrapper, EpisodeWrapper, VmapWrapper, wrap
 
-from cluttergen_jax.baselines import make_proposer
-from cluttergen_jax.networks.clouds import scene_cloud
+from cluttergen_jax.placement.baselines import make_proposer
+from cluttergen_jax.placement.clouds import scene_cloud
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.region import from_pose

@@ -12,7 +12,7 @@ from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpoint
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial, key_of
-from cluttergen_jax.policies.embedded import list_policies
+from cluttergen_jax.learning.policies.embedded import list_policies
 
 SMALL = Trial(num_objects=2, trials=6)
 

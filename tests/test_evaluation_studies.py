@@ -11,6 +11,7 @@ from cluttergen_jax.assets.support_file import list_supports
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import published
 from cluttergen_jax.evaluation.document import document, read_results
+from cluttergen_jax.evaluation.measures.survival import PEERS
 from cluttergen_jax.evaluation.report import tables_of
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.running import run_study
@@ -20,7 +21,6 @@ from cluttergen_jax.evaluation.studies.study import Findings, Scale, Study, each
 from cluttergen_jax.evaluation.studies.survival import SURVIVAL
 from cluttergen_jax.evaluation.suites import FORMER_NAMES, STUDIES, SUITES, find_suite
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.measures.survival import PEERS
 
 DOCS = Path(__file__).parent.parent / "docs"
 SMALL = Trial(num_objects=2, trials=6)

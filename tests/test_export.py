@@ -15,16 +15,16 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shading import linear, shaded
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.bank.reference import parse_reference
-from cluttergen_jax.bank.verify import verify_scene
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.cli.parse import parse_numbers
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.export import FORMATS, export_scenes
-from cluttergen_jax.export.frames import euler_of, principal_of
-from cluttergen_jax.export.scene_json import scene_bounds
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.scene import Origin, Scene
+from cluttergen_jax.scene.bank.reference import parse_reference
+from cluttergen_jax.scene.bank.verify import verify_scene
+from cluttergen_jax.scene.export import FORMATS, export_scenes
+from cluttergen_jax.scene.export.frames import euler_of, principal_of
+from cluttergen_jax.scene.export.scene_json import scene_bounds
 from tests.shapes import slab
 from tests.worlds import trio
 

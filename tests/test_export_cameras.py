@@ -12,9 +12,9 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.export import FORMATS, export_scenes
-from cluttergen_jax.render.gl import gl_context
+from cluttergen_jax.rendering.gl import gl_context
 from cluttergen_jax.scene import CAMERAS, scene_cameras
+from cluttergen_jax.scene.export import FORMATS, export_scenes
 from tests.test_export import spread
 from tests.test_export_cli import bank  # noqa: F401
 from tests.test_render import needs_gl

@@ -9,14 +9,14 @@ import pyarrow as pa
 import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.bank import BankWriter, read_bank
-from cluttergen_jax.bank.reference import numbers_text
-from cluttergen_jax.bank.scene import read_scenes
-from cluttergen_jax.bank.table import SCHEMA
-from cluttergen_jax.bank.verify import verify_scene
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.scene import collect
+from cluttergen_jax.scene.bank import BankWriter, read_bank
+from cluttergen_jax.scene.bank.reference import numbers_text
+from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.scene.bank.table import SCHEMA
+from cluttergen_jax.scene.bank.verify import verify_scene
 from cluttergen_jax.scene.xml import scene_xml
 from tests.test_export import spread
 from tests.worlds import trio

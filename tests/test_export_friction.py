@@ -10,8 +10,8 @@ import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.export import export_scenes
-from cluttergen_jax.export.friction import factor_of, harmonic_of, mean_of
+from cluttergen_jax.scene.export import export_scenes
+from cluttergen_jax.scene.export.friction import factor_of, harmonic_of, mean_of
 from tests.test_export import spread
 from tests.worlds import trio
 

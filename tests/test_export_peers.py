@@ -17,10 +17,10 @@ import pytest
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.bank import read_bank
-from cluttergen_jax.bank.scene import read_scenes
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.export import export_scenes
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.scene.export import export_scenes
 from tests.test_export import NAMES, assert_same_pose, spread
 
 PEERS = Path(__file__).parent / "peers"

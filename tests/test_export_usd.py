@@ -8,7 +8,7 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shading import linear
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.export import export_scenes
+from cluttergen_jax.scene.export import export_scenes
 from tests.test_export import CLOSE, NAMES, matrix, spread
 from tests.worlds import trio
 

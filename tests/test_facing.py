@@ -8,11 +8,11 @@ import trimesh
 from cluttergen_jax.assets.body import make_object
 from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.mesh import Mesh, joined
-from cluttergen_jax.assets.readers.primitives import cylinder, ellipsoid
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import simplified, solid_of
-from cluttergen_jax.render.gl import renderer_status
-from cluttergen_jax.render.picture import render_model
+from cluttergen_jax.importing.readers.primitives import cylinder, ellipsoid
+from cluttergen_jax.rendering.gl import renderer_status
+from cluttergen_jax.rendering.picture import render_model
 from tests.shapes import open_box_slabs, shape_of, slab
 
 IS_DRAWING, STATUS = renderer_status()

@@ -7,16 +7,16 @@ import pytest
 from PIL import Image
 
 from cluttergen_jax.errors import ConfigError, MissingExtraError
-from cluttergen_jax.render import video
-from cluttergen_jax.render.assets import close_points
-from cluttergen_jax.render.config import FilmConfig
-from cluttergen_jax.render.figure import GREEN as GREEN_RING
-from cluttergen_jax.render.figure import closed_loop_figure, closed_loop_slot
-from cluttergen_jax.render.film import replay, replay_frames, turntable
-from cluttergen_jax.render.overlay import Ring, ring_around, with_caption, with_rings
-from cluttergen_jax.render.renderer import Trail, thresholds
-from cluttergen_jax.render.scene_renderer import RED, PictureConfig, RenderStyle, scene_renderer, swept
-from cluttergen_jax.render.video import save_film
+from cluttergen_jax.rendering import video
+from cluttergen_jax.rendering.assets import close_points
+from cluttergen_jax.rendering.config import FilmConfig
+from cluttergen_jax.rendering.figure import GREEN as GREEN_RING
+from cluttergen_jax.rendering.figure import closed_loop_figure, closed_loop_slot
+from cluttergen_jax.rendering.film import replay, replay_frames, turntable
+from cluttergen_jax.rendering.overlay import Ring, ring_around, with_caption, with_rings
+from cluttergen_jax.rendering.renderer import Trail, thresholds
+from cluttergen_jax.rendering.scene_renderer import RED, PictureConfig, RenderStyle, scene_renderer, swept
+from cluttergen_jax.rendering.video import save_film
 from tests.recordings import cubes
 from tests.test_render import needs_gl
 

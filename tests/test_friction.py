@@ -14,11 +14,11 @@ from cluttergen_jax.assets.object_files import object_hash, read_object, write_o
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.measures.robustness import Change, changed
-from cluttergen_jax.measures.scene_models import SceneModels
+from cluttergen_jax.evaluation.measures.robustness import Change, changed
+from cluttergen_jax.evaluation.measures.scene_models import SceneModels
+from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.xml import scene_xml
-from cluttergen_jax.world import make_world
 from tests.worlds import TOP, box
 
 STABILITY, CONTACT, TABLE = StabilityConfig(), ContactConfig(), cuboid_table()

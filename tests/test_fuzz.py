@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from cluttergen_jax.assets.object_files import read_object
 from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.support_file import read_support
-from cluttergen_jax.bank import read_bank
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.policies.checkpoint import read_checkpoint
+from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
+from cluttergen_jax.scene.bank import read_bank
 from tests.fuzzing import CORPUS, READERS, Bench, mutated
 
 QUIET = pytest.mark.filterwarnings("ignore::RuntimeWarning")

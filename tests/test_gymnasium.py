@@ -12,9 +12,9 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import cluttergen_jax as cg
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.generation.gymnasium_envs import GymnasiumEnv, GymnasiumVectorEnv
+from cluttergen_jax.generation.wrappers import ActionRange, FlatObservation
 from cluttergen_jax.placement.env import PlacementEnv
-from cluttergen_jax.sampler.gymnasium_envs import GymnasiumEnv, GymnasiumVectorEnv
-from cluttergen_jax.sampler.wrappers import ActionRange, FlatObservation
 from tests.problems import made_up_rules
 
 NUM = 3

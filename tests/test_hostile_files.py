@@ -17,16 +17,16 @@ import cluttergen_jax as cg
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.assets.pool import Pool, read_pool, write_pool
 from cluttergen_jax.assets.support_file import read_support
-from cluttergen_jax.bank import read_bank
-from cluttergen_jax.bank.bank import index_bytes, read_block
-from cluttergen_jax.bank.digests import digests_in
-from cluttergen_jax.bank.scene import read_scenes
-from cluttergen_jax.bank.table import SCHEMA
-from cluttergen_jax.bank.writer import write_rows
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, ClutterGenError, PoolError, UnsafePathError
-from cluttergen_jax.export import FORMATS, export_scenes
 from cluttergen_jax.files import inside, write_atomically
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.bank import index_bytes, read_block
+from cluttergen_jax.scene.bank.digests import digests_in
+from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.scene.bank.table import SCHEMA
+from cluttergen_jax.scene.bank.writer import write_rows
+from cluttergen_jax.scene.export import FORMATS, export_scenes
 from tests import banks
 from tests.worlds import box, trio
 

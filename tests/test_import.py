@@ -13,11 +13,11 @@ import trimesh
 from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.pool import find_pool, user_root
-from cluttergen_jax.assets.readers import ReadOptions, find_sources
 from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.inspect_ import Inspect
 from cluttergen_jax.errors import AssetError, PoolError
 from cluttergen_jax.importing import cache, run
+from cluttergen_jax.importing.readers import ReadOptions, find_sources
 from cluttergen_jax.importing.run import ImportConfig, import_sources
 from cluttergen_jax.importing.worker import ObjectConfig
 

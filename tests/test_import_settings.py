@@ -6,12 +6,12 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.readers import ReadOptions, read_shape
-from cluttergen_jax.assets.readers.axes import AXES, turn_of
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.importing import cache, run
 from cluttergen_jax.importing.planning import plan_all
+from cluttergen_jax.importing.readers import ReadOptions, read_shape
+from cluttergen_jax.importing.readers.axes import AXES, turn_of
 from cluttergen_jax.importing.run import ImportConfig, import_sources
 from cluttergen_jax.importing.worker import ObjectConfig
 

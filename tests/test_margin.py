@@ -12,17 +12,17 @@ from shapely.geometry import MultiPoint, Point
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.evaluation.measures.certificate import certificates
+from cluttergen_jax.evaluation.measures.scene_models import SceneModels
+from cluttergen_jax.evaluation.measures.tilt import TiltConfig, tilt
 from cluttergen_jax.evaluation.trial import Trial, key_of
-from cluttergen_jax.measures.certificate import certificates
-from cluttergen_jax.measures.scene_models import SceneModels
-from cluttergen_jax.measures.tilt import TiltConfig, tilt
 from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.physics.mjx_margin import support_margins
 from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig, placement_record
 from cluttergen_jax.placement.scenes import scenes_of
 from cluttergen_jax.placement.types import Start
+from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.types import Verdict
-from cluttergen_jax.world import make_world
 from tests import banks
 from tests.problems import HalfTable, made_up_rules, trio_problem
 from tests.worlds import TOP, box

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.measures.acceptance import acceptance_bias, bias_of, octant_of, zone_of
+from cluttergen_jax.evaluation.measures.acceptance import acceptance_bias, bias_of, octant_of, zone_of
 
 REGION = Rectangle((0.0, 0.0), (0.3, 0.35), 0.0)
 

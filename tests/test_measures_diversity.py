@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.measures.arrangement import by_object, region_positions
-from cluttergen_jax.measures.diversity import (
+from cluttergen_jax.evaluation.measures.arrangement import by_object, region_positions
+from cluttergen_jax.evaluation.measures.diversity import (
     at_equal_count,
     nearest_distance,
     plan_box_area,
@@ -17,7 +17,12 @@ from cluttergen_jax.measures.diversity import (
     scene_kernel,
     vendi_score,
 )
-from cluttergen_jax.measures.embedding import embed, independent_distance, moment_root, scene_distances
+from cluttergen_jax.evaluation.measures.embedding import (
+    embed,
+    independent_distance,
+    moment_root,
+    scene_distances,
+)
 from tests.worlds import box
 
 REGION = Rectangle((0.1, -0.2), (0.3, 0.2), 0.7)

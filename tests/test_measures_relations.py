@@ -8,11 +8,11 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.measures.contacts import closure, contacts_of
-from cluttergen_jax.measures.hollows import vessel_of
-from cluttergen_jax.measures.relations import Relation, count_relations, relations, tilt_from_rest
-from cluttergen_jax.measures.scene_models import SceneModels
-from cluttergen_jax.world import make_world
+from cluttergen_jax.evaluation.measures.contacts import closure, contacts_of
+from cluttergen_jax.evaluation.measures.hollows import vessel_of
+from cluttergen_jax.evaluation.measures.relations import Relation, count_relations, relations, tilt_from_rest
+from cluttergen_jax.evaluation.measures.scene_models import SceneModels
+from cluttergen_jax.placement.world import make_world
 from tests.worlds import TOP, box
 
 GRAVITY = 9.81

@@ -9,11 +9,19 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.measures.certificate import certificates
-from cluttergen_jax.measures.robustness import CHANGES, Change, ShakeConfig, changed, creep, shake, survives
-from cluttergen_jax.measures.scene_models import SceneModels
-from cluttergen_jax.measures.simulate import movement, shift_and_turn
-from cluttergen_jax.world import make_world
+from cluttergen_jax.evaluation.measures.certificate import certificates
+from cluttergen_jax.evaluation.measures.robustness import (
+    CHANGES,
+    Change,
+    ShakeConfig,
+    changed,
+    creep,
+    shake,
+    survives,
+)
+from cluttergen_jax.evaluation.measures.scene_models import SceneModels
+from cluttergen_jax.evaluation.measures.simulate import movement, shift_and_turn
+from cluttergen_jax.placement.world import make_world
 from tests.worlds import TOP, box
 
 GRAVITY = 9.81

@@ -6,11 +6,11 @@ import pytest
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.measures.bullet_world import BodyFrames
-from cluttergen_jax.measures.scene_models import SceneModels
-from cluttergen_jax.measures.simulate import movement
-from cluttergen_jax.measures.survival import movement_elsewhere
-from cluttergen_jax.world import make_world
+from cluttergen_jax.evaluation.measures.bullet_world import BodyFrames
+from cluttergen_jax.evaluation.measures.scene_models import SceneModels
+from cluttergen_jax.evaluation.measures.simulate import movement
+from cluttergen_jax.evaluation.measures.survival import movement_elsewhere
+from cluttergen_jax.placement.world import make_world
 from tests.worlds import TOP, box, prism
 
 OBJECTS = [box("low", (0.05, 0.05, 0.02)), box("tall", (0.02, 0.03, 0.06)), prism("prism", 0.03, 0.02)]

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.readers import read_source
-from cluttergen_jax.assets.readers.text import utf8
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers import read_source
+from cluttergen_jax.importing.readers.text import utf8
 
 OBJ = """# {comment}
 mtllib box.mtl

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.agents import make_agent
-from cluttergen_jax.networks.config import NetworkConfig
+from cluttergen_jax.learning.agents import make_agent
+from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.placement.observation import height_grid
 from tests.problems import made_up_rules
 

@@ -7,16 +7,16 @@ import trimesh
 
 from cluttergen_jax.assets import pool as pools
 from cluttergen_jax.assets.pool import Pool, composed, find_pool, public_name, user_root, write_pool
-from cluttergen_jax.bank import read_bank
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.run import ImportConfig, import_sources
 from cluttergen_jax.importing.worker import ObjectConfig
-from cluttergen_jax.methods import choose_method
-from cluttergen_jax.sampler import make_sampler
-from cluttergen_jax.training.train import TrainConfig
+from cluttergen_jax.learning.methods import choose_method
+from cluttergen_jax.learning.training.train import TrainConfig
+from cluttergen_jax.scene.bank import read_bank
 from tests.test_pool import make_box
 from tests.worlds import box, prism
 

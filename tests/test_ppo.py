@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.agent.advantages import generalised_advantages
-from cluttergen_jax.agent.checkpoint import read_state, save_state
-from cluttergen_jax.agent.config import PPOConfig
 from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.learning.ppo.advantages import generalised_advantages
+from cluttergen_jax.learning.ppo.checkpoint import read_state, save_state
+from cluttergen_jax.learning.ppo.config import PPOConfig
 from tests.probes import Bandit, Coin, Constant, Late, Tiny, learner, train
 
 
@@ -88,7 +88,7 @@ def test_seed_decides():
 
 
 def test_no_checkpoint_is_said_so(tmp_path):
-    from cluttergen_jax.agent.checkpoint import read_record
+    from cluttergen_jax.learning.ppo.checkpoint import read_record
 
     with pytest.raises(PoolError, match="not a checkpoint"):
         read_record(tmp_path / "nothing")

@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.agent.checkpoint import read_record
 from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.networks.cloud_encoder import CloudEncoder, init_encoder
-from cluttergen_jax.networks.config import NetworkConfig
-from cluttergen_jax.training import pretrain
-from cluttergen_jax.training.classifier import AugmentConfig, augmented
-from cluttergen_jax.training.encoder_weights import choose_encoder, fitted, with_encoder
-from cluttergen_jax.training.pretrain import PretrainConfig, Pretraining
-from cluttergen_jax.training.run import Run, RunConfig
-from cluttergen_jax.training.shapes import make_clouds, shape_cloud
+from cluttergen_jax.learning.networks.cloud_encoder import CloudEncoder, init_encoder
+from cluttergen_jax.learning.networks.config import NetworkConfig
+from cluttergen_jax.learning.ppo.checkpoint import read_record
+from cluttergen_jax.learning.training import pretrain
+from cluttergen_jax.learning.training.classifier import AugmentConfig, augmented
+from cluttergen_jax.learning.training.encoder_weights import choose_encoder, fitted, with_encoder
+from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretraining
+from cluttergen_jax.learning.training.run import Run, RunConfig
+from cluttergen_jax.learning.training.shapes import make_clouds, shape_cloud
 from tests.problems import made_up_rules
 from tests.runs import PPO, compiled_once, recipe
 

@@ -7,21 +7,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.agent.checkpoint import save_policy
-from cluttergen_jax.agent.config import PPOConfig
-from cluttergen_jax.agent.ppo import PPO
-from cluttergen_jax.agents import make_agent
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.methods import make_filtered
-from cluttergen_jax.networks.config import NetworkConfig
-from cluttergen_jax.networks.ranking import RankerConfig
+from cluttergen_jax.learning.agents import make_agent
+from cluttergen_jax.learning.methods import make_filtered
+from cluttergen_jax.learning.networks.config import NetworkConfig
+from cluttergen_jax.learning.networks.ranking import RankerConfig
+from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
+from cluttergen_jax.learning.policies.policy import TrainedPolicy, load_policy
+from cluttergen_jax.learning.ppo.checkpoint import save_policy
+from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.learning.ppo.ppo import PPO
+from cluttergen_jax.learning.ranking.candidates import PATCH_SIDE
+from cluttergen_jax.learning.ranking.env import RankingEnv
+from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.region import action_scale
-from cluttergen_jax.policies.checkpoint import read_checkpoint
-from cluttergen_jax.policies.policy import TrainedPolicy, load_policy
-from cluttergen_jax.ranking.candidates import PATCH_SIDE
-from cluttergen_jax.ranking.env import RankingEnv
-from cluttergen_jax.search import LowestFit, SearchConfig
+from cluttergen_jax.placement.search import SearchConfig
 from tests.problems import trio_problem
 
 SEARCH = SearchConfig(num_candidates=64, num_finalists=8)

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.baselines import make_proposer
 from cluttergen_jax.physics.host import SwappablePhysics
+from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.problem import ProblemConfig, compose
 from cluttergen_jax.placement.region import pose_of_action
-from cluttergen_jax.problem import ProblemConfig, compose
-from cluttergen_jax.sampling import BlockSampler
-from cluttergen_jax.sampling.record import Recorder, rectangle_of
+from cluttergen_jax.placement.rollout import BlockSampler
+from cluttergen_jax.placement.rollout.record import Recorder, rectangle_of
 from cluttergen_jax.types import Verdict
 from tests.problems import region
 from tests.worlds import trio

@@ -14,12 +14,12 @@ from cluttergen_jax.assets.object import ObjectAsset, RestingPose
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.render.assets import object_sheet, render_scene, scene_spec
-from cluttergen_jax.render.camera import axes, corners, fitted_eye
-from cluttergen_jax.render.config import View
-from cluttergen_jax.render.gl import renderer_status
-from cluttergen_jax.render.lighting import add_lighting
-from cluttergen_jax.render.picture import contact_sheet, render_model, save_png
+from cluttergen_jax.rendering.assets import object_sheet, render_scene, scene_spec
+from cluttergen_jax.rendering.camera import axes, corners, fitted_eye
+from cluttergen_jax.rendering.config import View
+from cluttergen_jax.rendering.gl import renderer_status
+from cluttergen_jax.rendering.lighting import add_lighting
+from cluttergen_jax.rendering.picture import contact_sheet, render_model, save_png
 
 IS_DRAWING, STATUS = renderer_status()
 needs_gl = pytest.mark.skipif(not IS_DRAWING, reason=STATUS)
@@ -88,7 +88,7 @@ GREEN = cube("green", 0.04, (0.1, 0.8, 0.1, 1.0))
 
 
 def status_with(value):
-    code = "from cluttergen_jax.render.gl import renderer_status; print(*renderer_status(), sep='|')"
+    code = "from cluttergen_jax.rendering.gl import renderer_status; print(*renderer_status(), sep='|')"
     env = {**os.environ, "MUJOCO_GL": value}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr

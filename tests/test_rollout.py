@@ -8,14 +8,14 @@ import jax.monitoring
 import numpy as np
 import pytest
 
-from cluttergen_jax.agents import make_agent
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.baselines import make_proposer
-from cluttergen_jax.networks.ranking import RankerConfig
+from cluttergen_jax.learning.agents import make_agent
+from cluttergen_jax.learning.networks.ranking import RankerConfig
+from cluttergen_jax.learning.policies.policy import make_policy
+from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.changes import ChangedRegion, find_change
-from cluttergen_jax.policies.policy import make_policy
-from cluttergen_jax.sampling import BlockSampler, Rollout
-from cluttergen_jax.sampling import run as run_module
+from cluttergen_jax.placement.rollout import BlockSampler, Rollout
+from cluttergen_jax.placement.rollout import run as run_module
 from tests.problems import HalfTable, made_up_rules
 from tests.runs import SMALL
 

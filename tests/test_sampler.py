@@ -16,15 +16,15 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.bank import read_bank
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError, PoolError
-from cluttergen_jax.methods import FALLBACK_METHOD, choose_method, suited
+from cluttergen_jax.learning.methods import FALLBACK_METHOD, choose_method, suited
+from cluttergen_jax.learning.policies.checkpoint import Checkpoint
+from cluttergen_jax.learning.policies.embedded import list_policies
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.region import KeepOut, make_region
 from cluttergen_jax.placement.rules import empty_start
-from cluttergen_jax.policies.checkpoint import Checkpoint
-from cluttergen_jax.policies.embedded import list_policies
+from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.types import Verdict
 from tests.worlds import trio
 
@@ -338,13 +338,13 @@ def test_the_default_method_follows_what_is_embedded(pool, monkeypatch):
     assert default_method("dining", "table-0.30x0.40", 40, str(list_policies()["dining-ranked"])) == "ranked"
     success = {"dining": 0.97, "kitchen": 0.4}
     embedded = {f"{name}-policy": name for name in (*success, "office")}
-    monkeypatch.setattr("cluttergen_jax.methods.list_policies", lambda: embedded)
+    monkeypatch.setattr("cluttergen_jax.learning.methods.list_policies", lambda: embedded)
 
     def stored(name):
         evaluation = {"evaluation": {"success": success[name]}} if name in success else {}
         return Checkpoint(Path(name), {"support": "table", "placement": {"num_objects": 10}, **evaluation})
 
-    monkeypatch.setattr("cluttergen_jax.methods.read_checkpoint", stored)
+    monkeypatch.setattr("cluttergen_jax.learning.methods.read_checkpoint", stored)
     assert default_method("dining", "table", 10) == "policy"
     # A poor policy, one that was not evaluated, and none.
     assert [default_method(name, "table", 10) for name in ("kitchen", "office", "study")] == [

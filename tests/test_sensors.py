@@ -12,9 +12,9 @@ from cluttergen_jax.assets.scene_cloud import cloud_colours, ply_of, scene_point
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import transformed
-from cluttergen_jax.render.config import View
-from cluttergen_jax.render.scene_renderer import PictureConfig
-from cluttergen_jax.render.sensors import (
+from cluttergen_jax.rendering.config import View
+from cluttergen_jax.rendering.scene_renderer import PictureConfig
+from cluttergen_jax.rendering.sensors import (
     FIRST_OBJECT,
     FLOOR,
     SUPPORT,

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.reach import check_reach
-from cluttergen_jax.assets.readers import ReadOptions
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.assets.support_file import find_support, list_supports
 from cluttergen_jax.cli.main import main, run
 from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation.measures.simulate import horizons_of
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.generation import make_sampler
+from cluttergen_jax.importing.readers import ReadOptions
 from cluttergen_jax.importing.worker import ObjectConfig
-from cluttergen_jax.measures.simulate import horizons_of
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.problem import ProblemConfig, make_problem
-from cluttergen_jax.sampler import make_sampler
+from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.scene import Scene
 from tests.banks import two_scenes
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.bank import read_bank
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.geometry import turn_between
+from cluttergen_jax.scene.bank import read_bank
 from tests import banks
 
 

@@ -7,8 +7,8 @@ import trimesh
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.modeller.furniture import make_support
 from cluttergen_jax.assets.support_file import find_support, list_supports, user_supports
-from cluttergen_jax.bank import read_bank
 from cluttergen_jax.cli.main import main
+from cluttergen_jax.scene.bank import read_bank
 
 DESK = make_support("drawer_desk")
 

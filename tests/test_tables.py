@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import norm
 
 from cluttergen_jax.evaluation.cells import Column, asked, table_of
-from cluttergen_jax.evaluation.proportion import spread_of, wilson
+from cluttergen_jax.proportions import spread_of, wilson
 from cluttergen_jax.tables import Table, aligned_table, markdown_table
 
 

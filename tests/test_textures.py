@@ -16,17 +16,17 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
 from cluttergen_jax.assets.pieces import drawn
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.readers import ReadOptions, Source, find_sources, read_source, survey
 from cluttergen_jax.assets.scene_cloud import cloud_colours
 from cluttergen_jax.assets.shape import Piece, Shape
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
-from cluttergen_jax.assets.support_import import support_from_mesh
 from cluttergen_jax.assets.texture import Texture
-from cluttergen_jax.bank.bank import read_bank
-from cluttergen_jax.bank.writer import BankWriter
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.importing.cache import source_digest
-from cluttergen_jax.viewer.scene_nodes import textured_mesh
+from cluttergen_jax.importing.readers import ReadOptions, Source, find_sources, read_source, survey
+from cluttergen_jax.importing.support_import import support_from_mesh
+from cluttergen_jax.rendering.viewer.scene_nodes import textured_mesh
+from cluttergen_jax.scene.bank.bank import read_bank
+from cluttergen_jax.scene.bank.writer import BankWriter
 from tests import textured
 from tests.shapes import SOURCE
 

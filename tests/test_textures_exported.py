@@ -17,10 +17,10 @@ from PIL import Image
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
-from cluttergen_jax.export import export_scenes
-from cluttergen_jax.render.assets import render_scene
-from cluttergen_jax.render.camera import View
-from cluttergen_jax.render.gl import gl_context
+from cluttergen_jax.rendering.assets import render_scene
+from cluttergen_jax.rendering.camera import View
+from cluttergen_jax.rendering.gl import gl_context
+from cluttergen_jax.scene.export import export_scenes
 from tests import textured
 from tests.test_render import needs_gl
 from tests.test_textures import assert_upright

@@ -17,9 +17,9 @@ from brax.training.agents.ppo import train as ppo
 import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.errors import ClutterGenError, ConfigError
+from cluttergen_jax.generation.wrappers import ActionRange, FlatObservation, OnSurface
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.sampler.wrappers import ActionRange, FlatObservation, OnSurface
 from tests.problems import made_up_rules
 from tests.worlds import trio
 

@@ -7,15 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.agent.checkpoint import read_policy, read_record
-from cluttergen_jax.agent.pose_agent import PoseAgent
 from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.networks.config import NetworkConfig
+from cluttergen_jax.learning.networks.config import NetworkConfig
+from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
+from cluttergen_jax.learning.policies.policy import load_policy
+from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_record
+from cluttergen_jax.learning.ppo.pose_agent import PoseAgent
+from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig, observe
-from cluttergen_jax.policies.checkpoint import read_checkpoint
-from cluttergen_jax.policies.policy import load_policy
-from cluttergen_jax.training.metrics_log import read_rows
 from tests.problems import made_up_rules
 from tests.runs import SMALL, Stopping, compiled_once, make_run, weights
 

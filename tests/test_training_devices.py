@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cluttergen_jax.agent.checkpoint import read_record
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.training.distributed import agree, join
-from cluttergen_jax.training.metrics_log import read_rows
+from cluttergen_jax.learning.ppo.checkpoint import read_record
+from cluttergen_jax.learning.training.distributed import agree, join
+from cluttergen_jax.learning.training.metrics_log import read_rows
 
 ROOT = Path(__file__).parents[1]
 

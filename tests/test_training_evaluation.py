@@ -6,12 +6,12 @@ import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.agents import make_agent
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.learning.agents import make_agent
+from cluttergen_jax.learning.training.evaluator import Evaluator
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.problem import ProblemConfig, compose
-from cluttergen_jax.training.evaluator import Evaluator
+from cluttergen_jax.placement.problem import ProblemConfig, compose
 from tests.runs import SMALL
 from tests.worlds import trio
 

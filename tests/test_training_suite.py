@@ -7,19 +7,19 @@ import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.agent.checkpoint import read_record, save_policy, save_state
-from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.config import VARIANTS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.checkpoints import Checkpoints
 from cluttergen_jax.evaluation.suites import Scale, find_suite
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.training import suite_run
-from cluttergen_jax.training.run import Run, RunConfig
-from cluttergen_jax.training.suite import ATTEMPTS, POOLS, PlannedRun, plan
-from cluttergen_jax.training.suite_run import config_of
-from cluttergen_jax.training.train import TrainConfig, recipe_of
+from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy, save_state
+from cluttergen_jax.learning.training import suite_run
+from cluttergen_jax.learning.training.run import Run, RunConfig
+from cluttergen_jax.learning.training.suite import ATTEMPTS, POOLS, PlannedRun, plan
+from cluttergen_jax.learning.training.suite_run import config_of
+from cluttergen_jax.learning.training.train import TrainConfig, recipe_of
+from cluttergen_jax.placement.baselines import METHODS as BASELINES
 from tests.problems import made_up_rules
 
 

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.agent.checkpoint import read_record, read_state
-from cluttergen_jax.training.run import DivergedError
-from cluttergen_jax.training.updates import Updates, num_updates
+from cluttergen_jax.learning.ppo.checkpoint import read_record, read_state
+from cluttergen_jax.learning.training.run import DivergedError
+from cluttergen_jax.learning.training.updates import Updates, num_updates
 from tests.probes import Bandit, Tiny, learner
 from tests.runs import compiled_once, make_run, same_bits
 
@@ -134,7 +134,7 @@ def test_diverged_run_keeps_the_last_good_state(tmp_path, monkeypatch):
 
 def test_calls_of_a_run_do_not_change_it(tmp_path, monkeypatch):
     """A run that makes one update a call ends with the same bits as one that makes as many as it may."""
-    module = "cluttergen_jax.training.run.num_updates"
+    module = "cluttergen_jax.learning.training.run.num_updates"
     most = make_run(tmp_path / "most")
     monkeypatch.setattr(module, lambda seconds, most, longest: most)
     quick = most.train()

@@ -5,9 +5,9 @@ import os
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.readers import find_sources, read_shape, survey
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing import cache
+from cluttergen_jax.importing.readers import find_sources, read_shape, survey
 from cluttergen_jax.importing.worker import ObjectConfig
 
 URDF = """<robot name="r"><link name="a"><visual><geometry><mesh filename="{}"/></geometry></visual></link>

@@ -11,17 +11,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from cluttergen_jax.assets.readers.mjcf_scene import read_mjcf_scene
-from cluttergen_jax.bank import read_bank
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.cli.parse import parse_size
 from cluttergen_jax.errors import AssetError, BankError, ConfigError, MissingExtraError, PoolError
-from cluttergen_jax.sources import BankSource, LiveConfig, LiveSource, open_source
-from cluttergen_jax.sources.rendering import chosen_numbers
-from cluttergen_jax.sources.viewing import native_model
-from cluttergen_jax.viewer.native import DisplayError, check_display
-from cluttergen_jax.viewer.server import free_port, open_server
-from cluttergen_jax.viewer.words import attempt_words, scene_words
+from cluttergen_jax.generation.sources import BankSource, LiveConfig, LiveSource, open_source
+from cluttergen_jax.generation.sources.rendering import chosen_numbers
+from cluttergen_jax.generation.sources.viewing import native_model
+from cluttergen_jax.importing.readers.mjcf_scene import read_mjcf_scene
+from cluttergen_jax.rendering.viewer.native import DisplayError, check_display
+from cluttergen_jax.rendering.viewer.server import free_port, open_server
+from cluttergen_jax.rendering.viewer.words import attempt_words, scene_words
+from cluttergen_jax.scene.bank import read_bank
 from tests.recordings import cubes
 from tests.test_render import needs_gl
 

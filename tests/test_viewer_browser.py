@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cluttergen_jax.baselines import make_proposer
+from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.problem import ProblemConfig, make_problem
-from cluttergen_jax.sampling import BlockSampler
-from cluttergen_jax.sampling.record import Recorder
+from cluttergen_jax.placement.problem import ProblemConfig, make_problem
+from cluttergen_jax.placement.rollout import BlockSampler
+from cluttergen_jax.placement.rollout.record import Recorder
 
 FLAGS = (
     "--headless=new",
@@ -62,8 +62,8 @@ class Scenes:
 @pytest.fixture(scope="module")
 def viewer(tmp_path_factory):
     pytest.importorskip("viser", reason="the extra viewer is not installed")
-    from cluttergen_jax.viewer.server import open_server
-    from cluttergen_jax.viewer.viewer import Viewer
+    from cluttergen_jax.rendering.viewer.server import open_server
+    from cluttergen_jax.rendering.viewer.viewer import Viewer
 
     server = open_server("127.0.0.1", 0, "test")
     viewer = Viewer(Scenes(), server, 0, tmp_path_factory.mktemp("shots"))

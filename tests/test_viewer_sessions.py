@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from cluttergen_jax.viewer.server import open_server
-from cluttergen_jax.viewer.viewer import Viewer
+from cluttergen_jax.rendering.viewer.server import open_server
+from cluttergen_jax.rendering.viewer.viewer import Viewer
 from tests.recordings import cubes
 
 PATIENCE = 60

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh, joined
-from cluttergen_jax.assets.readers.primitives import box
 from cluttergen_jax.assets.voxels import Voxels, scan_lines
+from cluttergen_jax.importing.readers.primitives import box
 
 
 def as_mesh(tri):

@@ -149,9 +149,9 @@ def read_pool(path: str | Path) -> Pool:
 
 
 def embedded_root() -> Path:
-    """The folder `scenes`: inside the installed package, or beside it in a checkout."""
+    """The embedded pools and supports: `data` in the installed package, `scenes` beside it in a checkout."""
     package = Path(str(importlib.resources.files("cluttergen_jax")))
-    inside = package / "scenes"
+    inside = package / "data"
     return inside if inside.is_dir() else package.parent / "scenes"
 
 

@@ -31,7 +31,7 @@ class Certify:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        from cluttergen_jax.certification import certify
+        from cluttergen_jax.evaluation.certify import certify
 
         found = certify(self.path, seconds=self.seconds, jobs=self.jobs, force=self.force)
         print(

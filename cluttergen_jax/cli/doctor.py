@@ -44,7 +44,7 @@ class Doctor:
         """Runs the command; the exit status."""
         import jax
 
-        from cluttergen_jax.render.gl import renderer_status
+        from cluttergen_jax.rendering.gl import renderer_status
 
         print(f"python     {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores")
         for name in _CORE:

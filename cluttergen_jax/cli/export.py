@@ -36,8 +36,8 @@ class Export:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        from cluttergen_jax.export import FORMATS
-        from cluttergen_jax.sources.exporting import export
+        from cluttergen_jax.generation.sources.exporting import export
+        from cluttergen_jax.scene.export import FORMATS
 
         folder = export(**keywords(self) | {"scenes": parse_numbers(self.scenes)})
         print(f"{folder}: open with {FORMATS[self.format].opens_in}")

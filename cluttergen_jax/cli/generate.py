@@ -74,7 +74,7 @@ class Generate:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        from cluttergen_jax.sampler.generate import generate
+        from cluttergen_jax.generation.generate import generate
 
         print(with_flags(str(generate(**keywords(self))), Generate))
         return 0

@@ -38,8 +38,8 @@ class Inspect:
         print(f"pool {pool.name}, licence: {pool.licence or 'not stated'}, content {pool.hash[:12]}")
         print(pool_table(objects))
         if self.out is not None:
-            from cluttergen_jax.render.assets import object_sheet
-            from cluttergen_jax.render.sheet import save_png
+            from cluttergen_jax.rendering.assets import object_sheet
+            from cluttergen_jax.rendering.sheet import save_png
 
             print(save_png(object_sheet(objects, self.columns), self.out))
         return 0

@@ -18,7 +18,7 @@ class List:
         """Runs the command; the exit status."""
         from cluttergen_jax.assets.pool import ALL, EMBEDDED, list_pools, read_pool
         from cluttergen_jax.assets.support_file import list_supports
-        from cluttergen_jax.policies.embedded import list_policies
+        from cluttergen_jax.learning.policies.embedded import list_policies
 
         print("pools")
         for name, path in list_pools().items():

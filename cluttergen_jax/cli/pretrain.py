@@ -47,7 +47,7 @@ class Pretrain:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        from cluttergen_jax.training.pretrain import pretrain
+        from cluttergen_jax.learning.training.pretrain import pretrain
 
         print(f"run        {self.out or f'runs/encoder-{self.encoder}'}")
         report = pretrain(**keywords(self))

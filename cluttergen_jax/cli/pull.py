@@ -32,8 +32,8 @@ class Pull:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        from cluttergen_jax.bank import read_bank
-        from cluttergen_jax.bank.hub import pull_bank
+        from cluttergen_jax.scene.bank import read_bank
+        from cluttergen_jax.scene.bank.hub import pull_bank
 
         out = self.out or PurePosixPath(self.name).name
         path = pull_bank(self.name, out, hub=self.hub, revision=self.revision, overwrite=self.overwrite)

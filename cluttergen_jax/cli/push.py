@@ -29,8 +29,8 @@ class Push:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        from cluttergen_jax.bank import read_bank
-        from cluttergen_jax.bank.hub import local_paths, push_bank
+        from cluttergen_jax.scene.bank import read_bank
+        from cluttergen_jax.scene.bank.hub import local_paths, push_bank
 
         for path in local_paths(read_bank(self.bank)):
             print(f"note: the bank's record names a path of this machine, and will show it: {path}")

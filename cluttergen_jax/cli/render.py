@@ -13,7 +13,7 @@ from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.cli.parse import keywords, parse_numbers, parse_size
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.render.config import FilmConfig, View
+from cluttergen_jax.rendering.config import FilmConfig, View
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Render:
 
     def run(self) -> int:
         """Runs the command; the exit status, 1 if something could not be made."""
-        from cluttergen_jax.sources.rendering import render
+        from cluttergen_jax.generation.sources.rendering import render
 
         numbers = "all" if self.scenes and self.scenes.strip() == "all" else parse_numbers(self.scenes)
         size = None if self.size is None else parse_size(self.size)

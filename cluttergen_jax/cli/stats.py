@@ -26,10 +26,10 @@ class Stats:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        from cluttergen_jax.bank import read_bank
-        from cluttergen_jax.bank.card import CARD, write_card
-        from cluttergen_jax.bank.stats import stats_of, stats_text
         from cluttergen_jax.files import writing
+        from cluttergen_jax.scene.bank import read_bank
+        from cluttergen_jax.scene.bank.card import CARD, write_card
+        from cluttergen_jax.scene.bank.stats import stats_of, stats_text
 
         bank = read_bank(self.path)
         stats = stats_of(bank)

@@ -9,7 +9,7 @@ from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.cli.parse import keywords, refuse_given
 from cluttergen_jax.config import Change, Encoder, Engine, EvalAction, Preset, Reward, Suite, Variant
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.training.suite import POOLS, SEEDS
+from cluttergen_jax.learning.training.suite import POOLS, SEEDS
 
 _OF_SUITES = ("suite_list", "suite_only", "pools", "seeds")
 _OF_RUNS = ("pool", "exclude", "support", "change", "num_objects", "variant", "attempts", "seed")
@@ -92,14 +92,14 @@ class Train:
         """Runs the command; the exit status."""
         if self.suite is None:
             refuse_given(self, _OF_SUITES, "without a suite", "--suite paper")
-            from cluttergen_jax.training.train import train
+            from cluttergen_jax.learning.training.train import train
 
             train(**keywords(self, without=("suite", *_OF_SUITES)))
             return 0
         refuse_given(self, _OF_RUNS, "with a suite", "leaving it out: each run has its own")
         if self.coordinator is not None:
             raise ConfigError("a suite on several processes", "one run at a time there", "--suite-list")
-        from cluttergen_jax.training.suite_run import train_suite
+        from cluttergen_jax.learning.training.suite_run import train_suite
 
         report = train_suite(**keywords(self, without=(*_OF_RUNS, *_OF_PROCESSES)))
         for name, error in report.failed.items():

@@ -32,7 +32,7 @@ class Verify:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        from cluttergen_jax.bank.verify import verify
+        from cluttergen_jax.scene.bank.verify import verify
 
         report = verify(**keywords(self))
         print(report)

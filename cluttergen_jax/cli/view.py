@@ -45,7 +45,7 @@ class View:
 
     def run(self) -> int:
         """Runs the command; the exit status. The web viewer runs until Ctrl-C."""
-        from cluttergen_jax.sources.viewing import view
+        from cluttergen_jax.generation.sources.viewing import view
 
         # Whoever reads the address from a pipe waits for it.
         view(**keywords(self), show=partial(print, flush=True))

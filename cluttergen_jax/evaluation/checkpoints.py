@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.config import VARIANTS
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.methods import METHODS, checkpoint_of
-from cluttergen_jax.policies.checkpoint import read_checkpoint
-from cluttergen_jax.training.suite import DEFAULT_ATTEMPTS, DEFAULT_OBJECTS
+from cluttergen_jax.learning.methods import METHODS, checkpoint_of
+from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
+from cluttergen_jax.learning.training.suite import DEFAULT_ATTEMPTS, DEFAULT_OBJECTS
+from cluttergen_jax.placement.baselines import METHODS as BASELINES
 
 
 class MissingCheckpointError(PoolError):

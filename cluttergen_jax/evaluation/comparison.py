@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import composed
-from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.config import check_workers
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.evaluation.cells import SPEED, Column, Row, asked, number, share, share_of, table_of
@@ -20,6 +19,7 @@ from cluttergen_jax.evaluation.store import Store, json_bytes
 from cluttergen_jax.evaluation.studies.study import grid
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.placement.baselines import METHODS as BASELINES
 from cluttergen_jax.tables import Table
 
 DEFAULT_TRIALS = 1000

@@ -11,9 +11,9 @@ import jax
 import numpy as np
 from flax import struct
 
+from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
 from cluttergen_jax.placement.scenes import Scenes
 from cluttergen_jax.placement.types import Episode, Transition
-from cluttergen_jax.sampling import BLOCK_SIZE, BlockSampler, Rollout
 from cluttergen_jax.types import Array, Verdict
 
 _WIDTHS = (16, 64, BLOCK_SIZE)
@@ -70,7 +70,7 @@ def run_episodes(
     seed: int,
     on_done: Callable[[int], None] = lambda number: None,
 ) -> Outcome:
-    """Scenes 0 to num_scenes - 1 of `seed`: those of `sampling.sample_blocks`, with a log of attempts.
+    """Scenes 0 to num_scenes - 1 of `seed`: those of `rollout.sample_blocks`, with a log of attempts.
 
     Args:
       rollout: one that sees `attempts_of` each step.

@@ -9,14 +9,14 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.agent.checkpoint import read_record
 from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.evaluation.checkpoints import Checkpoints
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.trial import Trial, key_of
-from cluttergen_jax.methods import checkpoint_hash
+from cluttergen_jax.learning.methods import checkpoint_hash
+from cluttergen_jax.learning.ppo.checkpoint import read_record
 
 
 @dataclass(frozen=True, eq=False)

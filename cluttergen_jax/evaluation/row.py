@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.evaluation.episodes import Attempts, Outcome
-from cluttergen_jax.evaluation.proportion import spread_of, wilson
+from cluttergen_jax.proportions import spread_of, wilson
 from cluttergen_jax.types import Verdict
 
 LEAST_ATTEMPTS = 3

@@ -18,17 +18,17 @@ from cluttergen_jax.evaluation.resolved import ResolvedTrial, Resolver
 from cluttergen_jax.evaluation.row import arrays_of, figures_of
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.methods import proposer_of, suited
+from cluttergen_jax.learning.methods import proposer_of, suited
+from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import SwappablePhysics
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.policies.checkpoint import Checkpoint, read_checkpoint
-from cluttergen_jax.problem import Problem, ProblemConfig, compose
+from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
+from cluttergen_jax.placement.rollout import BlockSampler, Rollout
+from cluttergen_jax.placement.world import World
 from cluttergen_jax.progress import Progress, interruptible
-from cluttergen_jax.sampling import BlockSampler, Rollout
-from cluttergen_jax.world import World
 
 Row = dict[str, Any]
 _KEPT_SETUPS = 4

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.evaluation.measures.arrangement import by_object
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.measures.arrangement import by_object
-from cluttergen_jax.world import World
+from cluttergen_jax.placement.world import World
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ class Trial:
 
     Attributes:
       pool, support: names or folders.
-      method: a name of `methods.METHODS`.
+      method: a name of `learning.methods.METHODS`.
       num_objects: objects per scene; attempts: per object.
       trials: scenes.
       seed: of the scenes; training_seed: of the checkpoint, for learned methods.

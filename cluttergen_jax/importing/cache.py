@@ -14,10 +14,10 @@ from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
-from cluttergen_jax.assets.readers import Source
-from cluttergen_jax.assets.readers.companions import companions
-from cluttergen_jax.assets.readers.references import ModelFile, model_file
 from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.importing.readers import Source
+from cluttergen_jax.importing.readers.companions import companions
+from cluttergen_jax.importing.readers.references import ModelFile, model_file
 
 BODY_VERSION = 1
 """Raised when the code makes another body of the same files: geometry, masses, checks, colours or the files

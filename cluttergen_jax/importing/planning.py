@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cluttergen_jax.assets.readers import Found, ReadOptions, Skipped, Source, survey, ycb_sources
-from cluttergen_jax.assets.readers.axes import AUTO, UpAxis, own_up
-from cluttergen_jax.assets.readers.source import named_apart
 from cluttergen_jax.errors import AssetError, ConfigError
+from cluttergen_jax.importing.readers import Found, ReadOptions, Skipped, Source, survey, ycb_sources
+from cluttergen_jax.importing.readers.axes import AUTO, UpAxis, own_up
+from cluttergen_jax.importing.readers.source import named_apart
 from cluttergen_jax.importing.settings import OF_READING, Settings, read_settings, settings_for
 
 YCB = "ycb"

@@ -13,13 +13,13 @@ from cluttergen_jax.assets.config import MAX_TEXTURE, DecompositionConfig
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import NAME_PATTERN, object_hash
 from cluttergen_jax.assets.pool import ALL, EMBEDDED, Pool, read_pool, user_pool_folder, user_root, write_pool
-from cluttergen_jax.assets.readers import ReadOptions, Skipped
-from cluttergen_jax.assets.readers.axes import UpAxis
 from cluttergen_jax.config import check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.planning import YCB, Failure, Planned, plan_all
 from cluttergen_jax.importing.processes import run_all
+from cluttergen_jax.importing.readers import ReadOptions, Skipped
+from cluttergen_jax.importing.readers.axes import UpAxis
 from cluttergen_jax.importing.solo import NUM_TRIALS
 from cluttergen_jax.importing.worker import Job, ObjectConfig, run_job
 from cluttergen_jax.progress import Progress

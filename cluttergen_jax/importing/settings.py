@@ -25,9 +25,9 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.object_files import NAME_PATTERN
-from cluttergen_jax.assets.readers import Found, ReadOptions, Source
-from cluttergen_jax.assets.readers.tree import SETTINGS
 from cluttergen_jax.errors import ClutterGenError, ConfigError
+from cluttergen_jax.importing.readers import Found, ReadOptions, Source
+from cluttergen_jax.importing.readers.tree import SETTINGS
 
 DEFAULT = "default"
 OF_READING = tuple(each.name for each in fields(ReadOptions))

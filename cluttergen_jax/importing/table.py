@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
-from cluttergen_jax.assets.readers import ReadOptions, find_sources, read_shape
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import (
     embedded_supports,
@@ -16,8 +15,9 @@ from cluttergen_jax.assets.support_file import (
     user_supports,
     write_support,
 )
-from cluttergen_jax.assets.support_import import support_from_mesh
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
+from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
+from cluttergen_jax.importing.support_import import support_from_mesh
 
 
 def import_support(

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from cluttergen_jax.assets.body import BodyConfig
-from cluttergen_jax.assets.readers import ReadOptions, Source, read_shape
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.importing import cache
+from cluttergen_jax.importing.readers import ReadOptions, Source, read_shape
 from cluttergen_jax.importing.solo import NUM_TRIALS, measured_object
 from cluttergen_jax.physics.log import silent_log
 

@@ -1,0 +1,1 @@
+"""The placement problem: world, region, decision process, observation, environment, baselines, rollouts."""

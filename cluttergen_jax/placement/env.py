@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cluttergen_jax.physics.brax_env import Env, State
+from cluttergen_jax.placement.brax_env import Env, State
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rules import Rules

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.networks.clouds import MAX_POINTS, placed_points, scene_cloud
+from cluttergen_jax.placement.clouds import MAX_POINTS, placed_points, scene_cloud
 from cluttergen_jax.placement.region import Region, from_pose, to_pose
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode, History
@@ -21,7 +21,7 @@ class ObservationConfig:
 
     Attributes:
       num_scene_points: points of the scene's cloud (paper: 20,480); 0 leaves clouds out of the observation,
-        to be made from poses by `networks.clouds.scene_cloud` where they are needed.
+        to be made from poses by `placement.clouds.scene_cloud` where they are needed.
       num_object_points: points of the cloud of the current object (paper: 1,024), at most 1,024.
       num_cells: G, cells along each side of the region whose heights are told; 0 for none.
     """

@@ -16,8 +16,8 @@ from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import support_hash
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.world import unique_names
 from cluttergen_jax.scene.scene import Scene
-from cluttergen_jax.world import unique_names
 
 _Asset = TypeVar("_Asset", ObjectAsset, SupportAsset)
 

@@ -6,7 +6,7 @@ needs; time step, solver and contact parameters are written out, so any MuJoCo s
 Why MJCF is written in four places. Models compiled here come from `assets.mjcf.populated_spec`. MuJoCo's
 own `MjSpec.to_xml` rounds to six digits, enough for an object alone (`assets.object_xml`) and too few for
 a pile that touches; and it would write every mesh once for each copy of an object. So this file is written
-element by element. `export.robosuite` is a dialect: groups, sites and missing joints as robosuite asks.
+element by element. `scene.export.robosuite` is a dialect: groups, sites and missing joints as robosuite asks.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.geometry import yaw_quaternion
+from cluttergen_jax.placement.world import unique_names
 from cluttergen_jax.scene.cameras import Camera
-from cluttergen_jax.world import unique_names
 
 _UNSEEN: dict[str, str] = {"contype": "0", "conaffinity": "0", "group": str(VISUAL_GROUP), "mass": "0"}
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.evaluation.cells import HEAD, Column, Row, table_of
+from cluttergen_jax.evaluation.measures.acceptance import Bias, acceptance_bias
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies import diversity
 from cluttergen_jax.evaluation.studies.study import Findings, Result, Study, each_standing, row_of
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.measures.acceptance import Bias, acceptance_bias
 from cluttergen_jax.tables import Table
 
 

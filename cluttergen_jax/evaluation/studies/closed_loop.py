@@ -15,10 +15,10 @@ from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.study import Findings, Study
 from cluttergen_jax.evaluation.studies.table1 import one_pool
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.render.figure import closed_loop_figure
-from cluttergen_jax.render.gl import renderer_status
-from cluttergen_jax.render.sheet import save_png
-from cluttergen_jax.sampling.record import Recorder
+from cluttergen_jax.placement.rollout.record import Recorder
+from cluttergen_jax.rendering.figure import closed_loop_figure
+from cluttergen_jax.rendering.gl import renderer_status
+from cluttergen_jax.rendering.sheet import save_png
 
 _TRIED_SCENES = 8
 

@@ -14,12 +14,12 @@ from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.scenes import Successes, successes_of
 from cluttergen_jax.evaluation.studies.study import Findings
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.render.assets import close_points
-from cluttergen_jax.render.gl import renderer_status
-from cluttergen_jax.render.renderer import Trail
-from cluttergen_jax.render.scene_renderer import PictureConfig, RenderStyle, scene_renderer
-from cluttergen_jax.render.sheet import contact_sheet, save_png
-from cluttergen_jax.sampling.record import rectangle_of
+from cluttergen_jax.placement.rollout.record import rectangle_of
+from cluttergen_jax.rendering.assets import close_points
+from cluttergen_jax.rendering.gl import renderer_status
+from cluttergen_jax.rendering.renderer import Trail
+from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
+from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 
 SAMPLES = 16
 """Rays per pixel of small pictures."""

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from cluttergen_jax.evaluation.cells import Column, Row, interval, mean_and_spread
-from cluttergen_jax.evaluation.proportion import wilson
+from cluttergen_jax.proportions import wilson
 
 STRICT = "strict: every slot stable without disturbing anything, and the finished scene stands"
 LOOSE = "paper's count: only the object in hand is judged, the others are put back, no last check"

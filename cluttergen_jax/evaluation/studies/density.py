@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.evaluation.cells import SPEED, Column, Row, missing, number, share_of, table_of
 from cluttergen_jax.evaluation.plots import add_legend, new_figure, prepare, save, success_line
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.methods import FILTERED, METHODS
+from cluttergen_jax.learning.methods import FILTERED, METHODS
+from cluttergen_jax.placement.baselines import METHODS as BASELINES
 from cluttergen_jax.tables import Table
 
 SIZES = ("0.60x0.70", "0.50x0.60", "0.40x0.50", "0.35x0.45", "0.30x0.40")

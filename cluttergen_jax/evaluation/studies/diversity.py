@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.evaluation.cells import HEAD, Column, Row, number, table_of
-from cluttergen_jax.evaluation.proportion import finite
+from cluttergen_jax.evaluation.measures.diversity import (
+    at_equal_count,
+    nearest_distance,
+    plan_box_area,
+    plan_entropy,
+    scene_kernel,
+    vendi_score,
+)
+from cluttergen_jax.evaluation.measures.embedding import embed
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.scenes import Successes
 from cluttergen_jax.evaluation.studies.density import SIZES, table_sizes
@@ -23,16 +31,8 @@ from cluttergen_jax.evaluation.studies.study import (
     row_of,
 )
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.measures.diversity import (
-    at_equal_count,
-    nearest_distance,
-    plan_box_area,
-    plan_entropy,
-    scene_kernel,
-    vendi_score,
-)
-from cluttergen_jax.measures.embedding import embed
-from cluttergen_jax.methods import METHODS
+from cluttergen_jax.learning.methods import METHODS
+from cluttergen_jax.proportions import finite
 from cluttergen_jax.tables import Table
 
 TIGHT = table_sizes(SIZES[2])[0]

@@ -10,15 +10,15 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.evaluation.cells import Column, Row, asked, number, table_of
+from cluttergen_jax.evaluation.measures.arrangement import region_positions
+from cluttergen_jax.evaluation.measures.diversity import plan_box_area, plan_entropy
 from cluttergen_jax.evaluation.plots import colour, grid, label_of, save
-from cluttergen_jax.evaluation.proportion import finite
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.scenes import Successes
 from cluttergen_jax.evaluation.studies.study import Findings, Result, Study, each_standing, row_of
 from cluttergen_jax.evaluation.studies.table1 import one_pool
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.measures.arrangement import region_positions
-from cluttergen_jax.measures.diversity import plan_box_area, plan_entropy
+from cluttergen_jax.proportions import finite
 from cluttergen_jax.tables import Table
 
 _MAP_SCENES = 500

@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.evaluation.cells import Column, share, table_of
 from cluttergen_jax.evaluation.plots import add_legend, colour, grid, label_of, prepare, save
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies import table1
 from cluttergen_jax.evaluation.studies.study import Findings, Result, Scale, Study
 from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.placement.baselines import METHODS as BASELINES
 from cluttergen_jax.tables import Table
-from cluttergen_jax.training.metrics_log import read_rows
 
 PAPER_ATTEMPTS, PAPER_SUCCESS = 2_300_000, 0.85
 """In the paper every group is above this success after so many attempts."""

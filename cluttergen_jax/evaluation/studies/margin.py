@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.evaluation.cells import HEAD, Column, Row, number, share, share_of, table_of
-from cluttergen_jax.evaluation.proportion import proportion
+from cluttergen_jax.evaluation.measures.contacts import contacts_of
+from cluttergen_jax.evaluation.measures.scene_models import SceneModels
+from cluttergen_jax.evaluation.measures.tilt import TiltConfig, tilt
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.scenes import Successes
 from cluttergen_jax.evaluation.studies import robustness
@@ -26,10 +27,9 @@ from cluttergen_jax.evaluation.studies.study import (
     row_of,
 )
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.measures.contacts import contacts_of
-from cluttergen_jax.measures.scene_models import SceneModels
-from cluttergen_jax.measures.tilt import TiltConfig, tilt
+from cluttergen_jax.placement.baselines import METHODS as BASELINES
 from cluttergen_jax.placement.config import MIN_MARGIN
+from cluttergen_jax.proportions import proportion
 from cluttergen_jax.tables import Table
 from cluttergen_jax.types import Verdict
 

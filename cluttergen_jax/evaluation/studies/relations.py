@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.evaluation.cells import Column, Row, asked, number, table_of
+from cluttergen_jax.evaluation.measures.relations import Relation, count_relations, relations
+from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.scenes import Successes
 from cluttergen_jax.evaluation.studies.contact_sheets import SAMPLES, sheet
@@ -22,10 +24,8 @@ from cluttergen_jax.evaluation.studies.study import (
 )
 from cluttergen_jax.evaluation.studies.table1 import first_seed
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.measures.relations import Relation, count_relations, relations
-from cluttergen_jax.measures.scene_models import SceneModels
-from cluttergen_jax.render.assets import render_scene
-from cluttergen_jax.render.gl import renderer_status
+from cluttergen_jax.rendering.assets import render_scene
+from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.tables import Table
 
 _EXAMPLES = 2

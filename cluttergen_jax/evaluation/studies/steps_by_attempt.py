@@ -11,8 +11,8 @@ from cluttergen_jax.evaluation.plots import add_legend, colour, label_of, panels
 from cluttergen_jax.evaluation.studies.counts import LOOSE
 from cluttergen_jax.evaluation.studies.study import Result, Study
 from cluttergen_jax.evaluation.studies.table1 import first_seed
+from cluttergen_jax.learning.training.suite import DEFAULT_ATTEMPTS
 from cluttergen_jax.tables import Table
-from cluttergen_jax.training.suite import DEFAULT_ATTEMPTS
 
 _FEWEST = 5
 """Attempts behind a point of the plot."""

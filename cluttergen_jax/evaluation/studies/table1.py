@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from cluttergen_jax.assets.pool import EMBEDDED
-from cluttergen_jax.baselines import METHODS as BASELINES
 from cluttergen_jax.evaluation.cells import Column, Row, asked, share, table_of
 from cluttergen_jax.evaluation.published import IMPORTED, TWINS, differences, differs
 from cluttergen_jax.evaluation.studies.counts import LOOSE, STRICT, pooled, stable_steps
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.placement.baselines import METHODS as BASELINES
 from cluttergen_jax.tables import Table
 
 METHODS = ("random", "open_loop", "short_memory", "normal", "beta", "policy")

@@ -16,7 +16,7 @@ from cluttergen_jax.evaluation.checkpoints import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.study import Findings, Result, Scale, Study, grid, row_of
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.methods import METHODS
+from cluttergen_jax.learning.methods import METHODS
 from cluttergen_jax.tables import Table
 
 

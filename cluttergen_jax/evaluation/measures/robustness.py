@@ -1,0 +1,180 @@
+"""How much a finished scene stands: for how long, against how hard a shake, and under other physics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation.measures.scene_models import SceneModel, SceneModels
+from cluttergen_jax.evaluation.measures.simulate import (
+    MAX_SHIFT,
+    MAX_TURN,
+    Movement,
+    each_scene,
+    movement,
+    shift_and_turn,
+)
+
+CREEP_SECONDS = (1.0, 10.0, 60.0)
+_LOOK_EVERY = 4
+
+
+def creep(
+    models: SceneModels,
+    poses: np.ndarray,
+    is_placed: np.ndarray,
+    seconds: Sequence[float] = CREEP_SECONDS,
+    num_threads: int = 0,
+) -> Movement:
+    """How far anything moves by itself within 1, 10 and 60 s; `largest_shift` is the scene's creep, metres.
+
+    Args:
+      poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
+    """
+    return movement(models, poses, is_placed, seconds, num_threads)
+
+
+@dataclass(frozen=True)
+class ShakeConfig:
+    """A sideways acceleration of the support that grows slowly from zero.
+
+    Attributes:
+      rate: m/s^2 per second. What is let go by static friction takes a while for 5 mm, during which the
+        acceleration goes on growing: by (6 * 0.005 * rate^2)^(1/3), 0.31 m/s^2 at rate 1.
+      limit: m/s^2; a scene that nothing moved by then has this score.
+      max_shift: metres that an object must move, relative to the support.
+      directions: world directions in which the support is accelerated, a score for each.
+    """
+
+    rate: float = 1.0
+    limit: float = 10.0
+    max_shift: float = MAX_SHIFT
+    directions: tuple[tuple[float, float], ...] = ((1.0, 0.0), (0.0, 1.0))
+
+    def __post_init__(self) -> None:
+        if not (self.rate > 0 and self.limit > 0 and self.max_shift > 0 and self.directions):
+            raise ConfigError(f"{self}", "rate, limit and max_shift above zero, one direction or more")
+
+
+def shake(
+    models: SceneModels,
+    poses: np.ndarray,
+    is_placed: np.ndarray,
+    config: ShakeConfig | None = None,
+    num_threads: int = 0,
+) -> np.ndarray:
+    """The sideways acceleration at which something has moved 5 mm relative to the support.
+
+    Simulated in the support's own frame, where an acceleration a of the support is a gravity of -a: the table
+    stands still and gravity tilts.
+
+    Args:
+      poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
+
+    Returns:
+      f64[N, D], m/s^2, for D directions; the limit where nothing moved.
+    """
+    models.check(poses, is_placed)
+    config = config or ShakeConfig()
+    is_placed = np.asarray(is_placed, bool)
+
+    def run(scene: int) -> list[float]:
+        model = models.of(is_placed[scene])
+        return [_withstood(model, poses[scene], np.array(way), config) for way in config.directions]
+
+    scores = each_scene(run, len(is_placed), num_threads)
+    return np.array(scores, np.float64).reshape(len(is_placed), len(config.directions))
+
+
+def _withstood(scene: SceneModel, poses: np.ndarray, direction: np.ndarray, config: ShakeConfig) -> float:
+    """m/s^2 at which one scene gives way."""
+    # Gravity belongs to the model, which other threads use at the same time.
+    model = scene.own_model()
+    data = scene.start(poses, model)
+    start = data.qpos.reshape(-1, 7).copy()
+    direction = direction / np.linalg.norm(direction)
+    growth = config.rate * _LOOK_EVERY * model.opt.timestep
+    for acceleration in growth * np.arange(1, np.ceil(config.limit / growth) + 1):
+        model.opt.gravity[:2] = -acceleration * direction
+        mujoco.mj_step(model, data, _LOOK_EVERY)
+        if shift_and_turn(data.qpos.reshape(-1, 7), start)[0].max(initial=0.0) > config.max_shift:
+            return min(float(acceleration), config.limit)
+    return config.limit
+
+
+@dataclass(frozen=True)
+class Change:
+    """Physics that differ from those in which a scene was made.
+
+    Attributes:
+      name: for tables.
+      friction: factor of all friction coefficients.
+      mass: factor of every object's mass and inertia. All alike is a check of the engine rather than of the
+        scene: weights and forces scale together.
+      mixed_mass: factor by which every other object becomes heavier and the ones between lighter.
+      timestep: factor of the time step; contacts stay as stiff as the longer step allows.
+    """
+
+    name: str
+    friction: float = 1.0
+    mass: float = 1.0
+    mixed_mass: float = 1.0
+    timestep: float = 1.0
+
+
+CHANGES = (
+    Change("unchanged"),
+    Change("friction x0.5", friction=0.5),
+    Change("friction x2", friction=2.0),
+    Change("mass x0.5", mass=0.5),
+    Change("mass x2", mass=2.0),
+    Change("mass x2 and x0.5 by turns", mixed_mass=2.0),
+    Change("time step x0.5", timestep=0.5),
+    Change("time step x2", timestep=2.0),
+)
+
+
+def changed(models: SceneModels, change: Change) -> SceneModels:
+    """The same objects under other physics."""
+    stability, contact = models.stability, models.contact
+    sliding, torsional, rolling = (change.friction * each for each in contact.friction)
+    alternate = np.where(
+        np.arange(models.world.num_objects) % 2 == 0, change.mixed_mass, 1 / change.mixed_mass
+    )
+    return SceneModels(
+        models.world,
+        replace(stability, timestep=change.timestep * stability.timestep),
+        replace(contact, friction=(sliding, torsional, rolling)),
+        change.mass * alternate * models.mass_scale,
+    )
+
+
+def survives(
+    models: SceneModels,
+    poses: np.ndarray,
+    is_placed: np.ndarray,
+    changes: Sequence[Change] = CHANGES,
+    seconds: float = 10.0,
+    num_threads: int = 0,
+    max_shift: float = MAX_SHIFT,
+    max_turn: float = MAX_TURN,
+) -> dict[str, np.ndarray]:
+    """Which scenes stand under changed physics: nothing moves 5 mm or turns 5 degrees.
+
+    Args:
+      poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
+      seconds: how long each is simulated.
+
+    Returns:
+      bool[N] for each change's name; its mean is the share that survives.
+    """
+    return {
+        change.name: movement(changed(models, change), poses, is_placed, (seconds,), num_threads).survives(
+            max_shift, max_turn
+        )[:, 0]
+        for change in changes
+    }

@@ -1,0 +1,12 @@
+"""Scenes as JAX functions: sampled afresh (`make_sampler`), or drawn from a saved bank (`load_bank`).
+
+`generation.environments` makes environments in which scenes are placed an attempt at a time, for any trainer;
+it is imported by itself, as Brax takes a second to load.
+"""
+
+from cluttergen_jax.generation.bank import SceneBank, StoredArrays, StoredScene, load_bank
+from cluttergen_jax.generation.make import make_sampler
+from cluttergen_jax.generation.sampled import SampledScene
+from cluttergen_jax.generation.sampler import Sampler
+
+__all__ = ["SampledScene", "Sampler", "SceneBank", "StoredArrays", "StoredScene", "load_bank", "make_sampler"]

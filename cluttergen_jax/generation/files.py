@@ -1,0 +1,87 @@
+"""The files beside a bank's table: an MJCF file and a picture for every success."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from cluttergen_jax.files import inside, write_atomically
+from cluttergen_jax.placement.problem import ProblemConfig
+from cluttergen_jax.placement.world import base_name
+from cluttergen_jax.progress import tracked
+from cluttergen_jax.rendering.assets import render_scene
+from cluttergen_jax.rendering.gl import renderer_status
+from cluttergen_jax.rendering.sheet import contact_sheet, save_png
+from cluttergen_jax.scene.bank.bank import Bank, SceneRecord
+from cluttergen_jax.scene.bank.digests import digest_of
+from cluttergen_jax.scene.xml import scene_xml
+
+_OVERVIEW = 12
+_PNG_BEGINS, _PNG_ENDS = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
+_MANY = 100
+_FINE, _QUICK = 32, 8
+"""Pictures averaged into one: soft light for a few scenes, speed for many."""
+
+
+def scene_path(bank: Bank, index: int, ending: str) -> Path:
+    """Where scene number `index` has its file."""
+    return inside(bank.path, f"scenes/{index:06d}.{ending}")
+
+
+def write_files(
+    bank: Bank,
+    num_scenes: int,
+    config: ProblemConfig,
+    is_drawn: bool,
+    keep_digests: Callable[[dict[str, str]], None],
+) -> str:
+    """Writes what is missing or damaged: MJCF files, and pictures if they are wanted and can be drawn.
+
+    Returns:
+      What was written where, for people.
+
+    Args:
+      keep_digests: is given those of the MJCF files, before anything is drawn.
+    """
+    scenes = [scene for scene in bank.scenes() if scene.is_success and scene.index < num_scenes]
+    assets = {name: bank.object(name) for name in {base_name(n) for scene in scenes for n in scene.objects}}
+    digests: dict[str, str] = {}
+    for scene in tracked(scenes, "writing", len(scenes), "file"):
+        path = scene_path(bank, scene.index, "xml")
+        objects = [assets[base_name(name)] for name in scene.objects]
+        text = scene_xml(objects, scene.poses, bank.support, config.stability, config.contact)
+        if not path.exists() or path.read_bytes() != text:
+            write_atomically(path, text)
+        digests[path.relative_to(bank.path).as_posix()] = digest_of(text)
+    keep_digests(digests)
+    written = f"files      {len(scenes)} scenes in {bank.path / 'scenes'}"
+    if not (is_drawn and scenes):
+        return written
+    can_draw, message = renderer_status()
+    if not can_draw:
+        return f"{written}\npictures   skipped: {message}"
+    return f"{written}\npictures   {_draw(bank, scenes, assets)}"
+
+
+def _is_whole_png(path: Path) -> bool:
+    """Whether a file is there that begins and ends as a PNG does."""
+    data = path.read_bytes() if path.is_file() else b""
+    return data.startswith(_PNG_BEGINS) and data.endswith(_PNG_ENDS)
+
+
+def _draw(bank: Bank, scenes: Sequence[SceneRecord], assets: dict) -> Path:
+    images: list[np.ndarray] = []
+    samples = _FINE if len(scenes) <= _MANY else _QUICK
+    for scene in tracked(scenes, "drawing", len(scenes), "picture"):
+        path = scene_path(bank, scene.index, "png")
+        if _is_whole_png(path) and len(images) >= min(_OVERVIEW, len(scenes)):
+            continue
+        objects = [assets[base_name(name)] for name in scene.objects]
+        image = render_scene(objects, scene.poses, bank.support, close=True, samples=samples)
+        save_png(image, path)
+        images.append(image)
+    captions = [f"{scene.index:06d}" for scene in scenes[:_OVERVIEW]]
+    overview = contact_sheet(images[:_OVERVIEW], captions, columns=4)
+    return save_png(overview, bank.path / "overview.png")

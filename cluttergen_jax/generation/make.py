@@ -1,0 +1,109 @@
+"""From names to a sampler."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Never
+
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.generation.arguments import check_known, check_whole
+from cluttergen_jax.generation.sampler import Sampler
+from cluttergen_jax.generation.wiring import check_range, find_method, make_setup, problem_config
+from cluttergen_jax.learning.methods import suited
+from cluttergen_jax.placement.config import MIN_MARGIN
+from cluttergen_jax.placement.observation import ObservationConfig
+
+MAX_RETRIES = 10_000
+
+
+def make_sampler(
+    pool: str | Path = "dining",
+    support: str | Path = "table",
+    num_objects: int | None = None,
+    method: str | None = None,
+    *,
+    checkpoint: str | Path | None = None,
+    max_retries: int = 0,
+    objects: Sequence[str] = (),
+    exclude: Sequence[str] = (),
+    repeat: bool = False,
+    region: Rectangle | None = None,
+    keep_out: Sequence[Rectangle] = (),
+    start: str | None = None,
+    containment: str = "center",
+    order: str = "random",
+    max_attempts: int = 5,
+    min_margin: float = MIN_MARGIN,
+    num_scene_points: int = 0,
+    engine: str = "auto",
+    num_threads: int = 0,
+    **unknown: Never,
+) -> Sampler:
+    """A function `sample(key) -> SampledScene` that may be compiled, mapped, scanned and sharded.
+
+    Nothing random is decided here: equal keys give equal scenes, within the limits that docs/contract.md
+    names.
+
+    Args:
+      pool: a pool's name or folder, or several joined by "+".
+      support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
+      num_objects: objects per scene, 1 to 40; all of the pool's (40 at most) if not given.
+      method: "random", "clear", "drop", or a trained policy. If not given: the checkpoint's own; else
+        "policy" where a good one is embedded for this pool, support and number of objects, else "clear".
+      checkpoint: a policy's folder, such as `cluttergen train` leaves; the embedded one if not given.
+      max_retries: a scene that fails is drawn again up to so often, inside the compiled code, until one
+        passes; 0 to 10,000.
+      objects: names of the pool's objects to use; all of them if empty.
+      exclude: names of the pool's objects to leave out; exclude=("mug",) is the same as pool="dining~mug".
+      repeat: let objects stand there more than once.
+      region: the queried region on the support's top: a `Rectangle` with its centre (world x, y) and half
+        extents in metres, its yaw in radians; the support's own if not given.
+      keep_out: `Rectangle`s, likewise, that no object may meet once it has settled, seen from above.
+      start: a saved scene, "BANK:INDEX", whose objects stand there and count as neighbours.
+      containment: what must lie in the region: the bounding box's "center" or the whole "footprint".
+      order: "random", or "fixed" to the pool's order.
+      max_attempts: per object, 1 to 10; a policy of poses allows as many as it was trained with at most.
+      min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
+        asks for nothing, as the paper does.
+      num_scene_points: points of each scene's cloud, up to 200,000; 0 for none.
+      engine: "auto", "native", "warp" or "jax".
+      num_threads: of the native engine; 0 takes every core.
+
+    Raises:
+      ConfigError: a setting is unknown, out of range, or contradicts another.
+      PoolError: a pool, an object, a support or a checkpoint cannot be found or read.
+      BankError: the scene to start from cannot be read, or does not stand.
+    """
+    check_known(unknown, make_sampler)
+    check_range("max_retries", max_retries, 0, MAX_RETRIES, 5)
+    check_whole(num_scene_points=num_scene_points)
+    ObservationConfig(num_scene_points=num_scene_points)
+    config = problem_config(
+        pool=pool,
+        support=support,
+        num_objects=num_objects,
+        objects=objects,
+        exclude=exclude,
+        repeat=repeat,
+        region=region,
+        keep_out=keep_out,
+        max_attempts=max_attempts,
+        containment=containment,
+        order=order,
+        min_margin=min_margin,
+        engine=engine,
+        num_threads=num_threads,
+    )
+    chosen = find_method(method, checkpoint, config)
+    config = replace(config, placement=suited(config.placement, chosen.checkpoint))
+    setup = make_setup(config, keep_out, start)
+    return Sampler(
+        problem=setup.problem,
+        steps=setup.sampler(chosen),
+        keep_out=setup.keep_out,
+        start=setup.start,
+        max_retries=max_retries,
+        num_scene_points=num_scene_points,
+    )

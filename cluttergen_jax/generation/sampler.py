@@ -1,0 +1,187 @@
+"""The scene sampler: a pure function from a key to a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from cluttergen_jax.assets.pool import public_name
+from cluttergen_jax.assets.reach import reach_of
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.generation.arguments import check_call, check_key, is_known
+from cluttergen_jax.generation.sampled import SampledScene, sampled_scene
+from cluttergen_jax.placement.problem import Problem
+from cluttergen_jax.placement.region import KeepOut, Region
+from cluttergen_jax.placement.rollout import BlockSampler
+from cluttergen_jax.placement.types import Episode, Start
+from cluttergen_jax.scene import Origin, Scene
+from cluttergen_jax.types import Array, Verdict
+
+_ROUNDING = 1e-5
+"""Metres, for float32."""
+
+
+class _Drawing(struct.PyTreeNode):
+    """A scene in the making, and how often it has been begun."""
+
+    episode: Episode
+    num_draws: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Sampler:
+    """Samples one scene from a key; see `make_sampler`. Map it with `jax.vmap`, compile it with `jax.jit`.
+
+    Attributes:
+      problem: the compiled world, its rules and its queried region.
+      steps: who proposes, and how an attempt is made.
+      keep_out: where no object may come to lie, unless another is given in the call.
+      start: what stands there already, unless another is given in the call.
+      max_retries: how often a scene that fails is drawn again.
+      num_scene_points: points of the scene's cloud; 0 for none.
+    """
+
+    problem: Problem
+    steps: BlockSampler
+    keep_out: KeepOut
+    start: Start
+    max_retries: int
+    num_scene_points: int
+
+    def __call__(
+        self,
+        key: Array,
+        region: Region | None = None,
+        keep_out: KeepOut | None = None,
+        start: Start | None = None,
+    ) -> SampledScene:
+        """One scene. All arguments may be traced, and mapped over.
+
+        Args:
+          key: one PRNG key, consumed. `jax.random.fold_in(jax.random.key(seed), i)` makes scene i of the bank
+            that `cluttergen generate --seed` writes with the same settings.
+          region: a queried region on the same support, no larger than the sampler's own
+            (`placement.region.make_region`), its sides compared one by one, along its own axes.
+          keep_out: where no object may come to lie.
+          start: what stands there already: objects of this sampler's world, no more than it was made for.
+
+        A region or a start that does not fit is refused where it is known. Where it is traced, the scene is
+        no success, its verdict is OUTSIDE, and it is not drawn again.
+
+        Raises:
+          ConfigError: `key` is not one key, another argument is of a wrong type or shape, the region is
+            empty, not finite, too large or not on the support, or too many objects stand there already.
+        """
+        check_key(key)
+        check_call(region, keep_out, start)
+        rules, support = self.problem.rules, self.problem.world.support
+        fits = jnp.bool_(True) if region is None else _fits(region, rules.region, support)
+        if start is not None:
+            fits &= _has_room(start, rules.num_started)
+        begin = partial(
+            rules.begin,
+            region=region,
+            keep_out=self.keep_out if keep_out is None else keep_out,
+            start=self.start if start is None else start,
+        )
+
+        def advance(drawing: _Drawing) -> _Drawing:
+            episode, num_draws = self.steps.step_one(drawing.episode)[0], drawing.num_draws
+            if not self.max_retries:
+                return drawing.replace(episode=episode)
+            again = fits & episode.is_over & ~episode.is_success & (num_draws <= self.max_retries)
+            # The key of an episode that is over has not been used.
+            fresh = begin(episode.key)
+            episode = jax.tree.map(lambda new, old: jnp.where(again, new, old), fresh, episode)
+            return _Drawing(episode, num_draws + again)
+
+        first = _Drawing(begin(key), jnp.int32(1))
+        last = jax.lax.while_loop(lambda drawing: ~drawing.episode.is_over, advance, first)
+        scene = sampled_scene(rules, last.episode, last.num_draws, self.num_scene_points)
+        return scene.replace(
+            is_success=scene.is_success & fits,
+            verdict=jnp.where(fits, scene.verdict, int(Verdict.OUTSIDE)),
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The compiled world's objects, in the order of `SampledScene.object_index`."""
+        return self.problem.world.names
+
+    def scene(self, sampled: SampledScene, index: int = 0) -> Scene:
+        """One scene on the host, as pictures, exports and models (`Scene.to_mjspec`) take it.
+
+        Args:
+          sampled: a scene without leading axes, or a batch with one, of which number `index` is taken.
+
+        Raises:
+          ConfigError: the batch has no such scene, or more than one leading axis.
+        """
+        shape = np.shape(sampled.is_success)
+        if len(shape) > 1 or not 0 <= index < (shape[0] if shape else 1):
+            allowed = f"0 to {shape[0] - 1}" if len(shape) == 1 else "0" if not shape else "one leading axis"
+            raise ConfigError(f"scene {index} of scenes of shape {shape}", allowed)
+        if shape:
+            sampled = jax.tree.map(lambda leaf: leaf[index], sampled)
+        world, config = self.problem.world, self.problem.config
+        placed = np.asarray(sampled.is_placed)
+        chosen = [int(each) for each in np.asarray(sampled.object_index)[placed]]
+        return Scene(
+            names=tuple(world.names[each] for each in chosen),
+            objects=tuple(world.objects[each] for each in chosen),
+            poses=np.asarray(sampled.poses)[placed],
+            support=world.support,
+            stability=config.stability,
+            contact=config.contact,
+            origin=Origin(
+                index=index,
+                pool=public_name(config.pool),
+                verdict=Verdict(int(sampled.verdict)).label,
+                is_success=bool(sampled.is_success),
+                drift=float(sampled.drift),
+            ),
+        )
+
+
+def _fits(region: Region, usual: Region, support: SupportAsset) -> Array:
+    """bool: the region lies on the support, and is no larger than the world was made for; known or not."""
+    half, place = jnp.asarray(region.half_extents), region.T_world_region.wxyz_xyz
+    fits = jnp.all((half > 0) & (half <= usual.half_extents + 1e-6)) & jnp.all(jnp.isfinite(place))
+    fits &= _is_on_top(region, support)
+    if is_known(fits) and not fits:
+        raise ConfigError(
+            f"a region of {2 * half[0]:g} x {2 * half[1]:g} m about ({place[4]:g}, {place[5]:g})",
+            f"a place on support {support.name!r}, and sides up to those of the sampler's own, "
+            f"{2 * usual.half_extents[0]:g} x {2 * usual.half_extents[1]:g} m, "
+            "compared one by one along the region's own axes",
+            "make_sampler(region=...) with the largest that will be asked for",
+        )
+    return fits
+
+
+def _is_on_top(region: Region, support: SupportAsset) -> Array:
+    """bool: all corners are within the support's reach (`assets.reach`)."""
+    signs = jnp.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
+    corners = jax.vmap(region.T_world_region.apply)(signs * jnp.append(region.half_extents, 0.0))
+    reach = reach_of(support)
+    local = corners[:, :2] @ reach.axes
+    return jnp.all((local >= reach.lower - _ROUNDING) & (local <= reach.upper + _ROUNDING))
+
+
+def _has_room(start: Start, most: int) -> Array:
+    """bool: no more objects stand there than the sampler was made for; if their number is known, it is so."""
+    number = start.is_placed.sum()
+    fits = number <= most
+    if is_known(fits) and not fits:
+        raise ConfigError(
+            f"a start of {number} objects",
+            f"up to {most}, as the sampler was made",
+            "make_sampler(start=...)",
+        )
+    return fits

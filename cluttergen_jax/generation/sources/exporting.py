@@ -1,0 +1,60 @@
+"""Scenes of a bank as a folder that other programs open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.progress import tracked
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.reference import REFERENCES, parse_reference
+from cluttergen_jax.scene.bank.scene import chosen_records, read_scenes
+from cluttergen_jax.scene.export import export_scenes
+
+_MANY = 10
+
+
+def export(
+    source: str | Path,
+    out: str | Path,
+    format: str = "mjcf",
+    *,
+    scenes: Sequence[int] | None = None,
+    cameras: Sequence[str] = (),
+    overwrite: bool = False,
+) -> Path:
+    """Writes scenes of a bank as a self-contained folder for another program (`cluttergen export`).
+
+    `cluttergen_jax.scene.export.export_scenes` does the same for scenes of a sampler.
+
+    Args:
+      source: a bank; or one scene of it: "BANK:INDEX", or its file "BANK/scenes/000003.xml".
+      out: the folder to make.
+      format: "mjcf" (MuJoCo), "urdf" (PyBullet), "sdf" (Drake, Gazebo), "usd" (Isaac, Omniverse), "glb" (any
+        viewer), "maniskill", "robosuite" or "libero".
+      scenes: numbers; all successful ones if not given.
+      cameras: cameras around the support, to be added to every scene: "overhead", "front", "side", "wrist".
+      overwrite: replace an earlier export.
+
+    Returns:
+      The folder.
+
+    Raises:
+      BankError: there is no such bank or scene, or none that stands; or `out` is something else.
+      ConfigError: there is no such format or camera, or two answers to one question.
+      MissingExtraError: the format needs an extra that is not installed.
+    """
+    named = parse_reference(str(source))
+    if named is None:
+        raise BankError(f"{source} is no scene of a bank", REFERENCES)
+    path, own = named
+    if own is not None:
+        if scenes is not None:
+            raise ConfigError(f"`scenes` beside the single scene {source}", "one of the two")
+        scenes = [own]
+    bank = read_bank(path)
+    total = len(chosen_records(bank, scenes))
+    read = read_scenes(bank, scenes)
+    shown = read if total <= _MANY else tracked(read, "exporting", total, "scene")
+    return export_scenes(shown, out, format, overwrite=overwrite, cameras=tuple(cameras))

@@ -1,0 +1,149 @@
+"""Scenes on disk: those of a bank, and one in an MJCF file."""
+
+from __future__ import annotations
+
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.errors import BankError, ClutterGenError
+from cluttergen_jax.generation.sources.workshop import Workshop, remade, workshop_of
+from cluttergen_jax.importing.readers.mjcf_scene import read_mjcf_scene
+from cluttergen_jax.placement.rollout.replay import Recording, still
+from cluttergen_jax.placement.world import base_name
+from cluttergen_jax.scene.bank.bank import Bank, read_bank
+
+
+class BankSource:
+    """The scenes of a bank, failures included.
+
+    Raises:
+      BankError: there is no such bank, or it holds no scenes.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.bank: Bank = read_bank(path)
+        self.name = self.bank.path.resolve().name
+        self._place = {int(index): place for place, index in enumerate(self.bank.table["index"].to_numpy())}
+        if not self._place:
+            raise BankError(f"{path} holds no scenes", "a bank of at least one", "cluttergen generate")
+        self._object = lru_cache(maxsize=None)(self.bank.object)
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """All scenes of the bank."""
+        return tuple(self._place)
+
+    @cached_property
+    def successes(self) -> tuple[int, ...]:
+        """The scenes that stand."""
+        is_success = self.bank.table["is_success"].to_numpy(zero_copy_only=False)
+        return tuple(np.array(self.numbers)[is_success].tolist())
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Of new scenes on the same support with the same objects."""
+        try:
+            return self._workshop.methods
+        except ClutterGenError:
+            return ()
+
+    def notice(self, method: str | None = None) -> str:
+        """See `Source`. Stored scenes come at once."""
+        return self._workshop.notice(method) if method else ""
+
+    def still(self, number: int) -> Recording:
+        """See `Source`.
+
+        Raises:
+          BankError: there is no such scene.
+        """
+        if number not in self._place:
+            raise BankError(f"{self.name} has no scene {number}", f"{min(self._place)} to {max(self._place)}")
+        row = self.bank.table.slice(self._place[number], 1).to_pylist()[0]
+        placed = np.array(row["is_placed"], bool)
+        names = [name for name, is_there in zip(row["objects"], placed, strict=True) if is_there]
+        return still(
+            title=f"{self.name}, scene {number}",
+            objects=[self._object(base_name(name)) for name in names],
+            names=names,
+            poses=np.array(row["poses"], np.float32).reshape(-1, 7)[placed],
+            support=self.bank.support,
+            region=self._region,
+            is_success=row["is_success"],
+            verdict=row["verdict"],
+            drift=row["drift"],
+        )
+
+    def recorded(self, number: int) -> Recording:
+        """See `Source`.
+
+        Raises:
+          BankError: there is no such scene, or its attempts cannot be made again.
+          PoolError: the bank's checkpoint is gone.
+        """
+        return remade(self.bank, self._workshop, number, self.still(number))
+
+    def sample(self, method: str, seed: int) -> Recording:
+        """See `Source`."""
+        return self._workshop.record(method, seed, 0, f"{method}, seed {seed}")
+
+    @cached_property
+    def _workshop(self) -> Workshop:
+        return workshop_of(self.bank)
+
+    @cached_property
+    def _region(self) -> Rectangle:
+        """The queried region that the recipe names; the support's own in banks that name none."""
+        region = (self.bank.record.get("recipe") or {}).get("region")
+        if not region:
+            return self.bank.support.region
+        return Rectangle(tuple(region["center"]), tuple(region["half_extents"]), float(region["yaw"]))
+
+
+class FileSource:
+    """One scene from an MJCF file that is no part of a bank.
+
+    Raises:
+      AssetError: MuJoCo cannot read it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.name = path.stem
+        self.numbers: tuple[int, ...] = (0,)
+        self.methods: tuple[str, ...] = ()
+        scene = read_mjcf_scene(path)
+        self._still = still(
+            self.name,
+            scene.objects,
+            scene.names,
+            scene.poses,
+            scene.support,
+            scene.support.region,
+            verdict="not judged",
+        )
+
+    def notice(self, method: str | None = None) -> str:
+        """See `Source`."""
+        return ""
+
+    def still(self, number: int) -> Recording:
+        """See `Source`."""
+        return self._still
+
+    def recorded(self, number: int) -> Recording:
+        """How a file's scene came about, nobody knows.
+
+        Raises:
+          BankError: always.
+        """
+        raise BankError(
+            f"{self.name}: a scene file does not tell how it was made",
+            "a scene of a bank, BANK:INDEX or BANK/scenes/NUMBER.xml",
+        )
+
+    def sample(self, method: str, seed: int) -> Recording:
+        """See `recorded`."""
+        return self.recorded(seed)

@@ -1,0 +1,110 @@
+"""Scenes in a browser, or in MuJoCo's own viewer."""
+
+from __future__ import annotations
+
+import threading
+import webbrowser
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.generation.sources.live import LiveConfig
+from cluttergen_jax.generation.sources.opening import open_source
+from cluttergen_jax.placement.rollout.replay import Recording
+from cluttergen_jax.rendering.assets import scene_spec
+from cluttergen_jax.rendering.lighting import FLOOR
+from cluttergen_jax.rendering.viewer.native import check_display, show_native
+from cluttergen_jax.rendering.viewer.server import free_port, open_server
+from cluttergen_jax.rendering.viewer.source import Source
+from cluttergen_jax.rendering.viewer.viewer import Viewer
+
+
+def view(
+    source: str | Path | None = None,
+    *,
+    pool: str | Path | None = None,
+    method: str | None = None,
+    num_objects: int | None = None,
+    support: str | Path | None = None,
+    native: bool = False,
+    host: str = "localhost",
+    port: int = 8080,
+    browser: bool = True,
+    screenshots: str | Path = Path("out/screenshots"),
+    show: Callable[[str], None] = print,
+) -> None:
+    """Shows scenes in a browser until Ctrl-C, or in a window until it is closed (`cluttergen view`).
+
+    Args:
+      source: a bank; one scene of it, "BANK:INDEX" or "BANK/scenes/000003.xml"; any MJCF file with free
+        bodies; or a checkpoint, whose policy then makes the scenes. None samples them by `method`.
+      pool, method, num_objects, support: what to sample from where no bank says it, as in `make_sampler`;
+        a checkpoint's own, else dining, "drop" and the paper's table.
+      native: open MuJoCo's own viewer instead (needs a screen).
+      host: the address to listen on; "0.0.0.0" lets other machines look.
+      port: 0 takes any free one.
+      browser: open a browser.
+      screenshots: the folder for screenshots.
+      show: is given the lines that tell where the viewer is.
+
+    Raises:
+      PoolError, BankError, AssetError: there is nothing of the kind, or it cannot be read.
+      ConfigError: the port is taken, or there is no such method.
+      MissingExtraError: the extra `viewer` is not installed.
+      DisplayError: there is no screen for `native`.
+    """
+    live = LiveConfig(
+        None if pool is None else str(pool), method, num_objects, None if support is None else str(support)
+    )
+    text = None if source is None else str(source)
+    if native:
+        check_display()
+        scenes, own = open_source(text, live)
+        recording = scenes.still(_first(scenes, own))
+        show(f"{recording.title}: {len(recording.placed)} objects; the window's Reset puts them back")
+        return show_native(*native_model(recording))
+    # What cannot work is said before anything is compiled.
+    free_port(host, port)
+    show(f"opening    {source or 'scenes made on the spot'}")
+    scenes, own = open_source(text, live)
+    first = _first(scenes, own)
+    server = open_server(host, port, f"cluttergen: {scenes.name}")
+    viewer = Viewer(scenes, server, first, Path(screenshots))
+    url = f"http://{'localhost' if host == '0.0.0.0' else host}:{server.get_port()}"
+    show(f"viewer     {url} (Ctrl-C ends it)")
+    if notice := scenes.notice():
+        show(f"first      {notice}")
+    if browser:
+        webbrowser.open(url)
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        show("\nviewer     ended")
+    finally:
+        viewer.close()
+
+
+def _first(scenes: Source, own: int | None) -> int:
+    """The scene that is shown first."""
+    first = int(scenes.numbers[0]) if own is None else own
+    if first not in scenes.numbers:
+        raise BankError(f"{scenes.name} has no scene {first}", f"{scenes.numbers[0]} to {scenes.numbers[-1]}")
+    return first
+
+
+def native_model(recording: Recording) -> tuple[mujoco.MjModel, np.ndarray]:
+    """The finished scene as a model with surfaces, light and a floor that carries, and its qpos f64[nq]."""
+    placed = recording.placed
+    poses = np.asarray(recording.poses[placed], np.float64)
+    spec, qpos = scene_spec([recording.objects[index] for index in placed], poses, recording.support)
+    # What falls off the table is to stay in sight.
+    spec.geom(FLOOR).contype = spec.geom(FLOOR).conaffinity = 1
+    # Where the window's camera looks first, and from how far.
+    spec.stat.center = (*recording.region.center, recording.support.top + 0.05)
+    spec.stat.extent = float(2 * np.hypot(*recording.region.half_extents))
+    for body, pose in zip((each for each in spec.bodies if each.joints), poses, strict=True):
+        body.pos, body.quat = pose[:3], pose[3:]
+    return spec.compile(), qpos

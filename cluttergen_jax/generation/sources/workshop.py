@@ -1,0 +1,129 @@
+"""The problem behind a bank, set up once more: to see its attempts again, and to sample new scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cluttergen_jax.assets.rectangle_text import keep_out_box
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.generation.wiring import Method, Setup, make_setup
+from cluttergen_jax.learning.methods import checkpoint_of
+from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
+from cluttergen_jax.placement.baselines import METHODS as BASELINES
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.problem import ProblemConfig
+from cluttergen_jax.placement.rollout import BLOCK_SIZE
+from cluttergen_jax.placement.rollout.record import Recorder
+from cluttergen_jax.placement.rollout.replay import Recording
+from cluttergen_jax.placement.world import base_name
+from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.reference import read_start
+from cluttergen_jax.scene.bank.scene import config_of
+
+COMPILING = "compiling, which takes about a minute the first time"
+
+
+@dataclass(frozen=True, eq=False)
+class Workshop:
+    """A problem ready to be worked on by any method.
+
+    Attributes:
+      setup: the compiled world, and how episodes begin.
+      checkpoints: of trained methods, by the method's name.
+    """
+
+    setup: Setup
+    checkpoints: dict[str, Checkpoint] = field(default_factory=dict)
+    _made: dict[tuple[str, int], Recorder] = field(default_factory=dict)
+    _used: set[str] = field(default_factory=set)
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """What can be asked of it: trained methods first."""
+        return (*self.checkpoints, *BASELINES)
+
+    def notice(self, method: str) -> str:
+        """What to say while a scene by `method` is made: the first is compiled."""
+        return "" if method in self._used else COMPILING
+
+    def record(self, method: str, seed: int, index: int, title: str, width: int = 1) -> Recording:
+        """Scene number `index` of `seed`, with its attempts; see `Recorder.record`."""
+        recording = self.recorder(method, width).record(seed, index, title)
+        self._used.add(method)
+        return recording
+
+    def recorder(self, method: str, width: int = 1) -> Recorder:
+        """Records episodes of a method; kept, for it is compiled at first use."""
+        if (method, width) not in self._made:
+            sampler = self.setup.sampler(Method(method, self.checkpoints.get(method)))
+            self._made[method, width] = Recorder(sampler, self.setup.problem.world, width)
+        return self._made[method, width]
+
+
+def workshop_of(bank: Bank) -> Workshop:
+    """The problem that a bank's scenes solve, from the bank's own assets.
+
+    Raises:
+      BankError: the bank does not say how it was made, or the bank that it started from is gone.
+      PoolError: its checkpoint is gone.
+    """
+    recipe = bank.record.get("recipe") or {}
+    try:
+        names: Sequence[str] = recipe["names"]
+        method, pool, checkpoint = recipe["method"], recipe["pool"], recipe.get("checkpoint")
+        config = _problem_config(bank, recipe)
+        boxes = recipe.get("keep_out", ())
+    except (KeyError, TypeError, ValueError) as error:
+        raise BankError(f"{bank.path}: how it was made is not recorded whole ({error})") from error
+    standing, _ = read_start(recipe.get("start"))
+    objects = [bank.object(base_name(name)) for name in names[: len(names) - len(standing)]]
+    keep_out = [keep_out_box(entry) for entry in boxes]
+    setup = make_setup(config, keep_out, recipe.get("start"), (objects, bank.support))
+    given = None if checkpoint is None else read_checkpoint(Path(checkpoint))
+    trained = checkpoint_of(method, pool, given)
+    return Workshop(setup, {} if trained is None else {method: trained})
+
+
+def remade(bank: Bank, workshop: Workshop, index: int, stored: Recording) -> Recording:
+    """Scene number `index` of a bank with its attempts, made once more.
+
+    Raises:
+      BankError: made again it ends elsewhere: other versions, another machine, changed assets.
+    """
+    recipe = bank.record["recipe"]
+    width = int(recipe.get("block_size", BLOCK_SIZE))
+    recording = workshop.record(recipe["method"], int(recipe["seed"]), index, stored.title, width)
+    if not _equal(recording, stored):
+        made = ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items())
+        raise BankError(
+            f"{stored.title}: made again, it ends elsewhere than the stored scene (made with {made})",
+            "the machine and the versions that made the bank, for banks that are to be replayed",
+            "the stored scene itself, which is unharmed",
+        )
+    return recording
+
+
+def _equal(recording: Recording, stored: Recording) -> bool:
+    ends = {recording.names[i]: recording.poses[i] for i in recording.placed}
+    kept = {stored.names[i]: stored.poses[i] for i in stored.placed}
+    return set(ends) == set(kept) and all(np.array_equal(ends[name], kept[name]) for name in kept)
+
+
+def _problem_config(bank: Bank, recipe: dict[str, Any]) -> ProblemConfig:
+    region = recipe["region"]
+    return ProblemConfig(
+        pool=recipe["pool"],
+        repeat=True,
+        region=Rectangle(tuple(region["center"]), tuple(region["half_extents"]), float(region["yaw"])),
+        engine=recipe.get("engine", "auto"),
+        placement=config_of(PlacementConfig, recipe["placement"], bank.path),
+        stability=config_of(StabilityConfig, recipe["stability"], bank.path),
+        contact=config_of(ContactConfig, recipe["contact"], bank.path),
+    )

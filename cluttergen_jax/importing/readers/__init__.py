@@ -1,0 +1,23 @@
+"""Readers: from files of many formats to `Shape`s in metres, z up.
+
+tree.py finds what a path holds; mesh_file.py, urdf.py and mjcf.py each read one family; axes.py says which
+way is up; damage.py refuses files that are broken or announce more than they hold; read.py, shapes of
+impossible size.
+"""
+
+from cluttergen_jax.importing.readers.read import read_shape, read_source
+from cluttergen_jax.importing.readers.source import ReadOptions, Source
+from cluttergen_jax.importing.readers.tree import Found, Skipped, find_sources, survey
+from cluttergen_jax.importing.readers.ycb import ycb_sources
+
+__all__ = [
+    "Found",
+    "ReadOptions",
+    "Skipped",
+    "Source",
+    "find_sources",
+    "read_shape",
+    "read_source",
+    "survey",
+    "ycb_sources",
+]

@@ -1,0 +1,80 @@
+"""Mesh files: OBJ, STL, PLY, GLB, GLTF and DAE, through trimesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+
+from cluttergen_jax.assets.config import MAX_TEXTURE
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.companions import Companions
+from cluttergen_jax.importing.readers.damage import check_whole, unreadable
+from cluttergen_jax.importing.readers.materials import Dresser, gltf_notes
+from cluttergen_jax.importing.readers.text import opened
+
+
+class MeshFile(NamedTuple):
+    """What a mesh file holds.
+
+    Attributes:
+      pieces: its surfaces, in the file's own unit and frame.
+      notes: what could not be kept of its materials, in words.
+    """
+
+    pieces: list[Piece]
+    notes: tuple[str, ...]
+
+
+def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None) -> MeshFile:
+    """The file's surfaces in its own unit and frame, each with one colour or with its image.
+
+    Every geometry of a scene graph is placed where its nodes put it. The colour is the material's, or the
+    mean over vertex colours. A DAE file's declared unit is applied.
+
+    Args:
+      max_side: pixels; larger images are shrunk.
+      image: for surfaces that have texture coordinates but no image of their own.
+
+    Raises:
+      AssetError: the file is missing, announces more than it holds, or cannot be understood.
+    """
+    if not path.is_file():
+        raise AssetError(f"mesh file {path} is missing", hint="restoring the file or its name")
+    check_whole(path)
+    beside = Companions(path)
+    try:
+        scene = trimesh.load_scene(**opened(path), resolver=beside, process=False)
+    except Exception as error:  # trimesh's loaders raise whatever their parsers do.
+        raise unreadable(path, error) from error
+    is_gltf = path.suffix.lower() in (".glb", ".gltf")
+    dresser = Dresser(is_gltf, max_side, image)
+    pieces, materials = [], []
+    for node in sorted(scene.graph.nodes_geometry):
+        transform, name = scene.graph[node]
+        geometry = scene.geometry[name]
+        if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
+            mesh = _sound(geometry, path).transformed(transform[:3, :3], transform[:3, 3])
+            if np.linalg.det(transform[:3, :3]) < 0:
+                mesh = Mesh(mesh.vertices, mesh.faces[:, ::-1])
+            pieces.append(dresser.piece(mesh, geometry.visual))
+            materials.append(getattr(geometry.visual, "material", None))
+    if not pieces:
+        raise AssetError(f"{path} holds no triangles", "a surface mesh, not points or curves")
+    notes = [*beside.notes, *(gltf_notes(path, materials) if is_gltf else ()), *dresser.notes]
+    return MeshFile(pieces, tuple(dict.fromkeys(notes)))
+
+
+def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:
+    """The triangles, if they are some and name vertices that are there."""
+    vertices, faces = np.asarray(geometry.vertices), np.asarray(geometry.faces)
+    if faces.ndim != 2 or faces.shape[1] != 3 or vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise AssetError(f"{path} holds a surface that is not made of triangles", "triangles in space")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise AssetError(f"{path} is damaged: its triangles name vertices that it does not have")
+    return Mesh(vertices, faces)

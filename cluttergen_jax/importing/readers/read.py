@@ -1,0 +1,118 @@
+"""One door for all formats: from a `Source` to a checked `Shape`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.shape import Provenance, Shape
+from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.axes import AUTO, own_up, turn_of
+from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
+from cluttergen_jax.importing.readers.mjcf import read_mjcf
+from cluttergen_jax.importing.readers.model import Model
+from cluttergen_jax.importing.readers.source import ReadOptions, Source
+from cluttergen_jax.importing.readers.tree import find_sources
+from cluttergen_jax.importing.readers.urdf import read_urdf
+from cluttergen_jax.importing.readers.ycb_scans import ycb_provenance
+
+MIN_SIZE = 0.005
+MAX_SIZE = 2.0
+_UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "tenths of a millimetre": 0.0001}
+
+
+def read_shape(source: Source, options: ReadOptions | None = None) -> Shape:
+    """Reads one object, scaled to metres, z up, its pieces not yet welded.
+
+    Raises:
+      AssetError: a file is missing or unreadable (the message names it), or the size is impossible.
+    """
+    options = options or ReadOptions()
+    model, mass_scale = _model(source, options)
+    up = own_up(source.path, source.kind).axis if options.up == AUTO else options.up
+    rotation = turn_of(up, options.front)
+    turn = rotation * options.scale
+    notes = model.notes
+    if source.kind != "mesh" and model.stated is None and options.mass is None:
+        notes = (*notes, f"its file states no mass: it is its volume times {options.density:g} kg/m^3")
+    shape = Shape(
+        name=source.name,
+        label=source.label,
+        pieces=tuple(piece.transformed(turn, np.zeros(3)) for piece in model.pieces),
+        provenance=_provenance(source, options),
+        parts=None
+        if model.parts is None
+        else tuple(part.transformed(turn, np.zeros(3)) for part in model.parts),
+        mass=options.mass,
+        density=options.density,
+        stated=None if model.stated is None else model.stated.scaled(rotation, options.scale, mass_scale),
+        friction=options.friction,
+        notes=notes,
+    )
+    _check_size(shape, source.path)
+    return shape
+
+
+def _model(source: Source, options: ReadOptions) -> tuple[Model, float]:
+    """What the file holds, and the factor on its masses.
+
+    In URDF a mass is written as it is; most of MJCF's are a density times a volume, which keeps its density.
+    """
+    if source.kind == "urdf":
+        return read_urdf(source.path, options.max_texture), 1.0
+    if source.kind == "mjcf":
+        return read_mjcf(source.path, source.body, options.max_texture), options.scale**3
+    pieces, notes = read_mesh_file(source.path, options.max_texture)
+    return Model(pieces, None, None, notes), 1.0
+
+
+def read_source(path: str | Path, options: ReadOptions | None = None) -> list[Shape]:
+    """Reads every object that `path` holds; the first that cannot be read raises AssetError."""
+    return [read_shape(source, options) for source in find_sources(path)]
+
+
+def _provenance(source: Source, options: ReadOptions) -> Provenance:
+    """The source's own terms, but for those that the user states."""
+    known = source.provenance or ycb_provenance(source.path)
+    own = known or Provenance(_public_name(source.path), "not stated")
+    return replace(
+        own, licence=options.licence or own.licence, attribution=options.attribution or own.attribution
+    )
+
+
+def _public_name(path: Path) -> str:
+    """The last three steps of a path: enough to recognise a file, without telling where a user keeps it."""
+    return "/".join(path.resolve().parts[-3:])
+
+
+def _check_size(shape: Shape, path: Path) -> None:
+    """Raises AssetError if the shape is empty, not finite, or its largest side is not that of an object."""
+    meshes = [piece.mesh for piece in shape.pieces]
+    if not any(len(mesh.faces) for mesh in meshes):
+        raise AssetError(f"{path} holds no triangles", "a surface mesh, not points or curves")
+    whole = joined(meshes)
+    if not np.isfinite(whole.vertices).all():
+        raise AssetError(f"{path} has vertices that are not finite numbers")
+    used = whole.vertices[np.unique(whole.faces)]
+    size = float(np.ptp(used, axis=0).max())
+    if not MIN_SIZE <= size <= MAX_SIZE:
+        raise AssetError(
+            f"{path}: {shape.label!r} is {size:.3g} m across",
+            f"a largest side between {MIN_SIZE * 1000:g} mm and {MAX_SIZE:g} m",
+            _likely_cause(size),
+        )
+
+
+def _likely_cause(size: float) -> str:
+    """Which unit would make this an object of 2 cm to 60 cm, in words that name the option."""
+    if size < MIN_SIZE:
+        return "`scale` with the factor to metres; a scale may have been applied twice"
+    fitting = [
+        f"scale={factor:g} if the file is in {unit} ({size * factor:.2g} m across)"
+        for unit, factor in _UNITS.items()
+        if 0.02 <= size * factor <= 0.6
+    ]
+    return " or ".join(fitting) or "`scale` with the factor from the file's unit to metres"

@@ -1,0 +1,129 @@
+"""What URDF and MJCF files name: the files that belong to them, and the bodies that they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+from cluttergen_jax.importing.readers.urdf import mesh_place
+
+Element = ElementTree.Element
+_BROKEN = (OSError, ElementTree.ParseError, ValueError, LookupError)
+"""What a file that is no XML, or in no known encoding, raises."""
+_FOLDERS = ("meshdir", "assetdir", "texturedir")
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """A URDF or MJCF file.
+
+    Attributes:
+      path: the file.
+      kind: "urdf" or "mjcf".
+      files: real paths of the meshes and textures that it names and that are there.
+      includes: real paths of the MJCF files that are part of it.
+      bodies: names of the bodies that hang on the world body, "" where one has none; () of a URDF.
+      is_whole: all that it names is there.
+    """
+
+    path: Path
+    kind: str
+    files: frozenset[Path] = frozenset()
+    includes: frozenset[Path] = frozenset()
+    bodies: tuple[str, ...] = ()
+    is_whole: bool = True
+
+
+def model_file(path: Path) -> ModelFile | str:
+    """The model in a .urdf or .xml file, or why it is none. One that is broken further down names nothing."""
+    tag = _root_tag(path)
+    if tag == "mujoco":
+        return _mjcf(path)
+    if tag == "robot" or path.suffix.lower() == ".urdf":
+        return _urdf(path)
+    return f"neither URDF nor MJCF: its root is <{tag}>" if tag else "not well-formed XML"
+
+
+def _root_tag(path: Path) -> str:
+    try:
+        return next(iter(ElementTree.iterparse(path, events=("start",))))[1].tag
+    except (*_BROKEN, StopIteration):
+        return ""
+
+
+def _urdf(path: Path) -> ModelFile:
+    root = _parsed(path)
+    if root is None:
+        return ModelFile(path, "urdf", is_whole=False)
+    named = [each.get("filename", "") for each in root.iter() if each.tag in ("mesh", "texture")]
+    files = {name: file for name in named if (file := mesh_place(path, name)) is not None}
+    real = frozenset(file.resolve() for file in files.values())
+    return ModelFile(path, "urdf", real, is_whole=len(files) == len(set(named)))
+
+
+def _mjcf(path: Path) -> ModelFile:
+    includes = {path.resolve()}
+    root = _expanded(path, path.parent, includes)
+    includes.discard(path.resolve())
+    if root is None:
+        return ModelFile(path, "mjcf", is_whole=False)
+    folders = {path.parent}
+    for compiler in root.iter("compiler"):
+        folders |= {path.parent / compiler.get(name, "") for name in _FOLDERS}
+    files: set[Path] = set()
+    is_whole = True
+    for element in root.iter():
+        names = [value for name, value in element.items() if name.startswith("file")]
+        there = {file.resolve() for name in names for file in _candidates(name, folders) if file.is_file()}
+        is_whole &= bool(there) or not names
+        if element.tag == "model":
+            # An attached model is part of this one, with all that it names itself.
+            for part in there - includes - {path.resolve()}:
+                inner = _mjcf(part)
+                includes |= {part, *inner.includes}
+                files |= inner.files
+        else:
+            files |= there
+    bodies = tuple(body.get("name", "") for world in root.iter("worldbody") for body in world.findall("body"))
+    return ModelFile(path, "mjcf", frozenset(files), frozenset(includes), bodies, is_whole)
+
+
+def _candidates(name: str, folders: set[Path]) -> Iterator[Path]:
+    """Where MuJoCo may look for a file, with its path stripped or not."""
+    for folder in folders:
+        yield folder / name
+        yield folder / Path(name).name
+
+
+def _expanded(path: Path, main: Path, includes: set[Path]) -> Element | None:
+    """An MJCF tree with the content of included files in place of their <include>; None if it is broken.
+
+    Args:
+      main: the main file's folder, which names are relative to.
+      includes: the files that were included already; those found here are added.
+    """
+    root = _parsed(path)
+    if root is None:
+        return None
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if child.tag != "include":
+                continue
+            place = list(parent).index(child)
+            parent.remove(child)
+            for file in (main / child.get("file", ""), path.parent / child.get("file", "")):
+                if file.is_file() and file.resolve() not in includes:
+                    includes.add(file.resolve())
+                    inner = _expanded(file, main, includes)
+                    parent[place:place] = list(inner) if inner is not None else []
+                    break
+    return root
+
+
+def _parsed(path: Path) -> Element | None:
+    try:
+        return ElementTree.parse(path).getroot()
+    except _BROKEN:
+        return None

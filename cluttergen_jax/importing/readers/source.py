@@ -1,0 +1,108 @@
+"""One object to be read: where it is, what it is called, how it is read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+from pathlib import Path
+
+from cluttergen_jax.assets.config import MAX_TEXTURE
+from cluttergen_jax.assets.shape import Provenance
+from cluttergen_jax.config import check_positive
+from cluttergen_jax.importing.readers.axes import check_axes
+
+# File and folder names that say nothing about the object.
+GENERIC = (
+    r"mobility|model|models|object|mesh|meshes|textured|nontextured|textured_objs|visual|collision"
+    r"|scene|base|main|urdf|mjcf|google_\d+k|textured_simple(_reordered)?|assets|untitled"
+)
+_SAYS_NOTHING = re.compile(r"\d{1,2}|" + GENERIC)
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """How files are read, and what they do not say.
+
+    Attributes:
+      scale: factor from the file's unit to metres.
+      up: the file's axis that points up: x, y, z, -x, -y or -z; "auto" takes what the file or its format
+        says (`axes.own_up`).
+      front: the file's axis that becomes the object's +x, at a right angle to `up`; "auto" takes x, or -y
+        where x is up.
+      density: kg/m^3, for objects whose mass is not known.
+      mass: kilograms for every object, instead of volume times density.
+      friction: sliding coefficient of the object; None leaves it to the contact's.
+      licence, attribution: on which terms the object may be passed on; empty where the source says it.
+      max_texture: pixels a side that an image may have; larger ones are shrunk.
+    """
+
+    scale: float = 1.0
+    up: str = "auto"
+    density: float = 500.0
+    mass: float | None = None
+    front: str = "auto"
+    friction: float | None = None
+    licence: str = ""
+    attribution: str = ""
+    max_texture: int = MAX_TEXTURE
+
+    def __post_init__(self) -> None:
+        check_positive(self, "scale", "density", "max_texture")
+        for name in ("mass", "friction"):
+            if getattr(self, name) is not None:
+                check_positive(self, name)
+        check_axes(self.up, self.front)
+
+
+@dataclass(frozen=True)
+class Source:
+    """One object to be read.
+
+    Attributes:
+      path: the mesh, URDF or MJCF file.
+      kind: "mesh", "urdf" or "mjcf".
+      name: `[a-z0-9_-]+`, unique among the sources found together.
+      label: what people call it.
+      body: the body's name, where an MJCF file holds several objects.
+      notes: known faults, passed on as flags.
+    """
+
+    path: Path
+    kind: str
+    name: str
+    label: str
+    body: str = ""
+    provenance: Provenance | None = None
+    notes: tuple[str, ...] = ()
+
+
+def make_source(path: Path, kind: str, title: str = "") -> Source:
+    """The source of a file, called `title`, or else after the part of its path that says most."""
+    title = title or telling_name(path)
+    label = re.sub(r"^\d+[-_ ]+", "", title).replace("_", " ").strip() or title
+    return Source(path, kind, plain_name(title), label)
+
+
+def telling_name(path: Path) -> str:
+    """The innermost part of a path that says what the object is."""
+    parts = [path.stem, *(each.name for each in path.resolve().parents)]
+    return next((part for part in parts if part and not _SAYS_NOTHING.fullmatch(part.lower())), path.stem)
+
+
+def plain_name(text: str) -> str:
+    """`text` in the letters allowed for names."""
+    return re.sub(r"[^a-z0-9_-]+", "_", text.lower()).strip("_") or "object"
+
+
+def named_apart(sources: Sequence[Source]) -> list[Source]:
+    """Distinct names: where several objects share one, all but the first get the next free number."""
+    taken: set[str] = set()
+    out = []
+    for source in sources:
+        numbered = (f"{source.name}-{number}" for number in count(2))
+        name = source.name if source.name not in taken else next(n for n in numbered if n not in taken)
+        taken.add(name)
+        out.append(replace(source, name=name))
+    return out

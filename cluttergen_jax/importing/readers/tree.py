@@ -1,0 +1,232 @@
+"""Finding objects: a file, or a tree of folders in which nothing is passed over without a word."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.references import ModelFile, model_file
+from cluttergen_jax.importing.readers.source import GENERIC, Source, make_source, named_apart
+from cluttergen_jax.importing.readers.ycb_scans import best_scans
+
+# In order of preference where a folder offers one object in several formats.
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".ply", ".stl")
+MODEL_SUFFIXES = (".urdf", ".xml")
+SETTINGS = "objects.toml"
+"""Settings of the objects in a folder (`importing.settings`)."""
+
+# Materials, textures and buffers belong to a mesh beside them; label.json to a URDF.
+_COMPANIONS = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp", ".gif")
+_NOTES = (SETTINGS, "label.json")
+_OTHER_FORMATS = re.compile(
+    r"\.(fbx|blend|usd[acz]?|3ds|3mf|max|ma|mb|off|x3d|wrl|step|stp|iges|igs|drc|skp)"
+)
+_STANDS_IN = re.compile(GENERIC)
+# What published sets, such as PartNet-Mobility, call the pieces of a model.
+_PIECE = re.compile(r"(original|new)-\d+|visual|collision")
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A file or folder that was not imported, and why.
+
+    Attributes:
+      name: its path, from the folder on that was searched.
+    """
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a path holds: objects with distinct names, in sorted order, and what was passed over."""
+
+    sources: tuple[Source, ...]
+    skipped: tuple[Skipped, ...] = ()
+
+
+def find_sources(path: str | Path) -> list[Source]:
+    """`survey(path).sources`, as a list."""
+    return list(survey(path).sources)
+
+
+def survey(path: str | Path) -> Found:
+    """Every object that `path` holds, and every file that is none.
+
+    The meshes that a URDF or MJCF file names are its pieces; all others are objects of their own. One object
+    in several formats counts once. Each real folder is entered once, however many links lead there.
+
+    Raises:
+      AssetError: nothing is there, or nothing that can be read.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise AssetError(f"{path} does not exist", "a mesh, URDF or MJCF file, or a folder of them")
+    if path.is_dir():
+        tree = _Tree(path)
+        tree.enter_all()
+        sources, others = best_scans(list(tree.sources()))
+        for scan, best in others.items():
+            tree.skip(scan, f"another scan of the object in {best.parent.name}")
+        found = Found(tuple(named_apart(sources)), tuple(tree.skipped))
+    else:
+        found = Found(tuple(named_apart(list(_from_file(path)))))
+    if not found.sources:
+        passed = ", ".join(each.name for each in found.skipped[:5])
+        raise AssetError(
+            f"{path} holds no object{f' (skipped: {passed})' if passed else ''}",
+            ", ".join([*MESH_SUFFIXES, ".urdf", ".xml (MJCF)"]),
+        )
+    return found
+
+
+def _from_file(path: Path) -> Iterator[Source]:
+    if path.suffix.lower() in MESH_SUFFIXES:
+        yield make_source(path, "mesh")
+    elif path.suffix.lower() in MODEL_SUFFIXES and isinstance(model := model_file(path), ModelFile):
+        yield from _sources_of(model)
+
+
+def _sources_of(model: ModelFile) -> Iterator[Source]:
+    """One source for each body that hangs on the world body; the file itself if it does not say."""
+    if len(model.bodies) < 2:
+        yield make_source(model.path, model.kind)
+        return
+    for index, name in enumerate(model.bodies):
+        source = make_source(model.path, model.kind, name or f"{model.path.stem}-{index}")
+        yield replace(source, body=name or f"#{index}")
+
+
+def _why_a_piece(mesh: Path, model: ModelFile) -> str:
+    """Why a mesh that a model beside it does not name is a piece of it after all; empty if it is not."""
+    is_named_after_folder = _STANDS_IN.fullmatch(model.path.stem.lower()) is not None
+    if is_named_after_folder and not model.is_whole and mesh.parent == model.path.parent:
+        return f"perhaps one of the files that {model.path.name} names and that are missing"
+    stem = mesh.stem.lower()
+    if _PIECE.fullmatch(stem) or (is_named_after_folder and _STANDS_IN.fullmatch(stem)):
+        return f"by its name a piece of {model.path.name}, which does not use it"
+    return ""
+
+
+@dataclass
+class _Tree:
+    """A walk through the folders below `root`: first everything is looked at, then sources are chosen."""
+
+    root: Path
+    skipped: list[Skipped] = field(default_factory=list)
+    files: dict[Path, list[Path]] = field(default_factory=dict)
+
+    def enter_all(self) -> None:
+        """Lists each real folder once: first those that lie here, then those that only links lead to."""
+        seen: dict[Path, Path] = {}
+        links: list[Path] = []
+        self._enter(self.root, seen, links)
+        above = self.root.resolve().parents
+        while links:
+            link = links.pop(0)
+            real = link.resolve()
+            if real in above:
+                self.skip(link, "a link to a folder that holds this one")
+            elif real in seen:
+                self.skip(link, f"a link to a folder that is imported already: {self._name(seen[real])}")
+            else:
+                self._enter(link, seen, links)
+
+    def _enter(self, folder: Path, seen: dict[Path, Path], links: list[Path]) -> None:
+        seen[folder.resolve()] = folder
+        try:
+            children = sorted(each for each in folder.iterdir() if not each.name.startswith("."))
+        except OSError as error:
+            self.skip(folder, f"cannot be opened ({error.strerror})")
+            return
+        self.files[folder] = [each for each in children if each.is_file()]
+        for each in children:
+            if each.is_dir() and each.is_symlink():
+                links.append(each)
+            elif each.is_dir():
+                self._enter(each, seen, links)
+            elif not each.is_file():
+                self.skip(each, "a link that leads nowhere" if each.is_symlink() else "not a file")
+
+    def sources(self) -> Iterator[Source]:
+        """What is imported; the rest is added to `skipped`."""
+        models = {
+            file: model_file(file)
+            for files in self.files.values()
+            for file in files
+            if file.suffix.lower() in MODEL_SUFFIXES
+        }
+        owner: dict[Path, ModelFile] = {}
+        for model in models.values():
+            if isinstance(model, ModelFile):
+                for file in model.files | model.includes:
+                    owner.setdefault(file, model)
+        for files in self.files.values():
+            here = [models[file] for file in files if file in models]
+            for file in files:
+                self._explain(file, models.get(file), owner)
+            yield from self._models(here, owner)
+            yield from self._meshes(files, [each for each in here if isinstance(each, ModelFile)], owner)
+
+    def _explain(self, file: Path, model: ModelFile | str | None, owner: dict[Path, ModelFile]) -> None:
+        """Says why a file that can be no object is none."""
+        suffix = file.suffix.lower()
+        if isinstance(model, str):
+            part_of = owner.get(file.resolve())
+            self.skip(file, f"included by {part_of.path.name}" if part_of else model)
+        elif _OTHER_FORMATS.fullmatch(suffix):
+            self.skip(file, f"{suffix[1:].upper()} is not read; Blender and others can save it as GLB")
+        elif not (model or suffix in (*MESH_SUFFIXES, *_COMPANIONS) or file.name in _NOTES):
+            self.skip(file, "not a mesh format")
+
+    def _models(self, here: list[ModelFile | str], owner: dict[Path, ModelFile]) -> Iterator[Source]:
+        first: dict[str, Path] = {}
+        for model in here:
+            if isinstance(model, str):
+                continue
+            part_of = owner.get(model.path.resolve())
+            twin = first.setdefault(model.path.stem, model.path)
+            if part_of is not None and part_of is not model:
+                self.skip(model.path, f"included by {part_of.path.name}")
+            elif twin is not model.path and len(model.bodies) < 2:
+                self.skip(model.path, f"the same object as {twin.name}")
+            else:
+                yield from _sources_of(model)
+
+    def _meshes(
+        self, files: list[Path], models: list[ModelFile], owner: dict[Path, ModelFile]
+    ) -> Iterator[Source]:
+        """Mesh files that no model names, one for each object."""
+        meshes = [each for each in files if each.suffix.lower() in MESH_SUFFIXES]
+        meshes.sort(
+            key=lambda each: (each.stem == "collision", MESH_SUFFIXES.index(each.suffix.lower()), each.name)
+        )
+        owned = {each: owner[each.resolve()] for each in meshes if each.resolve() in owner}
+        near = next(iter([*models, *owned.values()]), None)
+        best = {each.path.stem: each.path for each in models} | {each.stem: each for each in owned}
+        chosen = []
+        for mesh in meshes:
+            if mesh in owned:
+                continue
+            says_nothing = _STANDS_IN.fullmatch(mesh.stem.lower()) is not None
+            if near is not None and (reason := _why_a_piece(mesh, near)):
+                self.skip(mesh, reason)
+                continue
+            key = "" if says_nothing else mesh.stem
+            twin = best.setdefault(key, mesh)
+            if twin is mesh:
+                chosen.append(mesh)
+            else:
+                self.skip(mesh, f"the same object as {twin.name}")
+        for mesh in sorted(chosen):
+            yield make_source(mesh, "mesh")
+
+    def skip(self, path: Path, reason: str) -> None:
+        self.skipped.append(Skipped(self._name(path), reason))
+
+    def _name(self, path: Path) -> str:
+        return str(path.relative_to(self.root.parent))

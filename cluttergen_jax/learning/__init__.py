@@ -1,0 +1,1 @@
+"""Learning to place: networks, PPO, agents and their policies, training runs."""

@@ -1,0 +1,141 @@
+"""Methods by name: geometric baselines, and trained policies from checkpoints."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+from cluttergen_jax.assets.pool import without_exclusions
+from cluttergen_jax.config import VARIANTS
+from cluttergen_jax.errors import ConfigError, PoolError, closest
+from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
+from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
+from cluttergen_jax.learning.policies.filtered import FilteredPolicy
+from cluttergen_jax.learning.policies.policy import TrainedPolicy, load_policy
+from cluttergen_jax.learning.ppo.checkpoint import read_record
+from cluttergen_jax.placement.baselines import METHODS as BASELINES
+from cluttergen_jax.placement.baselines import Clear, make_proposer
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.rules import Proposer, Rules
+from cluttergen_jax.placement.search import SearchConfig
+
+FILTERED = "policy-clear"
+METHODS = (*BASELINES, *VARIANTS, FILTERED)
+DEFAULT_METHOD = "policy"
+FALLBACK_METHOD = "clear"
+GOOD_SUCCESS = 0.9
+"""Success, as its record tells it, from which an embedded policy is what a user gets unasked."""
+
+
+def choose_method(
+    method: str | None, pool: str, support: str, num_objects: int, checkpoint: str | Path | None = None
+) -> tuple[str, Checkpoint | None]:
+    """A method, and the checkpoint behind it (None for a baseline); each record is read once.
+
+    Args:
+      method: None takes the given checkpoint's own; without one, `policy` where one is embedded that was
+        trained for this pool on this support with at least as many objects, and that fills most scenes;
+        else `clear`.
+      checkpoint: a policy's folder; the embedded one if None.
+
+    Raises:
+      ConfigError: there is no such method, or the given checkpoint is of another.
+      PoolError: no checkpoint is embedded for it, or there is none in the given folder.
+    """
+    given = None if checkpoint is None else read_checkpoint(Path(checkpoint))
+    if method is None and given is not None:
+        method = given.variant or DEFAULT_METHOD
+    if method is not None:
+        return method, checkpoint_of(method, pool, given)
+    embedded = list_policies().get(f"{without_exclusions(pool)}-{DEFAULT_METHOD}")
+    if embedded is None:
+        return FALLBACK_METHOD, None
+    found = read_checkpoint(embedded)
+    is_trained = found.record.get("support") == support and num_objects <= found.placement["num_objects"]
+    is_good = found.record.get("evaluation", {}).get("success", 0.0) >= GOOD_SUCCESS
+    return (DEFAULT_METHOD, found) if is_trained and is_good else (FALLBACK_METHOD, None)
+
+
+def checkpoint_of(method: str, pool: str, given: Checkpoint | None = None) -> Checkpoint | None:
+    """The checkpoint behind a method; None for a baseline.
+
+    Args:
+      given: the one to take; the embedded one for the pool if None.
+
+    Raises:
+      ConfigError: there is no such method, or the given checkpoint is of another.
+      PoolError: no checkpoint is embedded for it.
+    """
+    if method not in METHODS:
+        raise ConfigError(
+            f"method {method!r}", ", ".join(METHODS), "method='clear'", closest(method, METHODS)
+        )
+    if method in BASELINES:
+        if given is not None:
+            raise ConfigError(f"`checkpoint` with method {method!r}, which has none", ", ".join(VARIANTS))
+        return None
+    if given is None:
+        name = DEFAULT_METHOD if method == FILTERED else method
+        return read_checkpoint(find_policy(name, without_exclusions(pool)))
+    _check_variant(method, given)
+    return given
+
+
+def _check_variant(method: str, given: Checkpoint) -> None:
+    """Refuses a checkpoint of another method; the geometric filter takes every policy of poses."""
+    variant = given.variant or method
+    if variant == method or (method == FILTERED and given.kind == "pose"):
+        return
+    raise ConfigError(
+        f"method {method!r} with {given.path}, which was trained as {variant!r}",
+        "a policy of poses" if method == FILTERED else f"method {variant!r}",
+        f"method={variant!r}",
+    )
+
+
+def checkpoint_hash(checkpoint: Path) -> str:
+    """Hex digest of a policy's weights and record.
+
+    Raises:
+      PoolError: there is no policy in that folder.
+    """
+    read_record(checkpoint)
+    try:
+        files = [(checkpoint / name).read_bytes() for name in ("record.json", "weights.npz")]
+    except OSError as error:
+        raise PoolError(
+            f"{checkpoint} holds no policy ({error.strerror})", hint="the folder `policy` of a run"
+        ) from error
+    return hashlib.sha256(b"".join(hashlib.sha256(data).digest() for data in files)).hexdigest()
+
+
+def suited(placement: PlacementConfig, checkpoint: Checkpoint | None) -> PlacementConfig:
+    """The settings with the history that a method looks back on: none for a baseline."""
+    stride = 0 if checkpoint is None else checkpoint.placement["history_stride"]
+    return replace(placement, history_stride=stride)
+
+
+def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Proposer:
+    """The method, bound to a world.
+
+    Raises:
+      ConfigError: the geometric filter is asked for around a policy that ranks candidates already.
+    """
+    if checkpoint is None:
+        return make_proposer(method, rules)
+    policy = load_policy(checkpoint, rules)
+    if method != FILTERED:
+        return policy
+    if checkpoint.kind != "pose":
+        raise ConfigError(
+            f"method {FILTERED!r} with {checkpoint.path}, which ranks candidates", "a policy of poses"
+        )
+    return make_filtered(policy, rules)
+
+
+def make_filtered(policy: TrainedPolicy, rules: Rules) -> FilteredPolicy:
+    """Draws of a policy, filtered by the geometry that `clear` uses."""
+    num_draws = FilteredPolicy.num_draws
+    search = SearchConfig(num_candidates=num_draws, num_finalists=num_draws // 2)
+    return FilteredPolicy(policy, Clear(rules, search))

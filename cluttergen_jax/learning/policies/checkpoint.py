@@ -1,0 +1,78 @@
+"""A stored policy and what its record says of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from cluttergen_jax.errors import PoolError
+from cluttergen_jax.learning.agents import KINDS
+from cluttergen_jax.learning.networks.config import AgentConfig
+from cluttergen_jax.learning.ppo.checkpoint import read_record
+
+_TRAINED = ("max_attempts", "history_stride")
+_HINT = "a policy that `cluttergen train` of this version left"
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """A stored policy: its folder, and its record, which is read once.
+
+    Attributes:
+      path: the folder, of `weights.npz` and `record.json`.
+      record: JSON values: at least the `network`, and the `placement` in which it was trained.
+    """
+
+    path: Path
+    record: dict[str, Any]
+
+    @property
+    def variant(self) -> str | None:
+        """The method's name; None where the record does not say it."""
+        return self.record.get("variant")
+
+    @property
+    def placement(self) -> dict[str, Any]:
+        """The settings of the episodes in which it was trained."""
+        return self.record["placement"]
+
+    @property
+    def kind(self) -> str:
+        """Of its agent. Records of before kinds were written down are known by their network's sizes."""
+        sizes = self.record["network"].keys()
+        fitting = (
+            name for name, kind in KINDS.items() if sizes <= {each.name for each in fields(kind.config)}
+        )
+        return self.record.get("kind") or next(fitting, "pose")
+
+    @cached_property
+    def network(self) -> AgentConfig:
+        """The sizes of its network.
+
+        Raises:
+          PoolError: the record names a kind, or sizes, that this version does not know.
+        """
+        try:
+            return KINDS[self.kind].config(**self.record["network"])
+        except (KeyError, TypeError) as error:
+            raise PoolError(
+                f"{self.path / 'record.json'} does not say what network it holds ({error})", hint=_HINT
+            ) from error
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """The policy in a folder.
+
+    Raises:
+      PoolError: there is none, or its record is damaged, of another format, or lacks what a policy needs.
+    """
+    record = read_record(path)
+    trained = record.get("placement")
+    numbers = [trained.get(name) for name in _TRAINED] if isinstance(trained, dict) else [None]
+    if not isinstance(record.get("network"), dict) or not all(type(number) is int for number in numbers):
+        raise PoolError(
+            f"{path / 'record.json'} does not say what network it holds, and how that was trained", hint=_HINT
+        )
+    return Checkpoint(path, record)

@@ -1,0 +1,120 @@
+"""A trained policy: an agent with its weights, bound to a world."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.learning.agents import make_agent
+from cluttergen_jax.learning.networks.config import AgentConfig
+from cluttergen_jax.learning.policies.checkpoint import Checkpoint
+from cluttergen_jax.learning.ppo.agent import Agent
+from cluttergen_jax.learning.ppo.checkpoint import read_policy
+from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.types import Array
+
+
+class TrainedPolicy(struct.PyTreeNode, eq=False):
+    """A proposer that draws from an agent's distribution, or takes its mean (of candidates, the likeliest).
+
+    Attributes:
+      env: shows episodes to the agent, and turns its actions into poses.
+      agent, params: the network and its weights.
+      is_sampled: draw actions; else take the mean.
+      num_attempts: how many failed attempts the agent reads; those that the rules do not allow are empty.
+    """
+
+    env: PlacementEnv
+    agent: Agent
+    params: Any
+    is_sampled: bool = struct.field(pytree_node=False)
+    num_attempts: int = struct.field(pytree_node=False)
+
+    def __call__(self, key: Array, episode: Episode) -> Array:
+        """See `placement.rules.Proposer`."""
+        seen = self.observe(episode)
+        dist = self._distribution(seen)
+        return self.env.pose_of(seen, dist.sample(key) if self.is_sampled else dist.mean())
+
+    def draw(self, key: Array, episode: Episode, number: int) -> Array:
+        """Many poses for the same attempt, f32[number, 4]."""
+        seen = self.observe(episode)
+        actions = jax.vmap(self._distribution(seen).sample)(jax.random.split(key, number))
+        return jax.vmap(lambda action: self.env.pose_of(seen, action))(actions)
+
+    def observe(self, episode: Episode) -> dict[str, Any]:
+        """What the agent sees of an episode."""
+        seen = self.env.observe(episode)
+        missing = self.num_attempts - self.env.rules.config.max_attempts
+        if missing == 0 or "history" not in seen:
+            return seen
+        return seen | {"history": jax.tree.map(lambda rows: _padded(rows, missing), seen["history"])}
+
+    def _distribution(self, seen: dict[str, Any]) -> Any:
+        """Over the actions of one attempt."""
+        dist, _ = self.agent.apply(self.params, jax.tree.map(lambda leaf: leaf[None], seen))
+        return jax.tree.map(lambda leaf: leaf[0], dist)
+
+
+def _padded(rows: Array, missing: int) -> Array:
+    return jnp.pad(rows, [(0, missing)] + [(0, 0)] * (rows.ndim - 1))
+
+
+def make_policy(
+    rules: Rules, network: AgentConfig, params: Any = None, is_sampled: bool | None = None
+) -> TrainedPolicy:
+    """A policy with given weights; with other weights it is `dataclasses.replace(policy, params=...)`.
+
+    Args:
+      is_sampled: draw actions, or take the distribution's mean; the kind's own habit if None: poses are
+        drawn, and of candidates the best is taken.
+    """
+    env, agent = make_agent(rules, network)
+    is_sampled = network.is_sampled if is_sampled is None else is_sampled
+    return TrainedPolicy(env, agent, params, is_sampled, rules.config.max_attempts)
+
+
+def load_policy(checkpoint: Checkpoint, rules: Rules, is_sampled: bool | None = None) -> TrainedPolicy:
+    """A policy with the weights of a checkpoint.
+
+    Args:
+      rules: of the world to act in. It must remember what the policy was trained to look back on.
+      is_sampled: see `make_policy`.
+
+    Raises:
+      PoolError: the checkpoint is damaged.
+      ConfigError: the world's history is not what the policy reads. Fewer attempts are; more are not.
+    """
+    policy = make_policy(rules, checkpoint.network, None, is_sampled)
+    if checkpoint.network.reads_history:
+        _check_history(checkpoint.placement, rules)
+        policy = replace(policy, num_attempts=checkpoint.placement["max_attempts"])
+    # Only shapes are needed: drawing fresh parameters would take longer to compile than acting does.
+    seen = jax.eval_shape(lambda: policy.observe(rules.begin(jax.random.key(0))))
+    shapes = jax.eval_shape(policy.agent.init, jax.random.key(0), seen)
+    blank = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
+    return replace(policy, params=read_policy(checkpoint.path, blank))
+
+
+def _check_history(trained: dict[str, Any], rules: Rules) -> None:
+    """Refuses rules whose history a policy cannot read; fewer attempts than it knows it can."""
+    most, stride = trained["max_attempts"], trained["history_stride"]
+    if rules.config.max_attempts > most:
+        raise ConfigError(
+            f"max_attempts = {rules.config.max_attempts} with a policy trained with {most}",
+            f"1 to {most}",
+            f"cluttergen train --attempts {rules.config.max_attempts}",
+        )
+    if rules.config.history_stride != stride:
+        raise ConfigError(
+            f"history_stride = {rules.config.history_stride} with a policy trained with {stride}",
+            f"history_stride = {stride}",
+        )

@@ -1,0 +1,191 @@
+"""Checkpoints: a run's whole state (Orbax), and a policy's weights alone (NumPy, no pickle)."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import flax.traverse_util
+import jax
+import jax.numpy as jnp
+import numpy as np
+import orbax.checkpoint as ocp
+
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.files import folder_whole, put_back, write_atomically
+from cluttergen_jax.learning.ppo.sharding import with_keys, without_keys
+
+FORMAT = 1
+_CRITIC = ("params/critic/", "params/value/")
+"""What acting does not need; an attention layer has a `value` too, which it does."""
+_MOST_BYTES, _HEADER = 8, 4096
+"""Of a number, and of what stands before the numbers in a file of NumPy's."""
+_SHOWN = 3
+_FRESH = "a fresh copy of that folder, or training again"
+
+
+def _checkpointer() -> ocp.StandardCheckpointer:
+    """A checkpointer that waits for no other process: where there are several, one alone reads and writes."""
+    here = jax.process_index()
+    alone = ocp.options.MultiprocessingOptions(primary_host=here, active_processes={here})
+    return ocp.StandardCheckpointer(multiprocessing_options=alone)
+
+
+def _stored(tree: Any) -> dict[str, Any]:
+    """The leaves that can be stored, by number: PRNG keys as plain arrays, empty arrays left out."""
+    leaves = jax.tree.leaves(without_keys(tree))
+    if jax.process_count() > 1:
+        # Among several processes Orbax takes a JAX array for something that all of them hold together.
+        leaves = [np.asarray(leaf) for leaf in leaves]
+    return {f"{number:05d}": leaf for number, leaf in enumerate(leaves) if leaf.size}
+
+
+def _restored(stored: dict[str, Any], like: Any) -> Any:
+    """The inverse of `_stored`, guided by a tree of the same structure."""
+    leaves, structure = jax.tree.flatten(without_keys(like))
+    for number, leaf in enumerate(leaves):
+        if leaf.size:
+            leaves[number] = stored[f"{number:05d}"]
+    return with_keys(jax.tree.unflatten(structure, leaves), like)
+
+
+def save_state(path: Path, state: Any, record: dict[str, Any]) -> None:
+    """Stores a pytree of arrays and a JSON record as one folder, whole or not at all."""
+    with folder_whole(path.absolute(), is_only_writer=True) as fresh:
+        with _checkpointer() as checkpointer:
+            checkpointer.save(fresh / "state", _stored(state))
+        (fresh / "record.json").write_text(json.dumps({"format": FORMAT, **record}, indent=1) + "\n")
+
+
+def has_state(path: Path) -> bool:
+    """Whether a state is stored there; one whose replacement was interrupted is put back first."""
+    put_back(path)
+    return path.exists()
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """The record stored beside a state or a policy.
+
+    Raises:
+      PoolError: there is no checkpoint, or it is damaged or of another format.
+    """
+    try:
+        record = json.loads((path / "record.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        reason = f"record.json: {getattr(error, 'strerror', None) or error}"
+        raise PoolError(
+            f"{path} is not a checkpoint ({reason})", hint="cluttergen train makes one"
+        ) from error
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        raise PoolError(f"{path} is not a checkpoint of format {FORMAT}")
+    return record
+
+
+def check_folder(folder: Path, recipe: dict[str, Any]) -> None:
+    """Refuses to continue a run that was made with other settings.
+
+    Raises:
+      ConfigError: there is one; the message says which settings differ.
+    """
+    if not has_state(folder / "last"):
+        return
+    theirs = read_record(folder / "last")
+    changed = sorted(name for name, value in recipe.items() if theirs.get(name) != _as_json(value))
+    if changed:
+        raise ConfigError(
+            f"{folder} holds a run with another {', '.join(changed)}",
+            "the same settings, which continue it",
+            "another `out`",
+        )
+
+
+def _as_json(value: Any) -> Any:
+    """As it comes back from a file: tuples are lists."""
+    return json.loads(json.dumps(value))
+
+
+def read_state(path: Path, like: Any) -> Any:
+    """The pytree that `save_state` stored; `like` has its structure, shapes and types."""
+    with _checkpointer() as checkpointer:
+        try:
+            stored = checkpointer.restore((path / "state").absolute(), _stored(like))
+        except (ValueError, OSError, KeyError) as error:
+            raise PoolError(f"{path} does not hold what this run needs ({error})") from error
+    return _restored(stored, like)
+
+
+def save_policy(path: Path, params: Any, record: dict[str, Any]) -> None:
+    """Stores the weights that acting needs, at half precision, and a JSON record."""
+    path.mkdir(parents=True, exist_ok=True)
+    flat = flax.traverse_util.flatten_dict(params, sep="/")
+    weights = {
+        name: np.asarray(value, np.float16) for name, value in flat.items() if not name.startswith(_CRITIC)
+    }
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **weights)  # type: ignore[arg-type]
+    write_atomically(path / "weights.npz", buffer.getvalue())
+    write_atomically(
+        path / "record.json", (json.dumps({"format": FORMAT, **record}, indent=1) + "\n").encode()
+    )
+
+
+def read_policy(path: Path, like: Any) -> Any:
+    """Parameters of the form of `like`, the actor's from a stored policy, the critic's left as they are.
+
+    Raises:
+      PoolError: the file is missing or damaged, or its arrays are not those of the network: one is missing
+        or unknown, or of another shape or type, or holds a number that is not finite.
+    """
+    flat = flax.traverse_util.flatten_dict(like, sep="/")
+    weights = _stored_weights(path / "weights.npz", flat)
+    merged = {name: jnp.asarray(weights.get(name, value), jnp.float32) for name, value in flat.items()}
+    return flax.traverse_util.unflatten_dict(merged, sep="/")
+
+
+def _stored_weights(file: Path, flat: dict[str, Any]) -> dict[str, np.ndarray]:
+    """The arrays of a file of weights, f32, after a look at each; `flat` has the network's, by name."""
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            faults = _wrong_names(set(stored.files), flat)
+            # The sizes are looked at before anything is unpacked: a small file may hold terabytes of zeros.
+            with zipfile.ZipFile(file) as archive:
+                sizes = {each.filename.removesuffix(".npy"): each.file_size for each in archive.infolist()}
+            known = [name for name in stored.files if name in flat]
+            large = [name for name in known if sizes[name] > _MOST_BYTES * flat[name].size + _HEADER]
+            weights = {name: stored[name] for name in known if name not in large}
+    except Exception as error:  # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
+        raise PoolError(f"{file} cannot be read ({type(error).__name__}: {error})", hint=_FRESH) from error
+    faults += [
+        f"array {name!r} has {sizes[name]} bytes, and the network's is of shape {flat[name].shape}"
+        for name in large
+    ]
+    faults += [fault for name, value in weights.items() if (fault := _wrong_array(name, value, flat[name]))]
+    if faults:
+        more = f"; and {len(faults) - _SHOWN} more" if len(faults) > _SHOWN else ""
+        raise PoolError(
+            f"{file}: weights of another network, or damaged: {'; '.join(faults[:_SHOWN])}{more}",
+            "every array of the actor, finite, of its shape",
+            _FRESH,
+        )
+    return {name: value.astype(np.float32) for name, value in weights.items()}
+
+
+def _wrong_names(names: set[str], flat: dict[str, Any]) -> list[str]:
+    required = {name for name in flat if not name.startswith(_CRITIC)}
+    return [f"array {name!r} is missing" for name in sorted(required - names)] + [
+        f"array {name!r} is none of the network's" for name in sorted(names - set(flat))
+    ]
+
+
+def _wrong_array(name: str, value: np.ndarray, like: Any) -> str:
+    """What is wrong with one array, in words; empty if it is sound."""
+    if value.shape != like.shape:
+        return f"array {name!r} is of shape {value.shape}, and the network's of {like.shape}"
+    if value.dtype not in (np.float16, np.float32):
+        return f"array {name!r} is of type {value.dtype}, not float16 or float32"
+    if not np.isfinite(value).all():
+        return f"array {name!r} holds numbers that are not finite"
+    return ""

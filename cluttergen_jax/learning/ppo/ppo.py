@@ -1,0 +1,176 @@
+"""PPO as one compiled update: roll out, estimate advantages, take clipped gradient steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+from jax.sharding import Mesh
+
+from cluttergen_jax.learning.ppo.advantages import generalised_advantages
+from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.learning.ppo.sharding import each, spread
+from cluttergen_jax.placement.brax_env import Env, State
+from cluttergen_jax.types import Array
+
+Params = Any
+Apply = Callable[[Params, Any], tuple[Any, Array]]
+"""(params, observations with a leading axis) -> (action distribution, values)."""
+Encode = Callable[[Params], Callable[[Any], Any]]
+"""params -> a function of observations with a leading axis, called once for each attempt."""
+
+
+def as_seen(params: Params) -> Callable[[Any], Any]:
+    """An `Encode` that leaves observations as they are."""
+    return lambda observation: observation
+
+
+class Transition(struct.PyTreeNode):
+    """One environment step, or many with leading axes."""
+
+    observation: Any
+    action: Array
+    log_prob: Array
+    value: Array
+    reward: Array
+    done: Array
+
+
+class TrainState(struct.PyTreeNode):
+    """Everything that an update changes.
+
+    Attributes:
+      params, optimizer: the network's and Adam's.
+      env: the environments' state, leading axis N.
+      key: for the next update.
+      num_updates: i32, done so far.
+    """
+
+    params: Params
+    optimizer: optax.OptState
+    env: State
+    key: Array
+    num_updates: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PPO:
+    """The learner. `start` and `update` are pure; their caller compiles them.
+
+    Attributes:
+      env: one environment, known only by Brax's protocol.
+      apply: the network.
+      config: the numbers.
+      mesh: the devices that share the environments (`sharding.make_mesh`); None for one device.
+      encode: adds to observations, when they are made, what no later update will change.
+    """
+
+    env: Env
+    apply: Apply
+    config: PPOConfig
+    mesh: Mesh | None = None
+    encode: Encode = as_seen
+
+    def optimizer(self) -> optax.GradientTransformation:
+        """Adam after clipping, with the config's schedule."""
+        config = self.config
+        steps = config.num_updates * config.num_epochs * config.num_minibatches
+        rate = (
+            optax.linear_schedule(config.learning_rate, 0.0, steps)
+            if config.anneals
+            else config.learning_rate
+        )
+        return optax.chain(optax.clip_by_global_norm(config.max_gradient_norm), optax.adam(rate, eps=1e-5))
+
+    def start(self, key: Array, params: Params) -> TrainState:
+        """The state before the first update."""
+        key_env, key = jax.random.split(key)
+        env = jax.vmap(self.env.reset)(jax.random.split(key_env, self.config.num_envs))
+        return TrainState(params, self.optimizer().init(params), env, key, jnp.int32(0))
+
+    def update(self, state: TrainState) -> tuple[TrainState, dict[str, Array]]:
+        """One rollout and its gradient steps; the new state and figures to show."""
+        return self.checked_update(state)[:2]
+
+    def checked_update(self, state: TrainState) -> tuple[TrainState, dict[str, Array], Array]:
+        """`update`, and bool: whether all numbers of it were finite."""
+        key_rollout, key_learn, key = jax.random.split(state.key, 3)
+        env, batch = self._roll_out(state.params, state.env, key_rollout)
+        last_seen = self.encode(state.params)(env.obs)
+        _, last_value = self.apply(state.params, last_seen)
+        advantage, target = generalised_advantages(
+            batch.reward, batch.value, batch.done, last_value, self.config.discount, self.config.gae_lambda
+        )
+        flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), (batch, advantage, target))
+        (params, optimizer), losses = self._learn(state.params, state.optimizer, flat, key_learn)
+        figures = {name: jnp.mean(values.reshape(-1)) for name, values in losses.items()}
+        variance = jnp.maximum(jnp.var(target), 1e-8)
+        figures["explained_variance"] = 1 - jnp.var(target - batch.value) / variance
+        figures |= {"reward": jnp.mean(batch.reward), "episodes": jnp.sum(batch.done)}
+        figures |= {f"env/{name}": jnp.mean(value) for name, value in env.metrics.items()}
+        is_finite = all_finite((batch, last_seen, last_value, losses, params))
+        return TrainState(params, optimizer, env, key, state.num_updates + 1), figures, is_finite
+
+    def _roll_out(self, params: Params, env: State, key: Array) -> tuple[State, Transition]:
+        encode = self.encode(params)
+
+        def step(env: State, key: Array) -> tuple[State, Transition]:
+            seen = encode(env.obs)
+            dist, value = self.apply(params, seen)
+            action = dist.sample(key)
+            after = each(self.env.step, self.mesh)(env, action)
+            return after, Transition(seen, action, dist.log_prob(action), value, after.reward, after.done)
+
+        return jax.lax.scan(step, env, jax.random.split(key, self.config.num_steps))
+
+    def _learn(
+        self, params: Params, optimizer: optax.OptState, flat: Any, key: Array
+    ) -> tuple[tuple[Params, optax.OptState], dict[str, Array]]:
+        config, transform = self.config, self.optimizer()
+
+        def minibatch(carry: Any, index: Array) -> tuple[Any, dict[str, Array]]:
+            params, optimizer = carry
+            chosen = spread(jax.tree.map(lambda x: x[index], flat), self.mesh)
+            gradient, losses = jax.grad(self._loss, has_aux=True)(params, *chosen)
+            change, optimizer = transform.update(gradient, optimizer, params)
+            losses["gradient_norm"] = optax.global_norm(gradient)
+            return (optax.apply_updates(params, change), optimizer), losses
+
+        def epoch(carry: Any, key: Array) -> tuple[Any, dict[str, Array]]:
+            order = jax.random.permutation(key, config.batch_size)
+            return jax.lax.scan(minibatch, carry, order.reshape(config.num_minibatches, -1))
+
+        return jax.lax.scan(epoch, (params, optimizer), jax.random.split(key, config.num_epochs))
+
+    def _loss(
+        self, params: Params, batch: Transition, advantage: Array, target: Array
+    ) -> tuple[Array, dict[str, Array]]:
+        """The paper's loss, c1 L_VF - c2 H - L_CLIP, on one minibatch."""
+        config = self.config
+        dist, value = self.apply(params, batch.observation)
+        log_ratio = dist.log_prob(batch.action) - batch.log_prob
+        ratio = jnp.exp(log_ratio)
+        advantage = (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + 1e-8)
+        clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
+        gain = jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
+        value_loss = 0.5 * jnp.mean((value - target) ** 2)
+        entropy = jnp.mean(dist.entropy())
+        loss = config.value_cost * value_loss - config.entropy_cost * entropy - gain
+        return loss, {
+            "loss": loss,
+            "value_loss": value_loss,
+            "entropy": entropy,
+            "kl": jnp.mean(ratio - 1 - log_ratio),
+            "clipped": jnp.mean(jnp.abs(ratio - 1) > config.clip),
+        }
+
+
+def all_finite(tree: Any) -> Array:
+    """bool: whether every number of a tree of arrays is finite."""
+    leaves = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))

@@ -1,0 +1,85 @@
+"""How good a policy is while it is trained: the whole last check over fresh episodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import jax
+import numpy as np
+from scipy.stats import binomtest
+
+from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.learning.networks.config import AgentConfig
+from cluttergen_jax.learning.policies.policy import make_policy
+from cluttergen_jax.physics import make_physics
+from cluttergen_jax.placement.problem import Problem
+from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
+from cluttergen_jax.placement.rules import Rules
+
+_FRESH = 0x5EED
+"""Folded into the seed's key, so that no episode of training comes back."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluator:
+    """Success of weights, judged as sampling and saving judge: with the whole last check.
+
+    Attributes:
+      problem: the one that is trained on; its last check may be shorter.
+      network: the network's sizes.
+      num_episodes: how many fresh episodes.
+      is_sampled: draw actions, as `generate` does; else take the mean.
+      seed: of the episodes.
+    """
+
+    problem: Problem
+    network: AgentConfig
+    num_episodes: int = 256
+    is_sampled: bool = True
+    seed: int = 0
+
+    @cached_property
+    def rules(self) -> Rules:
+        """Those of training with an engine that makes the whole last check."""
+        config = self.problem.config
+        whole = replace(config.stability, stand_full_steps=StabilityConfig().stand_full_steps)
+        physics = make_physics(self.problem.world.layout, whole, config.engine, config.num_threads)
+        return replace(self.problem.rules, physics=physics)
+
+    @cached_property
+    def _policy(self) -> Any:
+        return make_policy(self.rules, self.network, None, self.is_sampled)
+
+    @cached_property
+    def _rollout(self) -> Rollout:
+        return Rollout()
+
+    def __call__(self, params: Any) -> dict[str, Any]:
+        """Success with its 95 % interval, and how it was found: JSON values.
+
+        Args:
+          params: the weights; they are evaluated at half precision, as they are stored.
+        """
+        params = jax.tree.map(lambda leaf: np.float32(np.float16(leaf)), params)
+        sampler = BlockSampler(self.rules, replace(self._policy, params=params))
+        key = jax.random.fold_in(jax.random.key(self.seed), _FRESH)
+        place = np.arange(min(BLOCK_SIZE, self.num_episodes))
+        success, filled = [], []
+        for first in range(0, self.num_episodes, len(place)):
+            is_wanted = first + place < self.num_episodes
+            scenes = self._rollout.run(sampler, key, first + place, is_wanted)
+            success.append(scenes.is_success[is_wanted])
+            filled.append(scenes.is_filled[is_wanted])
+        found = np.concatenate(success)
+        interval = binomtest(int(found.sum()), len(found)).proportion_ci(method="wilson")
+        return {
+            "success": float(found.mean()),
+            "low95": float(interval.low),
+            "high95": float(interval.high),
+            "filled": float(np.concatenate(filled).mean()),
+            "episodes": len(found),
+            "action": "sampled" if self.is_sampled else "mean",
+            "last_check_steps": self.rules.physics.config.stand_full_steps,
+        }

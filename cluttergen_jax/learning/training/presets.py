@@ -1,0 +1,126 @@
+"""Settings that belong together, by name; each call returns a fresh config."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from cluttergen_jax.config import VARIANTS, StabilityConfig
+from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.learning.networks.config import AgentConfig, NetworkConfig
+from cluttergen_jax.learning.networks.ranking import RankerConfig
+from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.placement.config import PlacementConfig
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a preset decides."""
+
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    network: AgentConfig = field(default_factory=NetworkConfig)
+    placement: PlacementConfig = field(default_factory=PlacementConfig)
+    stability: StabilityConfig = field(default_factory=StabilityConfig)
+
+
+_TUNED = NetworkConfig(head="mixture", height_precision=20_000.0)
+"""What `python -m benchmarks.ablation` found best (benchmarks/README.md)."""
+
+
+def _training_stability(stop_when_decided: bool) -> StabilityConfig:
+    """In training the awake stage of 60 steps suffices as the last check (docs/contract.md)."""
+    stability = StabilityConfig(stop_when_decided=stop_when_decided)
+    return replace(stability, stand_full_steps=stability.stand_steps)
+
+
+def cpu() -> Settings:
+    """For two cores: few environments, a small network, every 12th row of the history."""
+    return Settings(
+        network=_TUNED,
+        placement=PlacementConfig(reward="compressed", history_stride=12),
+        stability=_training_stability(True),
+    )
+
+
+def tight() -> Settings:
+    """As `cpu`, but it looks farther ahead and more closely: for crowded tables, more slowly."""
+    settings = cpu()
+    return replace(
+        settings,
+        ppo=replace(settings.ppo, discount=0.99, gae_lambda=0.95),
+        network=replace(_TUNED, num_turns=16, turn_symmetry=1, undersides=True),
+    )
+
+
+def gpu() -> Settings:
+    """For an accelerator: many environments, larger minibatches."""
+    return Settings(
+        ppo=PPOConfig(num_envs=1024, num_steps=8, num_minibatches=8, num_attempts=2_500_000),
+        network=_TUNED,
+        placement=PlacementConfig(reward="compressed", history_stride=12),
+        stability=_training_stability(True),
+    )
+
+
+def paper() -> Settings:
+    """The paper's hyper-parameters (its table of constants)."""
+    return Settings(
+        ppo=PPOConfig(
+            num_envs=100,
+            num_steps=10,
+            num_minibatches=1,
+            num_epochs=5,
+            learning_rate=1e-4,
+            anneals=False,
+            discount=0.99,
+            gae_lambda=0.95,
+            entropy_cost=0.01,
+            value_cost=0.5,
+            num_attempts=2_500_000,
+        ),
+        network=NetworkConfig(
+            scene_encoder="pointnet2",
+            object_points=1024,
+            object_features=1024,
+            scene_points=20_480,
+            scene_features=1024,
+            num_centroids=512,
+            group_size=32,
+        ),
+        placement=PlacementConfig(reward="paper", history_stride=1),
+        stability=_training_stability(False),
+    )
+
+
+PRESETS = {"cpu": cpu, "tight": tight, "gpu": gpu, "paper": paper}
+
+_CHANGES: dict[str, dict[str, Any]] = {
+    "policy": {},
+    "beta": {"head": "beta"},
+    "normal": {"head": "normal"},
+    "open_loop": {"history_width": 0},
+    "short_memory": {"history_length": 1},
+}
+
+
+def make_settings(preset: str, variant: str) -> Settings:
+    """A preset with a variant of the method (paper, section 4.1).
+
+    Raises:
+      ConfigError: there is no such preset or variant.
+    """
+    if preset not in PRESETS:
+        raise ConfigError(f"preset {preset!r}", ", ".join(PRESETS), meant=closest(preset, PRESETS))
+    if variant not in VARIANTS:
+        raise ConfigError(f"variant {variant!r}", ", ".join(VARIANTS), meant=closest(variant, VARIANTS))
+    settings = PRESETS[preset]()
+    if variant == "ranked":
+        return _ranked(settings)
+    return replace(settings, network=replace(settings.network, **_CHANGES[variant]))
+
+
+def _ranked(settings: Settings) -> Settings:
+    """A preset for the ranking of candidates: what is left free for later objects counts for more."""
+    ppo = replace(settings.ppo, discount=0.99, learning_rate=5e-4, entropy_cost=0.003, value_cost=0.2)
+    placement = replace(settings.placement, history_stride=60)
+    return replace(settings, ppo=ppo, network=RankerConfig(), placement=placement)

@@ -1,0 +1,236 @@
+"""Loggers of a run: metrics, checkpoints, evaluations, the curve, a progress bar."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy, save_state
+from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.learning.ppo.ppo import TrainState
+from cluttergen_jax.learning.training.metrics_log import MetricsLog, Row, Sink, TensorBoard, draw_curve
+from cluttergen_jax.learning.training.updates import Figures
+from cluttergen_jax.learning.training.wandb_log import WandbLog
+from cluttergen_jax.progress import Progress
+
+Evaluation = dict[str, Any]
+Evaluate = Callable[[Any], Evaluation]
+"""From weights to JSON values, `success`, `low95`, `high95`, `episodes` and `action` among them."""
+
+_SHOWN = (
+    ("success", "success", ".2f"),
+    ("placed", "num_placed", ".2f"),
+    ("steps", "stable_steps", ".0f"),
+    ("value loss", "value_loss", ".3g"),
+    ("entropy", "entropy", ".2f"),
+    ("KL", "kl", ".4f"),
+)
+"""Label, metric, format."""
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """How a run is watched over.
+
+    Attributes:
+      seed: of weights, episodes and actions.
+      save_every: seconds between checkpoints.
+      window: updates over which the success that decides on "best" is averaged; also the most updates that
+        are made in one compiled call.
+      longest_call: seconds that such a call may take, if it makes more than one update.
+      eval_every: attempts between evaluations; 0 evaluates at the end only.
+      memory_limit: bytes that the run may need; None takes what is free.
+      wandb: send the figures to Weights & Biases too.
+    """
+
+    seed: int = 0
+    save_every: float = 60.0
+    window: int = 10
+    longest_call: float = 4.0
+    eval_every: int = 0
+    memory_limit: int | None = None
+    wandb: bool = False
+
+
+class Logger(Protocol):
+    """What a run tells while it is made."""
+
+    @property
+    def is_evaluated(self) -> bool:
+        """Whether the stored policy has been evaluated."""
+
+    def begin(self) -> None:
+        """Updates begin now: what came before was compilation."""
+
+    def say(self, text: str) -> None:
+        """A line for people."""
+
+    def add(self, rows: list[Figures], first: int, seconds: float) -> None:
+        """The figures of updates made in one call.
+
+        Args:
+          first: the number of the first of them; seconds: what each took.
+        """
+
+    def keep_best(self, state: TrainState) -> None:
+        """Stores the weights if training's success is higher than ever."""
+
+    def save_state(self, state: TrainState) -> None:
+        """Stores what the run goes on from."""
+
+    def save_policy(self, state: TrainState, evaluation: Evaluation | None = None) -> None:
+        """Stores the weights, what is known of how good they are, and the curve so far."""
+
+    def add_evaluation(self, state: TrainState, evaluation: Evaluation) -> None:
+        """Both rates side by side: training's own check of late, and the whole last check."""
+
+    def close(self) -> None:
+        """Nothing more is going to be shown or added."""
+
+
+class NullLogger:
+    """The `Logger` of a process that neither writes nor shows anything."""
+
+    is_evaluated = False
+
+    def begin(self) -> None: ...
+
+    def say(self, text: str) -> None: ...
+
+    def add(self, rows: list[Figures], first: int, seconds: float) -> None: ...
+
+    def keep_best(self, state: TrainState) -> None: ...
+
+    def save_state(self, state: TrainState) -> None: ...
+
+    def save_policy(self, state: TrainState, evaluation: Evaluation | None = None) -> None: ...
+
+    def add_evaluation(self, state: TrainState, evaluation: Evaluation) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class RunLogger:
+    """A `Logger` that writes files into the run's folder and shows a progress bar.
+
+    Args:
+      folder: of the run.
+      recipe: JSON values stored in every checkpoint.
+      config: how the run is watched over; ppo: the numbers.
+      first: the first update to come; what the folder says of later ones is dropped.
+      show: for lines that stay.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        recipe: dict[str, Any],
+        config: RunConfig,
+        ppo: PPOConfig,
+        first: int,
+        show: Callable[[str], None],
+    ) -> None:
+        self._folder, self._recipe, self._show = folder, recipe, show
+        self._batch, self._window = ppo.batch_size, config.window
+        self._total, self._first = ppo.num_updates * ppo.batch_size, first * ppo.batch_size
+        self._progress: Progress | None = None
+        self._sinks: list[Sink] = [TensorBoard(folder)]
+        if config.wandb:
+            self._sinks.append(WandbLog(folder, recipe))
+        self._updates = MetricsLog(folder / "progress.csv", first, self._sinks)
+        # An evaluation is of the weights after so many updates; that of the present ones stays.
+        evaluations = folder / "evaluations.csv"
+        self._evaluations = MetricsLog(evaluations, first + 1, self._sinks, group="evaluation/")
+        best = folder / "best"
+        self._best = float(read_record(best)["success"]) if (best / "record.json").exists() else -1.0
+
+    def begin(self) -> None:
+        """See `Logger`."""
+        self._progress = Progress("training", self._total, "attempt", kept=self._first)
+
+    def say(self, text: str) -> None:
+        """See `Logger`."""
+        with tqdm.external_write_mode():
+            self._show(text)
+
+    def add(self, rows: list[Figures], first: int, seconds: float) -> None:
+        """See `Logger`."""
+        for number, figures in enumerate(rows, first):
+            self._updates.add(_row(number, self._batch, figures, seconds))
+        if rows and self._progress is not None:
+            self._progress.update(len(rows) * self._batch, _note(self._updates.rows[-1]))
+
+    def keep_best(self, state: TrainState) -> None:
+        """See `Logger`."""
+        if self._success > self._best:
+            self._best = self._success
+            self._save("best", state, {"success": self._success})
+
+    def save_state(self, state: TrainState) -> None:
+        """See `Logger`."""
+        record = self._recipe | {"num_updates": int(state.num_updates)}
+        save_state(self._folder / "last", state, record)
+
+    def save_policy(self, state: TrainState, evaluation: Evaluation | None = None) -> None:
+        """See `Logger`."""
+        rows = self._updates.rows
+        if not rows:
+            return
+        known = {"evaluation": self._beside(evaluation)} if evaluation else {}
+        self._save("policy", state, {"success": rows[-1]["success"], **known})
+        draw_curve(rows, self._folder / "curve.png", self._folder.name, self._evaluations.rows)
+
+    @property
+    def is_evaluated(self) -> bool:
+        """See `Logger`."""
+        policy = self._folder / "policy"
+        return (policy / "record.json").exists() and "evaluation" in read_record(policy)
+
+    def add_evaluation(self, state: TrainState, evaluation: Evaluation) -> None:
+        """See `Logger`."""
+        number = int(state.num_updates)
+        found = self._beside(evaluation)
+        numbers = {name: float(value) for name, value in found.items() if isinstance(value, int | float)}
+        self._evaluations.add({"update": number, "attempts": number * self._batch, **numbers})
+        self.say(
+            f"evaluation {tqdm.format_sizeof(number * self._batch)} attempts: training's check "
+            f"{found['training_success']:.3f}, whole last check {found['success']:.3f} "
+            f"[{found['low95']:.3f}, {found['high95']:.3f}] ({found['episodes']} episodes, {found['action']})"
+        )
+
+    def close(self) -> None:
+        """See `Logger`."""
+        if self._progress is not None:
+            self._progress.close()
+        for sink in self._sinks:
+            sink.close()
+
+    @property
+    def _success(self) -> float:
+        return float(np.mean([row["success"] for row in self._updates.rows[-self._window :]]))
+
+    def _beside(self, evaluation: Evaluation) -> Evaluation:
+        window = min(self._window, len(self._updates.rows))
+        return {**evaluation, "training_success": self._success, "training_updates": window}
+
+    def _save(self, name: str, state: TrainState, known: dict[str, Any]) -> None:
+        attempts = int(state.num_updates) * self._batch
+        record = self._recipe | {"attempts": attempts} | known
+        save_policy(self._folder / name, jax.device_get(state.params), record)
+
+
+def _row(number: int, batch_size: int, figures: Figures, seconds: float) -> Row:
+    row = {name.removeprefix("env/"): float(value) for name, value in figures.items() if name != "env/reward"}
+    attempts = (number + 1) * batch_size
+    return {"update": number, "attempts": attempts, "attempts_per_second": batch_size / seconds, **row}
+
+
+def _note(row: Row) -> str:
+    """The figures that stand beside the bar."""
+    return "  ".join(f"{label} {row[name]:{form}}" for label, name, form in _SHOWN if name in row)

@@ -1,0 +1,200 @@
+"""Training of all policies of a suite, one after another, each from where it stopped."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import os
+import statistics
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+from tqdm import tqdm
+
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.errors import ClutterGenError, ConfigError
+from cluttergen_jax.learning.ppo.checkpoint import check_folder, has_state, read_record
+from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.learning.training.presets import paper
+from cluttergen_jax.learning.training.suite import POOLS, SEEDS, PlannedRun, plan
+from cluttergen_jax.learning.training.train import TrainConfig, recipe_of, run_training
+from cluttergen_jax.progress import time_text
+
+RATE = 450.0
+"""Attempts per second until a run of the suite has told its own: preset `cpu`, dining, beside another run."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Standing:
+    """How far one run of a suite has come.
+
+    Attributes:
+      planned: the run; config: what it is given.
+      attempts: made so far; total: of the whole run.
+      rate: attempts per second, lately; None before the first.
+      is_done: trained and, if that was asked for, evaluated.
+      success: of its evaluation, or of training; None before.
+    """
+
+    planned: PlannedRun
+    config: TrainConfig
+    attempts: int
+    total: int
+    rate: float | None
+    is_done: bool
+    success: float | None
+
+    @property
+    def word(self) -> str:
+        """For the list."""
+        return "done" if self.is_done else "begun" if self.attempts else "to do"
+
+
+@dataclasses.dataclass(frozen=True)
+class SuiteReport:
+    """How a suite went.
+
+    Attributes:
+      folder: of its runs.
+      standings: how far each run had come at the beginning.
+      failed: by a run's name, why it failed.
+    """
+
+    folder: Path
+    standings: tuple[Standing, ...]
+    failed: dict[str, str]
+
+
+def train_suite(
+    suite: str,
+    *,
+    suite_list: bool = False,
+    suite_only: str | None = None,
+    pools: Sequence[str] = POOLS,
+    seeds: Sequence[int] = SEEDS,
+    preset: str = "cpu",
+    num_attempts: int | None = None,
+    num_envs: int | None = None,
+    reward: str | None = None,
+    encoder: str | None = None,
+    encoder_weights: str | Path | None = None,
+    encoder_frozen: bool = False,
+    out: str | Path | None = None,
+    engine: str = "auto",
+    eval_every: int = 0,
+    eval_episodes: int = 256,
+    eval_action: str | None = None,
+    memory_limit: float | None = None,
+    wandb: bool = False,
+    show: Callable[[str], None] = print,
+) -> SuiteReport:
+    """Trains all policies that the tables of `evaluate` need; `cluttergen train --suite`.
+
+    Runs that are done are left alone, others are taken up. Ctrl-C stops the whole suite; a run that fails
+    stops no other.
+
+    Args:
+      suite: "paper" or "extended".
+      suite_list: only list the runs, with the time that they will take.
+      suite_only: only the runs whose names match, such as "dining-*" or "*-policy-0".
+      pools, seeds: of the suite.
+      out: the folder of all its runs, "runs" if not given.
+      The others are those of `train`.
+
+    Raises:
+      ConfigError: there is no such suite, nothing is left of it, or a folder holds a run of other settings.
+      PoolError: one of the pools cannot be found.
+    """
+    given = dict(locals())
+    root = Path(out or "runs")
+    fields = {
+        field.name: given[field.name] for field in dataclasses.fields(TrainConfig) if field.name in given
+    }
+    weights = None if encoder_weights is None else str(encoder_weights)
+    base = TrainConfig(**fields | {"encoder_weights": weights, "out": str(root)})
+    for pool in pools:
+        find_pool(pool)
+    standings = [_standing(config_of(base, run, root), run) for run in plan(suite, pools, seeds, suite_only)]
+    show(_overview(standings))
+    failed: dict[str, str] = {}
+    for number, standing in enumerate(standings, 1):
+        name = standing.planned.name
+        if standing.is_done or suite_list:
+            continue
+        show(f"\n{number}/{len(standings)}  {name}")
+        try:
+            run_training(standing.config, show=show)
+        except ClutterGenError as error:
+            failed[name] = str(error)
+        # The next run has another world: programs and engines of this one are never used again.
+        jax.clear_caches()
+        gc.collect()
+    if not suite_list:
+        show(f"\n{len(standings) - len(failed)} of {len(standings)} runs done, in {root}")
+    return SuiteReport(root, tuple(standings), failed)
+
+
+def config_of(base: TrainConfig, run: PlannedRun, root: Path) -> TrainConfig:
+    """What one run of a suite is given."""
+    return dataclasses.replace(
+        base,
+        pool=run.pool,
+        variant=run.variant,
+        seed=run.seed,
+        max_attempts=run.attempts,
+        support=run.support,
+        num_objects=run.num_objects,
+        out=str(root / run.name),
+    )
+
+
+def _standing(config: TrainConfig, run: PlannedRun) -> Standing:
+    """Reads how far a run has come.
+
+    Raises:
+      ConfigError: its folder holds a run with other settings.
+    """
+    settings = config.settings()
+    check_folder(config.folder, recipe_of(config, settings))
+    batch, total = settings.ppo.batch_size, settings.ppo.num_updates * settings.ppo.batch_size
+    last, policy = config.folder / "last", config.folder / "policy"
+    attempts = int(read_record(last)["num_updates"]) * batch if has_state(last) else 0
+    record: dict[str, Any] = read_record(policy) if (policy / "record.json").exists() else {}
+    is_evaluated = "evaluation" in record or not config.eval_episodes
+    rows = read_rows(config.folder / "progress.csv")
+    rate = statistics.median(row["attempts_per_second"] for row in rows[-50:]) if rows else None
+    return Standing(
+        planned=run,
+        config=config,
+        attempts=attempts,
+        total=total,
+        rate=rate,
+        is_done=attempts >= total and bool(record) and is_evaluated,
+        success=record.get("evaluation", record).get("success"),
+    )
+
+
+def _overview(standings: list[Standing]) -> str:
+    """The list of runs, the budget beside the paper's, and the time that is left."""
+    totals = {standing.total for standing in standings}
+    if len(totals) != 1:
+        raise ConfigError("runs with different budgets in one suite", "one `num_attempts` for all")
+    width = max(len(standing.planned.name) for standing in standings)
+    lines = []
+    for standing in standings:
+        success = "" if standing.success is None else f"  success {standing.success:.2f}"
+        done = f"{tqdm.format_sizeof(standing.attempts)}/{tqdm.format_sizeof(standing.total)}"
+        lines.append(f"  {standing.planned.name:{width}}  {standing.word:5}  {done:>11}{success}")
+    budget = totals.pop()
+    rates = [standing.rate for standing in standings if standing.rate]
+    rate, source = (statistics.median(rates), "measured") if rates else (RATE, "assumed until one has run")
+    left = sum(standing.total - standing.attempts for standing in standings if not standing.is_done)
+    lines += [
+        f"{len(standings)} runs of {budget:,} attempts each (the paper: {paper().ppo.num_attempts:,}), "
+        f"{sum(standing.is_done for standing in standings)} done",
+        f"time left about {time_text(left / rate)}, compiling and evaluating aside "
+        f"({rate:.0f} attempts per second, {source}; {os.cpu_count()} cores)",
+    ]
+    return "\n".join(lines)

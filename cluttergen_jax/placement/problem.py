@@ -1,0 +1,220 @@
+"""The composition root: from names and numbers to a compiled world, its physics and its rules."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from cluttergen_jax.assets.columns import Columns
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.reach import check_reach
+from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.physics import make_physics
+from cluttergen_jax.physics.margin import support_margin
+from cluttergen_jax.placement.changes import ChangedRegion, find_change
+from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.region import KeepOut, Region, make_region, no_keep_out
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.types import Geometry
+from cluttergen_jax.placement.world import World, make_world, repeated
+
+SMALLEST_REGION = 0.02
+MOST_CROWDED = 8.0
+"""Footprints over the region's area from which a request is refused. Objects overhang and stand on others:
+`drop` fills 2 of 16 tables with ten of dining at 1.7, none at 4.2; only a stack of plates gets farther."""
+_RUN = 64
+_TOUCHING = 1e-4
+
+
+@dataclass(frozen=True)
+class ProblemConfig:
+    """Which objects on which support, judged how.
+
+    Attributes:
+      pool: a pool's name or folder.
+      objects: names of the pool's objects to use; empty means all of them.
+      repeat: let objects stand there more than once when there are fewer than `placement.num_objects`.
+      support: a support's name or folder; "table" is the paper's, "table-0.40x0.50" one of that size.
+      region: the queried region; None takes the support's own.
+      change: how it is changed at random in every episode, a name of `placement.changes.CHANGES`; what is
+        drawn stays within the support's own.
+      engine: "auto", "native", "warp" or "jax".
+      num_threads: of the native engine; 0 takes every core.
+    """
+
+    pool: str = "dining"
+    objects: tuple[str, ...] = ()
+    repeat: bool = False
+    support: str = "table"
+    region: Rectangle | None = None
+    change: str = "none"
+    engine: str = "auto"
+    num_threads: int = 0
+    placement: PlacementConfig = field(default_factory=PlacementConfig)
+    stability: StabilityConfig = field(default_factory=StabilityConfig)
+    contact: ContactConfig = field(default_factory=ContactConfig)
+
+    def __post_init__(self) -> None:
+        check_workers("num_threads", self.num_threads)
+        find_change(self.change)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Everything that is needed to place objects: see `make_problem`."""
+
+    config: ProblemConfig
+    world: World
+    rules: Rules
+    region: Rectangle
+
+
+def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) -> Problem:
+    """Finds the assets, compiles the world and wires it to an engine.
+
+    Raises:
+      PoolError: a pool, an object or a support cannot be found.
+      ConfigError: more objects are asked for than there are, or the region is not on the support.
+    """
+    pool = find_pool(config.pool)
+    chosen = [pool[name] for name in config.objects] if config.objects else list(pool.objects)
+    support = find_support(config.support)
+    region = config.region or support.region
+    check_reach(region, support)
+    check_number(config.placement.num_objects, len(chosen), config.pool, config.repeat)
+    if (crowded := crowding(chosen, config.placement.num_objects, region)) > MOST_CROWDED:
+        x, y = region.half_extents
+        raise ConfigError(
+            f"{config.placement.num_objects} objects in a region of {2 * x:.2f} x {2 * y:.2f} m: even the "
+            f"smallest ones' footprints cover {crowded:.1f} times its area",
+            f"{MOST_CROWDED:g} times at most; beyond about once, scenes begin to fail",
+            "fewer objects or a larger region",
+        )
+    return compose(chosen, support, config, standing)
+
+
+def compose(
+    objects: Sequence[ObjectAsset],
+    support: SupportAsset,
+    config: ProblemConfig,
+    standing: Sequence[ObjectAsset] = (),
+) -> Problem:
+    """`make_problem` for assets that have been read already; the region may reach beyond the support.
+
+    Args:
+      standing: objects that stand there when an episode begins; they are the last ones of the world.
+    """
+    wanted = config.placement.num_objects
+    check_number(wanted, len(objects), config.pool, config.repeat)
+    if wanted > len(objects):
+        objects = repeated(objects, wanted)
+    region = config.region or support.region
+    if min(region.half_extents) * 2 < SMALLEST_REGION:
+        raise ConfigError(f"a region of {region}", f"sides from {SMALLEST_REGION} m", "a larger `region`")
+    world = make_world([*objects, *standing], support, config.stability, config.contact)
+    physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
+    rules = Rules(
+        config=config.placement,
+        physics=physics,
+        geometry=geometry_of(world),
+        region=region_of(_largest_region(region, config.change, support), support),
+        num_started=len(standing),
+        draw_region=None
+        if config.change == "none"
+        else ChangedRegion(find_change(config.change), region, support.region, support.top),
+    )
+    return Problem(config, world, rules, region)
+
+
+def check_number(wanted: int, available: int, pool: str, repeat: bool = False) -> None:
+    """Refuses more objects than there are.
+
+    Raises:
+      ConfigError: it says how many there are.
+    """
+    if wanted > available and not repeat:
+        raise ConfigError(
+            f"{wanted} objects asked for, {available} chosen of pool {pool!r}",
+            f"1 to {available}, or more (up to {MAX_SLOTS}) where objects may stand there more than once",
+            "fewer objects, the pool 'all' with its 50, or repeat=True (of generate and evaluate)",
+        )
+
+
+def crowding(objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle) -> float:
+    """The area that the smallest `num_objects` objects cover at least, seen from above, over the region's."""
+    plans = [np.concatenate([part.vertices for part in asset.parts])[:, :2] for asset in objects]
+    areas = sorted(float(ConvexHull(points).volume) for points in plans)
+    # Of objects that may stand there more than once, all are there before any comes again.
+    rounds, rest = divmod(num_objects, len(areas))
+    return (rounds * sum(areas) + sum(areas[:rest])) / (4 * float(np.prod(region.half_extents)))
+
+
+def _largest_region(base: Rectangle, change: str, support: SupportAsset) -> Rectangle:
+    """The region that a world is made for: its maps have to hold the largest that is drawn."""
+    expansion = find_change(change).expansion
+    half = [min(side + expansion, max(support.region.half_extents)) for side in base.half_extents]
+    return replace(base, half_extents=(half[0], half[1])) if expansion else base
+
+
+def region_of(rectangle: Rectangle, support: SupportAsset) -> Region:
+    """A rectangle on a support's top as the decision process sees it."""
+    return make_region(
+        jnp.array(rectangle.center), jnp.array(rectangle.half_extents), rectangle.yaw, support.top
+    )
+
+
+def keep_out_of(boxes: Sequence[Rectangle]) -> KeepOut:
+    """Rectangles that objects must stay out of, as the decision process sees them."""
+    if not boxes:
+        return no_keep_out()
+    return KeepOut(
+        center=jnp.array([box.center for box in boxes], jnp.float32),
+        half_extents=jnp.array([box.half_extents for box in boxes], jnp.float32),
+        yaw=jnp.array([box.yaw for box in boxes], jnp.float32),
+    )
+
+
+def geometry_of(world: World) -> Geometry:
+    """The world's objects as arrays, columns padded to the longest."""
+    most = max(len(columns.sample) for columns in world.columns)
+
+    def padded(arrays: list[np.ndarray]) -> jnp.ndarray:
+        rows = [np.pad(a, [(0, most - len(a))] + [(0, 0)] * (a.ndim - 1)) for a in arrays]
+        return jnp.asarray(np.stack(rows), jnp.float32)
+
+    runs = [_surface_runs(columns) for columns in world.columns]
+    boxes = [(*box.center, *box.half_extents, box.yaw) for box in world.support.boxes]
+    return Geometry(
+        half_extents=jnp.asarray(np.stack([asset.half_extents for asset in world.objects]), jnp.float32),
+        center_of_mass=jnp.asarray(world.layout.center_of_mass, jnp.float32),
+        own_margin=jnp.asarray([_own_margin(asset) for asset in world.objects], jnp.float32),
+        cloud=jnp.asarray(np.stack([asset.cloud for asset in world.objects]), jnp.float32),
+        column_xy=padded([columns.xy[columns.sample] for columns in world.columns]),
+        column_bottom=padded([columns.bottom[columns.sample] for columns in world.columns]),
+        is_column=padded([np.ones(len(columns.sample)) for columns in world.columns]) > 0,
+        surface=jnp.asarray(np.concatenate(runs), jnp.float32),
+        surface_owner=jnp.asarray(np.repeat(np.arange(len(runs)), [len(run) for run in runs]), jnp.int32),
+        boxes=jnp.asarray(np.array(boxes), jnp.float32),
+        top=jnp.float32(world.support.top),
+    )
+
+
+def _own_margin(asset: ObjectAsset) -> float:
+    """Metres: the support margin of an object that stands in its own frame on a flat table."""
+    vertices = np.concatenate([part.vertices for part in asset.parts])
+    bottom = vertices[vertices[:, 2] < vertices[:, 2].min() + _TOUCHING]
+    return support_margin(bottom[:, :2] - asset.center_of_mass[:2])
+
+
+def _surface_runs(columns: Columns) -> np.ndarray:
+    """f64[M, 64, 3]: an object's grown upper surface, padded with its first point."""
+    padding = np.repeat(columns.surface[:1], -len(columns.surface) % _RUN, axis=0)
+    return np.concatenate([columns.surface, padding]).reshape(-1, _RUN, 3)

@@ -1,0 +1,103 @@
+"""Episodes made once more, every attempt kept: the same keys make the same scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import jax
+import numpy as np
+
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.placement.region import Region
+from cluttergen_jax.placement.rollout.blocks import BlockSampler
+from cluttergen_jax.placement.rollout.replay import Attempt, Recording
+from cluttergen_jax.placement.rollout.run import Rollout
+from cluttergen_jax.placement.scenes import BLOCK_SIZE
+from cluttergen_jax.placement.types import Episode, Transition
+from cluttergen_jax.placement.world import World
+from cluttergen_jax.types import Verdict
+
+
+@dataclass(frozen=True, eq=False)
+class Recorder:
+    """Records single episodes of a sampler; compiled at the first, quick from then on.
+
+    Attributes:
+      sampler: whose episodes.
+      world: what its rules are about.
+      width: the block's width. A network's sums differ by width, so scenes of a bank are made again at the
+        width that made them; for scenes that nobody made before, 1 is the quickest.
+    """
+
+    sampler: BlockSampler
+    world: World
+    width: int = BLOCK_SIZE
+
+    def record(self, seed: int, index: int, title: str = "") -> Recording:
+        """Scene number `index` of `seed`, as `placement.rollout.sample_blocks` makes it."""
+        row = index % self.width
+        places = index - row + np.arange(self.width)
+        steps: list[tuple[Any, Any, Any]] = []
+        self._rollout.run(
+            self.sampler,
+            jax.random.key(seed),
+            places,
+            np.arange(self.width) == row,
+            lambda _, seen: steps.append(jax.tree.map(lambda leaf: leaf[row], seen)),
+        )
+        after = steps[-1][1]
+        return Recording(
+            title=title or f"seed {seed}, scene {index}",
+            objects=self.world.objects,
+            names=self.world.names,
+            support=self.world.support,
+            region=rectangle_of(after.region),
+            attempts=tuple(_attempt(before, transition) for before, _, transition in steps),
+            poses=after.poses,
+            is_placed=after.is_placed,
+            is_success=bool(after.is_success),
+            verdict=Verdict(int(after.verdict)).label,
+            drift=float(after.drift),
+            keep_out=_boxes(after),
+        )
+
+    @cached_property
+    def _rollout(self) -> Rollout:
+        return Rollout(_all, is_constant=True)
+
+
+def _all(before: Episode, after: Episode, transition: Transition) -> tuple[Any, Any, Transition]:
+    """Whole steps, but for what pictures do not show."""
+    return before.replace(key=None, history=None), after.replace(key=None, history=None), transition
+
+
+def _attempt(before: Any, transition: Any) -> Attempt:
+    settling = transition.settling
+    return Attempt(
+        object_index=int(transition.object_index),
+        ordinal=int(transition.ordinal),
+        action=transition.action,
+        verdict=Verdict(int(transition.verdict)),
+        trajectory=settling.trajectory[: int(settling.num_steps) + 1],
+        poses=before.poses,
+        is_placed=before.is_placed,
+        settled=settling.poses,
+    )
+
+
+def rectangle_of(region: Region) -> Rectangle:
+    """A queried region as a rectangle on the support's top, on the host."""
+    pose = np.asarray(region.T_world_region.wxyz_xyz, np.float64)
+    half = np.asarray(region.half_extents, np.float64)
+    yaw = 2.0 * float(np.arctan2(pose[3], pose[0]))
+    return Rectangle((float(pose[4]), float(pose[5])), (float(half[0]), float(half[1])), yaw)
+
+
+def _boxes(episode: Any) -> tuple[Rectangle, ...]:
+    keep_out = episode.keep_out
+    return tuple(
+        Rectangle((float(center[0]), float(center[1])), (float(half[0]), float(half[1])), float(yaw))
+        for center, half, yaw in zip(keep_out.center, keep_out.half_extents, keep_out.yaw, strict=True)
+    )

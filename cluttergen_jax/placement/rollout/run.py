@@ -1,0 +1,125 @@
+"""Blocks run to their end: begin, step until all episodes are over, finish. Ctrl-C ends it between steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cluttergen_jax.placement.rollout.blocks import BlockSampler
+from cluttergen_jax.placement.scenes import BLOCK_SIZE, Scenes
+from cluttergen_jax.placement.types import Episode, Transition
+from cluttergen_jax.progress import COMPILING, Progress, interruptible
+from cluttergen_jax.types import Array
+
+MAX_PROGRAMS = 16
+"""Compiled steps that are kept: a program takes a few hundred of the 65,530 mappings of memory that Linux
+grants a process."""
+
+Look = Callable[[Episode, Episode, Transition], Any]
+"""Of all episodes before and after a step, and its transitions: what is to be seen of it, a pytree."""
+
+
+def _nothing(before: Episode, after: Episode, transition: Transition) -> None:
+    return None
+
+
+class Rollout:
+    """Runs blocks of episodes.
+
+    What a sampler knows (clouds, weights, regions) is an argument of what is compiled, so that samplers of
+    equal sizes share programs; such samplers must be pytrees, their proposers included.
+
+    Args:
+      look: what `run` shows of each step.
+      is_constant: compile each sampler for itself, its arrays as constants. XLA folds sums of constants
+        while it compiles, so that the last bits of a network's output differ from those of `False`. Banks
+        have always been made in this way: whatever makes or repeats their scenes must keep to it.
+    """
+
+    def __init__(self, look: Look = _nothing, is_constant: bool = False) -> None:
+        def step(sampler: BlockSampler, episodes: Episode) -> tuple[Episode, Array, Any]:
+            after, transition = sampler.step(episodes)
+            return after, jnp.sum(~after.is_over), look(episodes, after, transition)
+
+        static = (0,) if is_constant else ()
+        self._begin: Any = jax.jit(lambda sampler, *args: sampler.begin(*args), static_argnums=static)
+        self._step: Any = jax.jit(step, static_argnums=static, donate_argnums=1)
+        self._finish: Any = jax.jit(lambda sampler, *args: sampler.finish(*args), static_argnums=static)
+
+    @property
+    def num_programs(self) -> int:
+        """How many steps are compiled."""
+        return self._step._cache_size()
+
+    def compile(self, sampler: BlockSampler, key: Array, indices: np.ndarray) -> None:
+        """Compiles for `run` with arguments like these, by a step in which no attempt is made."""
+        if self.num_programs >= MAX_PROGRAMS:
+            for function in (self._begin, self._step, self._finish):
+                function.clear_cache()
+        episodes = interruptible(self._begin, sampler, key, indices, np.zeros(len(indices), bool))
+        episodes, *_ = interruptible(self._step, sampler, episodes)
+        jax.block_until_ready(interruptible(self._finish, sampler, episodes))
+
+    def run(
+        self,
+        sampler: BlockSampler,
+        key: Array,
+        indices: np.ndarray,
+        is_wanted: np.ndarray,
+        on_step: Callable[[int, Any], None] = lambda number, seen: None,
+    ) -> Scenes:
+        """The scenes of a block, NumPy arrays with leading axis N.
+
+        Args:
+          key, indices, is_wanted: of its `begin`.
+          on_step: told after each step how many more episodes are over, and what `look` sees, on the host.
+        """
+
+        def stepped(episodes: Episode) -> tuple[Episode, int, Any]:
+            episodes, num_left, seen = self._step(sampler, episodes)
+            return episodes, *jax.device_get((num_left, seen))
+
+        episodes = interruptible(self._begin, sampler, key, indices, is_wanted)
+        left = int(is_wanted.sum())
+        while left:
+            before = left
+            episodes, num_left, seen = interruptible(stepped, episodes)
+            left = int(num_left)
+            on_step(before - left, seen)
+        return interruptible(lambda: jax.device_get(self._finish(sampler, episodes)))
+
+
+def blocks_of(num_scenes: int) -> list[tuple[int, int]]:
+    """(block number, scenes in it) for scenes 0 to num_scenes - 1."""
+    return [
+        (block, min(BLOCK_SIZE, num_scenes - block * BLOCK_SIZE))
+        for block in range(-(-num_scenes // BLOCK_SIZE))
+    ]
+
+
+def sample_blocks(
+    sampler: BlockSampler, blocks: Sequence[tuple[int, int]], seed: int, title: str = "placing"
+) -> Iterator[tuple[int, np.ndarray, Scenes]]:
+    """Samples blocks, compiling once.
+
+    Every block is computed at full width, so that a scene does not depend on how many were asked for.
+
+    Yields:
+      The block's number, its scene indices i32[n], and its scenes as NumPy arrays with leading axis n.
+    """
+    rollout, place = Rollout(is_constant=True), np.arange(BLOCK_SIZE)
+
+    def told(number: int, _: Any) -> None:
+        progress.rename(title)
+        progress.update(number)
+
+    with Progress("compiling", sum(rows for _, rows in blocks), "scene") as progress:
+        progress.say(COMPILING)
+        for block, rows in blocks:
+            indices = block * BLOCK_SIZE + place
+            scenes = rollout.run(sampler, jax.random.key(seed), indices, place < rows, told)
+            yield block, indices[:rows], jax.tree.map(lambda array, rows=rows: array[:rows], scenes)

@@ -1,0 +1,191 @@
+"""Many random poses looked at coarsely, the best of them closely."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+from flax import struct
+
+from cluttergen_jax.placement.heightmap import HeightMap, HeightMapper
+from cluttergen_jax.placement.region import Region, action_of_pose, is_inside, is_kept_out, to_pose
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.search.fit import (
+    Candidates,
+    Fit,
+    UnderSide,
+    let_down,
+    mean_under,
+    support_share,
+)
+from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.types import Array
+
+CLEARANCE = 0.001
+"""Metres above its rest at which an object is released."""
+
+FORBIDDEN = 1e6
+"""Added to the cost of poses that would not count."""
+
+_EDGE = 0.002
+_BARE = 0.003
+_WINDOW_DOUBLINGS = 3
+
+
+@dataclass(frozen=True)
+class SearchConfig:
+    """How long to look.
+
+    Attributes:
+      num_candidates: random poses.
+      num_coarse: columns of the object that are lowered at each of them.
+      num_finalists: the poses among them at which the whole under-side is.
+    """
+
+    num_candidates: int = 768
+    num_coarse: int = 24
+    num_finalists: int = 48
+
+
+class Look(struct.PyTreeNode):
+    """What is known of N candidates when they are ranked.
+
+    Attributes:
+      fit: how they would lie.
+      lift: f32[N], metres higher than on the bare top.
+      support: f32[N], `fit.support_share`; 1 where it was not looked at.
+      crowd: f32[N], how much of their surroundings is taken or beyond the support, 0 to 1.
+      attempt: i32, attempts of this object that have failed.
+    """
+
+    fit: Fit
+    lift: Array
+    support: Array
+    crowd: Array
+    attempt: Array
+
+
+class Shortlist(struct.PyTreeNode):
+    """The most promising poses of one search, M of them.
+
+    Attributes:
+      candidates: positions and turns, region frame.
+      look: what is known of them, wholly looked at.
+      cost: f32[M], what the search keeps low; at least FORBIDDEN for poses that would not count.
+      action: f32[M, 4], the actions that propose them.
+      heights: the scene that they were lowered onto.
+    """
+
+    candidates: Candidates
+    look: Look
+    cost: Array
+    action: Array
+    heights: HeightMap
+
+
+class Search(struct.PyTreeNode, eq=False):
+    """Proposes the cheapest of many poses, uniform over region and turn; a subclass says what is cheap.
+
+    Attributes:
+      rules: of the world; config: how long to look.
+      mapper: makes height maps of its scenes; made here if not given.
+    """
+
+    rules: Rules
+    config: SearchConfig = struct.field(pytree_node=False, default=SearchConfig())
+    mapper: HeightMapper | None = None
+
+    def __post_init__(self) -> None:
+        if self.mapper is None:
+            object.__setattr__(self, "mapper", HeightMapper.of(self.rules.geometry, self.rules.region))
+
+    def cost(self, look: Look) -> Array:
+        """f32[N]: what to keep low. Among equals the first is taken, which is a random one."""
+        raise NotImplementedError
+
+    def __call__(self, key: Array, episode: Episode) -> Array:
+        """See `placement.rules.Proposer`."""
+        found = self.shortlist(key, episode)
+        return found.action[jnp.argmin(found.cost)]
+
+    def shortlist(self, key: Array, episode: Episode) -> Shortlist:
+        """The finalists of uniform candidates drawn with `key`."""
+        return self.narrow(draw_candidates(key, episode.region, self.config.num_candidates), episode)
+
+    def narrow(self, candidates: Candidates, episode: Episode) -> Shortlist:
+        """The finalists among given candidates."""
+        config = self.config
+        focus, height_range = self.rules.focus(episode), self.rules.height_range(episode)
+        bare_rest = self.rules.geometry.half_extents[focus, 2]
+        assert self.mapper is not None
+        heights = self.mapper(episode.region, episode.poses, episode.is_placed)
+        crowded = crowding(heights)
+        under = under_side(self.rules, focus)
+        sparse = under.first(config.num_coarse)
+
+        def rank(candidates: Candidates, fit: Fit, support: Array) -> tuple[Look, Array]:
+            crowd = mean_under(sparse, crowded, candidates)
+            look = Look(fit, fit.rest - bare_rest, support, crowd, episode.attempt)
+            is_allowed = self._is_allowed(episode, focus, candidates) & (fit.rest + CLEARANCE <= height_range)
+            cost = self.cost(look)
+            return look, jnp.where(is_allowed, cost, cost + FORBIDDEN)
+
+        fit = let_down(sparse, heights, candidates)
+        _, cost = rank(candidates, fit, jnp.ones_like(fit.rest))
+        finalists = candidates.take(jax.lax.top_k(-cost, config.num_finalists)[1])
+        fit = let_down(under, heights, finalists)
+        look, cost = rank(finalists, fit, support_share(under, heights, finalists, fit.rest))
+        position = jnp.concatenate([finalists.xy, fit.rest[:, None] + CLEARANCE], axis=1)
+        action = jax.vmap(action_of_pose, in_axes=(0, 0, None, None))(
+            position, finalists.yaw, episode.region, height_range
+        )
+        return Shortlist(finalists, look, cost, action, heights)
+
+    def _is_allowed(self, episode: Episode, focus: Array, candidates: Candidates) -> Array:
+        """bool[N]: where the object would count as inside and out of every keep-out box."""
+        half, containment = self.rules.geometry.half_extents[focus], self.rules.config.containment
+        if containment == "center" and not episode.keep_out.yaw.shape[0]:
+            return jnp.ones_like(candidates.yaw, bool)
+
+        def is_allowed(xy: Array, yaw: Array) -> Array:
+            T_region_object = jaxlie.SE3.from_rotation_and_translation(
+                jaxlie.SO3.from_z_radians(yaw), jnp.append(xy, 0.0)
+            )
+            pose = to_pose(episode.region.T_world_region @ T_region_object)
+            is_kept_in = is_inside(pose, half, episode.region, containment)
+            return is_kept_in & ~is_kept_out(pose, half, episode.keep_out)
+
+        return jax.vmap(is_allowed)(candidates.xy, candidates.yaw)
+
+
+def under_side(rules: Rules, focus: Array) -> UnderSide:
+    """The under-side of object `focus`."""
+    geometry = rules.geometry
+    return UnderSide(
+        geometry.column_xy[focus],
+        geometry.column_bottom[focus],
+        geometry.is_column[focus],
+        geometry.center_of_mass[focus, :2],
+    )
+
+
+def draw_candidates(key: Array, region: Region, number: int) -> Candidates:
+    """Uniform over one turn and over the region, but for 2 mm along its sides."""
+    key_xy, key_yaw = jax.random.split(key)
+    xy = jax.random.uniform(key_xy, (number, 2), minval=-1.0) * jnp.maximum(region.half_extents - _EDGE, 0.0)
+    return Candidates(xy, jax.random.uniform(key_yaw, (number,), maxval=2 * jnp.pi))
+
+
+def crowding(heights: HeightMap) -> HeightMap:
+    """How much of the 8 x 8 cells around each cell is not bare top, 0 to 1; nothing beyond the map."""
+    taken = (jnp.abs(heights.height) > _BARE).astype(jnp.float32)
+    for axis in (0, 1):
+        for step in (2**power for power in range(_WINDOW_DOUBLINGS)):
+            sides = [(0, 0), (0, 0)]
+            sides[axis] = ((step + 1) // 2, step // 2)
+            padded, size = jnp.pad(taken, sides), taken.shape[axis]
+            before = jax.lax.slice_in_dim(padded, 0, size, axis=axis)
+            taken = before + jax.lax.slice_in_dim(padded, step, step + size, axis=axis)
+    return heights.replace(height=taken / 4**_WINDOW_DOUBLINGS)

@@ -1,0 +1,155 @@
+"""Pictures of objects, supports and scenes that need no world: for `cluttergen inspect` and for looking."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.mjcf import (
+    VISUAL_GROUP,
+    add_texture,
+    new_spec,
+    populated_spec,
+    set_surface,
+)
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import transformed
+from cluttergen_jax.rendering.camera import axes
+from cluttergen_jax.rendering.config import View
+from cluttergen_jax.rendering.lighting import add_lighting
+from cluttergen_jax.rendering.picture import distinct_colour, render_model
+from cluttergen_jax.rendering.sheet import contact_sheet
+
+
+def _add_surface(spec: mujoco.MjSpec, name: str, piece: Piece, offset: np.ndarray) -> None:
+    surface = spec.add_mesh(name=name)
+    if len(piece.mesh.faces):
+        set_surface(surface, piece)
+        surface.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    else:
+        surface.uservert = piece.mesh.vertices.astype(np.float32).ravel()
+        surface.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    spec.worldbody.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=name,
+        pos=offset,
+        rgba=piece.rgba,
+        material=add_texture(spec, piece.texture),
+        contype=0,
+        conaffinity=0,
+        group=VISUAL_GROUP,
+    )
+
+
+def render_object(
+    asset: ObjectAsset, *, width: int = 480, height: int = 240, samples: int = 16
+) -> np.ndarray:
+    """uint8[height, width, 3]: the object's surfaces, and right of them its parts in distinct colours."""
+    spec = new_spec(StabilityConfig().timestep, ContactConfig())
+    half = asset.half_extents
+    view = View(azimuth=115.0, elevation=-24.0, field_of_view=18.0)
+    right = axes(view.azimuth, view.elevation)[0]
+    # Half the object's width as it is seen, and a little room.
+    shift = right * 1.12 * float(np.abs(right) @ half)
+    lift = np.array([0.0, 0.0, half[2]])
+    for index, piece in enumerate(asset.pieces):
+        _add_surface(spec, f"piece-{index}", piece, lift - shift)
+    for index, part in enumerate(asset.parts):
+        hull = Piece(Mesh.points(part.vertices), distinct_colour(index))
+        _add_surface(spec, f"part-{index}", hull, lift + shift)
+    return render_model(
+        add_lighting(spec).compile(), camera=view, width=width, height=height, samples=samples
+    )
+
+
+def object_sheet(objects: Sequence[ObjectAsset], columns: int = 4, samples: int = 16) -> np.ndarray:
+    """A contact sheet: every object's surfaces beside its collision parts, and its name beneath."""
+    images = [render_object(asset, samples=samples) for asset in objects]
+    captions = [f"{asset.name} (parts: {len(asset.parts)})" for asset in objects]
+    return contact_sheet(images, captions, columns)
+
+
+def scene_spec(
+    assets: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None
+) -> tuple[mujoco.MjSpec, np.ndarray]:
+    """A lit specification of objects on a support, and its qpos.
+
+    Args:
+      assets: K objects; the same one may come twice.
+      poses: f[K, 7], position then wxyz, world frame.
+      support: None leaves only the floor.
+
+    Raises:
+      ConfigError: not one pose per object.
+    """
+    poses = np.asarray(poses, np.float64)
+    if poses.shape != (len(assets), 7):
+        raise ConfigError(f"poses of shape {poses.shape} for {len(assets)} objects", f"({len(assets)}, 7)")
+    names = [f"{index:02d}-{asset.name}" for index, asset in enumerate(assets)]
+    contact = ContactConfig()
+    spec = populated_spec(
+        names, assets, support, StabilityConfig().timestep, contact, poses=poses, visual=True
+    )
+    return add_lighting(spec), poses.ravel()
+
+
+def render_scene(
+    assets: Sequence[ObjectAsset],
+    poses: np.ndarray,
+    support: SupportAsset | None,
+    *,
+    camera: View | None = None,
+    close: bool = False,
+    width: int = 640,
+    height: int = 480,
+    hulls: bool = False,
+    samples: int = 32,
+) -> np.ndarray:
+    """Draws objects standing on a support.
+
+    Args:
+      assets, poses, support: as for `scene_spec`.
+      camera: None is the default view.
+      close: fit the view to the objects and the region instead of the whole support.
+      width, height, hulls, samples: as for `render_model`.
+
+    Returns:
+      uint8[height, width, 3].
+    """
+    spec, qpos = scene_spec(assets, poses, support)
+    return render_model(
+        spec.compile(),
+        qpos,
+        camera=camera or View(),
+        width=width,
+        height=height,
+        hulls=hulls,
+        focus=close_points(assets, poses, support) if close else None,
+        samples=samples,
+    )
+
+
+def close_points(
+    assets: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None
+) -> np.ndarray:
+    """f64[P, 3]: all corners of the objects' collision parts and of the support's region, world frame.
+
+    Raises:
+      ConfigError: there are neither objects nor a support.
+    """
+    points = []
+    if support is not None:
+        points.append(np.column_stack([support.region.corners, np.full(4, support.top)]))
+    for asset, pose in zip(assets, np.asarray(poses, np.float64), strict=True):
+        points.extend(transformed(pose, part.vertices) for part in asset.parts)
+    if not points:
+        raise ConfigError("a close view of neither objects nor a support")
+    return np.concatenate(points)

@@ -1,0 +1,164 @@
+"""What happens when in a film: who stands where in each of its frames. Needs no OpenGL until it is shot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.rollout.replay import Attempt, Recording
+from cluttergen_jax.rendering.assets import close_points
+from cluttergen_jax.rendering.config import FilmConfig
+from cluttergen_jax.rendering.figure import GREEN, trails_of
+from cluttergen_jax.rendering.overlay import with_caption
+from cluttergen_jax.rendering.renderer import Trail
+from cluttergen_jax.rendering.scene_renderer import RED, PictureConfig, RenderStyle, scene_renderer, swept
+
+_STEPS_PER_SECOND = 240
+_TINT = 0.72
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One picture of a film: a style per object of the world (None: not there), lines, and words."""
+
+    styles: tuple[RenderStyle | None, ...]
+    trails: tuple[Trail, ...] = ()
+    caption: str = ""
+    dot: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class _Segment:
+    """A stretch of an attempt: its kind and how long it lasts, in seconds."""
+
+    kind: str
+    seconds: float
+
+
+def _segments(attempt: Attempt, config: FilmConfig) -> list[_Segment]:
+    settling = config.slowdown * attempt.num_steps / _STEPS_PER_SECOND
+    begin = [_Segment("approach", 0.3), _Segment("settle", settling)]
+    if attempt.is_stable:
+        return [*begin, _Segment("rest", 0.15)]
+    return [*begin, _Segment("shown", 0.3), _Segment("fade", 0.35)]
+
+
+def replay_frames(recording: Recording, config: FilmConfig | None = None) -> list[Frame]:
+    """The placement as it happened: each attempt in turn, failed ones turning red and fading away.
+
+    From release to the attempt's end the frames show the simulator's own trajectory.
+
+    Raises:
+      ConfigError: nobody knows the recording's attempts.
+    """
+    config = config or FilmConfig()
+    if not recording.attempts:
+        raise ConfigError(
+            f"{recording.title}: how its objects were placed is not known",
+            "a scene of a bank whose recipe is whole",
+            "the bank's folder instead of a single file",
+        )
+    natural = sum(segment.seconds for each in recording.attempts for segment in _segments(each, config))
+    hold = min(1.5, 0.2 * config.seconds)
+    speedup = max(1.0, natural / max(config.seconds - hold, 1e-6))
+    frames: list[Frame] = []
+    clock = 0.0
+    for attempt in recording.attempts:
+        for segment in _segments(attempt, config):
+            # Rounding the clock, not each segment, keeps the film as long as it was meant to be.
+            first, clock = round(clock * config.fps), clock + segment.seconds / speedup
+            count = round(clock * config.fps) - first
+            for number in range(count):
+                frames.append(_frame(recording, attempt, segment.kind, (number + 1) / count, config))
+    last = _standing(recording, recording.poses, recording.is_placed)
+    end = Frame(last, (), *(_ending(recording) if config.captions else ("", None)))
+    return [*frames, *[end] * max(1, round(hold * config.fps))]
+
+
+def _standing(
+    recording: Recording, poses: np.ndarray, is_placed: np.ndarray
+) -> tuple[RenderStyle | None, ...]:
+    return tuple(RenderStyle(poses[i]) if is_placed[i] else None for i in range(len(recording.objects)))
+
+
+def _frame(recording: Recording, attempt: Attempt, kind: str, progress: float, config: FilmConfig) -> Frame:
+    styles = list(_standing(recording, attempt.poses, attempt.is_placed))
+    row = {"approach": 0, "settle": round(progress * attempt.num_steps)}.get(kind, attempt.num_steps)
+    pose = attempt.trajectory[row, :7].astype(np.float64)
+    alpha, strength = 1.0, 0.0
+    trails: tuple[Trail, ...] = ()
+    if kind == "approach":
+        pose[2] += config.lift * (1.0 - progress) ** 2
+        alpha = min(1.0, 2 * progress)
+    elif not attempt.is_stable:
+        alpha = 1.0 - progress if kind == "fade" else 1.0
+        strength = _TINT * (progress if kind == "settle" else 1.0)
+        trails = trails_of(attempt, row, alpha)
+    elif kind == "rest":
+        styles = list(_standing(recording, attempt.settled, attempt.is_placed))
+        pose = attempt.settled[attempt.object_index]
+    styles[attempt.object_index] = RenderStyle(pose, alpha, RED, strength)
+    words = _words(recording, attempt, kind) if config.captions else ("", None)
+    return Frame(tuple(styles), trails, *words)
+
+
+def _words(
+    recording: Recording, attempt: Attempt, kind: str
+) -> tuple[str, tuple[float, float, float] | None]:
+    asset = recording.objects[attempt.object_index]
+    text = f"{asset.label or asset.name}, attempt {attempt.ordinal}"
+    if kind in ("approach", "settle"):
+        return text, None
+    return (f"{text}: stands", GREEN) if attempt.is_stable else (f"{text}: {attempt.verdict.sentence}", RED)
+
+
+def _ending(recording: Recording) -> tuple[str, tuple[float, float, float]]:
+    placed, tried = len(recording.placed), len(recording.attempts)
+    text = f"{placed} objects, {tried} attempts"
+    if recording.is_success:
+        return f"{text}: the scene stands", GREEN
+    return f"{text}: {recording.verdict}", RED
+
+
+def replay(
+    recording: Recording, config: FilmConfig | None = None, picture: PictureConfig | None = None
+) -> Iterator[np.ndarray]:
+    """The pictures of `replay_frames`, uint8[height, width, 3] each, drawn as they are asked for."""
+    picture = picture or PictureConfig(samples=8)
+    frames = replay_frames(recording, config)
+    points = _end_points(recording)
+    with scene_renderer(recording.objects, recording.support, points, picture) as renderer:
+        image, shown = None, None
+        for frame in frames:
+            # The end stands still: it is drawn once.
+            if image is None or frame is not shown:
+                image = with_caption(renderer.picture(frame.styles, frame.trails), frame.caption, frame.dot)
+                shown = frame
+            yield image
+
+
+def turntable(
+    recording: Recording, config: FilmConfig | None = None, picture: PictureConfig | None = None
+) -> Iterator[np.ndarray]:
+    """Once around the finished scene, uint8[height, width, 3] each; the last picture leads to the first."""
+    config, picture = config or FilmConfig(seconds=6.0), picture or PictureConfig(samples=8)
+    count = max(2, round(config.fps * config.seconds))
+    styles = _standing(recording, recording.poses, recording.is_placed)
+    points = _end_points(recording)
+    with scene_renderer(recording.objects, recording.support, points, picture) as renderer:
+        around = swept(renderer.content if picture.whole else points)
+        for number in range(count):
+            turn = 360.0 * number / count
+            renderer.aim(around, replace(picture.view, azimuth=picture.view.azimuth + turn))
+            # The lights go with the camera: it is the table that turns.
+            yield renderer.picture(styles, light_yaw=math.radians(turn))
+
+
+def _end_points(recording: Recording) -> np.ndarray:
+    """f64[P, 3]: what the camera has to show, at the end."""
+    objects = [recording.objects[i] for i in recording.placed]
+    return close_points(objects, recording.poses[recording.placed], recording.support)

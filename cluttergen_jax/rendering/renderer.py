@@ -1,0 +1,199 @@
+"""A model in front of a camera, its GL context held open: many pictures of it at little cost each."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.mjcf import VISUAL_GROUP
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.rendering.config import View
+from cluttergen_jax.rendering.gl import gl_context
+from cluttergen_jax.rendering.sampling import low_discrepancy, shift_lights, shift_pixel
+
+HIDDEN_GROUP = 5
+MAX_SIDE = 8192
+_MAX_EXTRA = 4000
+_GOLDEN = 0.6180339887498949
+_EVERYTHING = mujoco.mjtCatBit.mjCAT_ALL.value
+
+
+@dataclass(frozen=True, eq=False)
+class Trail:
+    """A line through space, drawn as a thin tube.
+
+    Attributes:
+      points: f[N, 3], metres, world frame.
+      rgb: each in [0, 1].
+      alpha: 1 is opaque.
+      radius: metres.
+    """
+
+    points: np.ndarray
+    rgb: tuple[float, float, float]
+    alpha: float = 1.0
+    radius: float = 0.0018
+
+
+def check_size(width: int, height: int, samples: int) -> None:
+    """Refuses a picture that cannot be.
+
+    Raises:
+      ConfigError: a side or the number of samples is out of range.
+    """
+    if not (16 <= width <= MAX_SIDE and 16 <= height <= MAX_SIDE and samples >= 1):
+        raise ConfigError(
+            f"a picture of {width} x {height}, {samples} samples",
+            f"16 to {MAX_SIDE} pixels, 1 sample or more",
+        )
+
+
+def thresholds(samples: int) -> np.ndarray:
+    """f64[samples]: something of opacity a is drawn in the pictures whose threshold is below a.
+
+    So a share a of the pictures shows it, spread evenly over the sequence of lights; their mean is what
+    transparency looks like, without any order of drawing and without seeing into the object.
+    """
+    ranks = np.argsort(np.argsort((np.arange(samples) * _GOLDEN) % 1.0))
+    return (ranks + 0.5) / samples
+
+
+class Renderer:
+    """See `open_renderer`. The model's groups and colours may be changed between pictures."""
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int, context: mujoco.MjrContext) -> None:
+        self.model, self.width, self.height = model, width, height
+        self._context = context
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + _MAX_EXTRA)
+        self._option = mujoco.MjvOption()
+        self._option.geomgroup[:] = 0
+        self._option.geomgroup[VISUAL_GROUP] = 1
+        self._lights = {i: model.light(i).name for i in range(model.nlight)}
+        self._rect = mujoco.MjrRect(0, 0, width, height)
+
+    def average(
+        self,
+        data: mujoco.MjData,
+        camera: mujoco.MjvCamera,
+        samples: int,
+        reach: float,
+        alpha: np.ndarray | None = None,
+        trails: Sequence[Trail] = (),
+        light_yaw: float = 0.0,
+    ) -> np.ndarray:
+        """The mean of `samples` pictures with the lights and the pixel grid moved a little between them.
+
+        Args:
+          reach: the content's radius, metres.
+          alpha: f[nbody], the opacity of each body; None draws all.
+          trails: lines to draw as well.
+          light_yaw: radians by which the lights are turned about the vertical.
+
+        Returns:
+          uint8[height, width, 3].
+        """
+        groups, limits = self.model.geom_group.copy(), thresholds(samples)
+        pixels = np.empty((self.height, self.width, 3), np.uint8)
+        total = np.zeros((self.height, self.width, 3), np.uint32)
+        try:
+            for index in range(samples):
+                if alpha is not None:
+                    is_seen = alpha[self.model.geom_bodyid] > limits[index]
+                    self.model.geom_group[:] = np.where(is_seen, groups, HIDDEN_GROUP)
+                self._update(data, camera)
+                for trail in trails:
+                    if trail.alpha > limits[index]:
+                        self._add(trail)
+                u = low_discrepancy(index)
+                shift_lights(self._scene, self._lights, u, self.model.stat.center, reach, light_yaw)
+                if samples > 1:
+                    shift_pixel(self._scene, u[4], u[5], self.width, self.height)
+                mujoco.mjr_render(self._rect, self._scene, self._context)
+                mujoco.mjr_readPixels(pixels, None, self._rect, self._context)
+                total += pixels
+        finally:
+            self.model.geom_group[:] = groups
+        return np.flipud((total + samples // 2) // samples).astype(np.uint8)
+
+    def measure(self, data: mujoco.MjData, camera: mujoco.MjvCamera) -> tuple[np.ndarray, np.ndarray]:
+        """What each pixel's middle sees: metres along the line of sight's axis, and which geom.
+
+        Returns:
+          f32[height, width], inf where there is nothing; i32[height, width], -1 where there is nothing.
+        """
+        self._update(data, camera)
+        flags = self._scene.flags
+        kept = flags.copy()
+        flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = 1
+        colours = np.empty((self.height, self.width, 3), np.uint8)
+        raw = np.empty((self.height, self.width), np.float32)
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR.value
+        mujoco.mjr_render(self._rect, self._scene, self._context)
+        mujoco.mjr_readPixels(colours, raw, self._rect, self._context)
+        flags[:] = kept
+        number = (colours.astype(np.int32) * [1, 256, 65536]).sum(-1)
+        geom_of = np.full(self._scene.ngeom + 1, -1, np.int32)
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            if geom.segid >= 0 and geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
+                geom_of[geom.segid + 1] = geom.objid
+        # MuJoCo's depth runs from 0 at the far plane to 1 at the near one, even in the inverse of distance.
+        extent, planes = self.model.stat.extent, self.model.vis.map
+        near, far = planes.znear * extent, planes.zfar * extent
+        inverse = raw.astype(np.float64) * (1 / near - 1 / far) + 1 / far
+        depth = np.where(raw > 0, 1 / inverse, np.inf).astype(np.float32)
+        return np.flipud(depth).copy(), np.flipud(geom_of[number]).copy()
+
+    def _update(self, data: mujoco.MjData, camera: mujoco.MjvCamera) -> None:
+        mujoco.mjv_updateScene(self.model, data, self._option, None, camera, _EVERYTHING, self._scene)
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = 1
+
+    def _add(self, trail: Trail) -> None:
+        scene, capsule = self._scene, mujoco.mjtGeom.mjGEOM_CAPSULE
+        rgba = np.array([*trail.rgb, 1.0], np.float32)
+        points = np.asarray(trail.points, np.float64)
+        for start, end in itertools.pairwise(points):
+            if scene.ngeom >= scene.maxgeom:
+                return
+            geom = scene.geoms[scene.ngeom]
+            mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
+            mujoco.mjv_connector(geom, capsule, trail.radius, start, end)
+            geom.emission = 0.5
+            scene.ngeom += 1
+
+
+@contextmanager
+def open_renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[Renderer]:
+    """A renderer for one model; `set_range` has been called on it before.
+
+    Raises:
+      RendererError: nothing here can draw.
+    """
+    with gl_context(width, height):
+        context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        try:
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
+            yield Renderer(model, width, height, context)
+        finally:
+            context.free()
+
+
+def set_range(model: mujoco.MjModel, points: np.ndarray, view: View, width: int, height: int) -> float:
+    """Fits clipping planes, shadow map and buffer to what is drawn; returns the content's radius, metres.
+
+    Args:
+      points: f64[P, 3], corners of all that will ever be drawn.
+    """
+    reach = float(np.linalg.norm(np.ptp(points, axis=0)) / 2) or 1.0
+    model.stat.extent = reach
+    model.stat.center = (points.min(0) + points.max(0)) / 2
+    # A smaller shadow map, or a nearer far plane, leaves speckles on the floor.
+    model.vis.map.shadowclip = 4.0
+    model.vis.map.znear, model.vis.map.zfar = 0.05, 500.0
+    model.vis.global_.fovy = view.field_of_view
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    return reach

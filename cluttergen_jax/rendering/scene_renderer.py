@@ -1,0 +1,204 @@
+"""Renderer of a scene: each picture says where each object stands, how opaque it is, and in which tint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.rendering.assets import scene_spec
+from cluttergen_jax.rendering.camera import axes, corners, drawn_points, placed_camera
+from cluttergen_jax.rendering.config import View
+from cluttergen_jax.rendering.picture import DEFAULT_VIEW, prepared
+from cluttergen_jax.rendering.renderer import (
+    HIDDEN_GROUP,
+    Renderer,
+    Trail,
+    check_size,
+    open_renderer,
+    set_range,
+)
+
+RED = (0.86, 0.10, 0.12)
+"""Of what failed."""
+
+
+@dataclass(frozen=True, eq=False)
+class RenderStyle:
+    """How an object is drawn in one picture.
+
+    Attributes:
+      pose: f[7], metres and wxyz, world frame.
+      alpha: 1 is opaque, 0 unseen.
+      tint: the colour that it is mixed with; strength: how much of it, in [0, 1].
+    """
+
+    pose: np.ndarray
+    alpha: float = 1.0
+    tint: tuple[float, float, float] = RED
+    strength: float = 0.0
+
+
+@dataclass(frozen=True)
+class PictureConfig:
+    """How pictures are taken.
+
+    Attributes:
+      width, height: pixels.
+      samples: pictures averaged into one; time is proportional to it.
+      view: from which side.
+      whole: show the whole support instead of the objects and the region alone.
+      hulls: draw the collision parts instead of the surfaces.
+    """
+
+    width: int = 640
+    height: int = 480
+    samples: int = 32
+    view: View = DEFAULT_VIEW
+    whole: bool = False
+    hulls: bool = False
+
+    def __post_init__(self) -> None:
+        check_size(self.width, self.height, self.samples)
+
+
+class SceneRenderer:
+    """See `scene_renderer`. `content` f64[P, 3] is all that the whole view shows."""
+
+    def __init__(
+        self,
+        model_renderer: Renderer,
+        data: mujoco.MjData,
+        picture: PictureConfig,
+        reach: float,
+        content: np.ndarray,
+    ) -> None:
+        self.model_renderer, self.data, self.config, self.reach = model_renderer, data, picture, reach
+        self.content = content
+        self.camera = mujoco.MjvCamera()
+        model = model_renderer.model
+        self._colours = model.geom_rgba.copy()
+        self._joint_body = model.jnt_bodyid.copy()
+        self._home = model.qpos0.reshape(-1, 7).copy()
+
+    def aim(self, points: np.ndarray, view: View | None = None) -> mujoco.MjvCamera:
+        """Puts the camera as near as `points` f64[P, 3] allow."""
+        aspect = self.config.width / self.config.height
+        self.camera = placed_camera(points, view or self.config.view, aspect)
+        return self.camera
+
+    def picture(
+        self, styles: Sequence[RenderStyle | None], trails: Sequence[Trail] = (), light_yaw: float = 0.0
+    ) -> np.ndarray:
+        """uint8[height, width, 3]: one style per object; None leaves it out.
+
+        Args:
+          light_yaw: radians by which the lights are turned about the vertical.
+
+        Raises:
+          ConfigError: not one style per object.
+        """
+        alpha = self._apply(styles)
+        return self.model_renderer.average(
+            self.data, self.camera, self.config.samples, self.reach, alpha, tuple(trails), light_yaw
+        )
+
+    def measure(self, styles: Sequence[RenderStyle | None]) -> tuple[np.ndarray, np.ndarray]:
+        """Metres and object of each pixel: see `Renderer.measure`.
+
+        Returns:
+          f32[height, width], inf where there is nothing; i32[height, width]: the object's index, -1 for the
+          support, -2 for the floor and nothing.
+        """
+        alpha = self._apply(styles)
+        model = self.model_renderer.model
+        groups = model.geom_group.copy()
+        model.geom_group[:] = np.where(alpha[model.geom_bodyid] > 0, groups, HIDDEN_GROUP)
+        depth, geom = self.model_renderer.measure(self.data, self.camera)
+        model.geom_group[:] = groups
+        object_of_body = np.full(model.nbody, -1, np.int32)
+        object_of_body[0] = -2
+        object_of_body[self._joint_body] = np.arange(len(self._joint_body))
+        return depth, np.where(geom >= 0, object_of_body[model.geom_bodyid[geom]], -2).astype(np.int32)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Pixels f64[P, 2] (x to the right, y down, from the upper left corner) of world points f[P, 3]."""
+        turn = axes(self.camera.azimuth, self.camera.elevation)
+        seen = (np.asarray(points, np.float64) - self.eye) @ turn.T
+        flat = seen[:, :2] / seen[:, 2:] * self.focal
+        return flat * [1, -1] + np.array([self.config.width, self.config.height]) / 2
+
+    @property
+    def eye(self) -> np.ndarray:
+        """f64[3]: where the camera is, world frame, metres."""
+        turn = axes(self.camera.azimuth, self.camera.elevation)
+        return np.array(self.camera.lookat) - self.camera.distance * turn[2]
+
+    @property
+    def focal(self) -> float:
+        """The focal length in pixels."""
+        return self.config.height / 2 / np.tan(np.radians(self.model_renderer.model.vis.global_.fovy) / 2)
+
+    def _apply(self, styles: Sequence[RenderStyle | None]) -> np.ndarray:
+        """Poses and colours for one picture; f64[nbody], the opacity of each body."""
+        model, bodies = self.model_renderer.model, self._joint_body
+        if len(styles) != len(bodies):
+            raise ConfigError(f"{len(styles)} styles for {len(bodies)} objects", f"{len(bodies)}")
+        alpha = np.ones(model.nbody)
+        qpos, colours = self._home.copy(), self._colours.copy()
+        for body, row, style in zip(bodies, qpos, styles, strict=True):
+            alpha[body] = 0.0 if style is None else style.alpha
+            if style is not None:
+                row[:] = style.pose
+                mine = model.geom_bodyid == body
+                colours[mine, :3] += style.strength * (np.array(style.tint) - colours[mine, :3])
+                # Glass that is tinted is seen as what failed, not through.
+                colours[mine, 3] += style.strength * (1 - colours[mine, 3])
+        model.geom_rgba[:] = colours
+        self.data.qpos[:] = qpos.ravel()
+        mujoco.mj_kinematics(model, self.data)
+        return alpha
+
+
+@contextmanager
+def scene_renderer(
+    objects: Sequence[ObjectAsset], support: SupportAsset | None, points: np.ndarray, picture: PictureConfig
+) -> Iterator[SceneRenderer]:
+    """A renderer of a scene, for as many pictures as are wanted.
+
+    Args:
+      objects: the same asset may come several times.
+      points: f64[P, 3], all places that something will be drawn at; the camera is aimed at them.
+
+    Raises:
+      RendererError: nothing here can draw.
+    """
+    home = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(objects), 1))
+    spec, _ = scene_spec(objects, home, support)
+    model, is_drawn = prepared(spec.compile(), picture.hulls, None)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    is_fixed = is_drawn & (model.body_weldid[model.geom_bodyid] == 0)
+    content = np.concatenate([drawn_points(model, data, is_fixed), points])
+    width, height = picture.width, picture.height
+    reach = set_range(model, content, picture.view, width, height)
+    with open_renderer(model, width, height) as model_renderer:
+        renderer = SceneRenderer(model_renderer, data, picture, reach, content)
+        renderer.aim(content if picture.whole else points)
+        yield renderer
+
+
+def swept(points: np.ndarray, num_turns: int = 36) -> np.ndarray:
+    """f64[P', 3]: a box that holds `points` at every turn about the vertical axis through their middle."""
+    center = (points.min(0) + points.max(0)) / 2
+    radius = np.linalg.norm(points[:, :2] - center[:2], axis=1).max()
+    turn = 2 * np.pi * np.arange(num_turns) / num_turns
+    ring = center[:2] + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    heights = corners(points.min(0), points.max(0))[:, 2]
+    return np.concatenate([np.column_stack([ring, np.full(num_turns, z)]) for z in np.unique(heights)])

@@ -1,0 +1,119 @@
+"""What a camera would measure of a scene: depth and which object each pixel shows, in files that say so."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.rendering.assets import close_points
+from cluttergen_jax.rendering.camera import axes
+from cluttergen_jax.rendering.picture import distinct_colour
+from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
+
+FLOOR, SUPPORT, FIRST_OBJECT = 0, 1, 2
+"""Labels of a segmentation: nothing or the floor, the support, then object k of the scene as 2 + k."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sensed:
+    """One view of a scene. H rows, W columns, N objects; `names` are theirs.
+
+    Attributes:
+      rgb: uint8[H, W, 3].
+      depth: f32[H, W], metres along the optical axis (not along the ray); inf where nothing is.
+      segmentation: u8[H, W] or u16[H, W], see FLOOR, SUPPORT, FIRST_OBJECT.
+      intrinsics: f64[3, 3], pixels; a pixel's middle is at (column + 0.5, row + 0.5).
+      T_world_camera: f64[4, 4], metres; the camera's x points right, y down, z forward (OpenCV's way).
+      poses: f64[N, 7], T_world_object, metres, wxyz.
+    """
+
+    rgb: np.ndarray
+    depth: np.ndarray
+    segmentation: np.ndarray
+    intrinsics: np.ndarray
+    T_world_camera: np.ndarray
+    names: tuple[str, ...]
+    poses: np.ndarray
+
+
+def sense(
+    objects: Sequence[ObjectAsset],
+    names: Sequence[str],
+    poses: np.ndarray,
+    support: SupportAsset,
+    picture: PictureConfig | None = None,
+) -> Sensed:
+    """Colour, depth and segmentation of a scene from one place.
+
+    Raises:
+      RendererError: nothing here can draw.
+    """
+    picture = picture or PictureConfig()
+    poses = np.asarray(poses, np.float64).reshape(-1, 7)
+    styles = [RenderStyle(pose) for pose in poses]
+    with scene_renderer(objects, support, close_points(objects, poses, support), picture) as renderer:
+        rgb = renderer.picture(styles)
+        depth, actor = renderer.measure(styles)
+        turn = axes(renderer.camera.azimuth, renderer.camera.elevation) * np.array([[1.0], [-1.0], [1.0]])
+        camera = np.eye(4)
+        camera[:3, :3], camera[:3, 3] = turn.T, renderer.eye
+        focal = renderer.focal
+    intrinsics = np.array(
+        [[focal, 0, picture.width / 2], [0, focal, picture.height / 2], [0, 0, 1]], np.float64
+    )
+    labels = (actor + FIRST_OBJECT).astype(np.uint8 if len(objects) < 254 else np.uint16)
+    return Sensed(rgb, depth, labels, intrinsics, camera, tuple(names), poses)
+
+
+def depth_png(depth: np.ndarray) -> bytes:
+    """A 16-bit grey PNG in millimetres, rounded; 0 where nothing is or beyond 65.535 m."""
+    millimetres = np.where(np.isfinite(depth), np.round(depth * 1000.0), 0.0)
+    return _png(Image.fromarray(np.where(millimetres <= 65535, millimetres, 0).astype(np.uint16)))
+
+
+def segmentation_png(labels: np.ndarray) -> bytes:
+    """A PNG whose pixel values are the labels and whose palette gives each its own colour.
+
+    Raises:
+      ConfigError: labels above 255, which a palette cannot hold.
+    """
+    if labels.max(initial=0) > 255:
+        raise ConfigError(f"a segmentation PNG of {labels.max() + 1} labels", "256 at most", "the NPZ file")
+    image = Image.fromarray(labels.astype(np.uint8), mode="P")
+    image.putpalette(palette().ravel().tolist())
+    return _png(image)
+
+
+def palette() -> np.ndarray:
+    """uint8[256, 3]: black for the floor, grey for the support, distinct colours for objects."""
+    colours = np.array([(0.0, 0.0, 0.0), (0.55, 0.55, 0.55), *(distinct_colour(k)[:3] for k in range(254))])
+    return np.round(255 * colours).astype(np.uint8)
+
+
+def npz_of(sensed: Sensed) -> bytes:
+    """All arrays of one view under their names, as compressed NumPy; readable without pickle."""
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        rgb=sensed.rgb,
+        depth=sensed.depth,
+        segmentation=sensed.segmentation,
+        intrinsics=sensed.intrinsics,
+        T_world_camera=sensed.T_world_camera,
+        names=np.array(sensed.names),
+        poses=sensed.poses,
+    )
+    return buffer.getvalue()
+
+
+def _png(image: Image.Image) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, format="PNG")
+    return buffer.getvalue()

@@ -1,0 +1,299 @@
+"""A recording as nodes in the browser's scene: objects, hulls, clouds, region, and attempts at any moment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import trimesh
+
+from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.scene_cloud import cloud_colours, top_points
+from cluttergen_jax.assets.shading import linear, shaded
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.geometry import yaw_quaternion
+from cluttergen_jax.placement.rollout.replay import Attempt, Recording
+
+if TYPE_CHECKING:
+    import viser
+
+RED = (214, 30, 36)
+_GHOST = (RED[0] / 255, RED[1] / 255, RED[2] / 255, 0.45)
+_BLUE, _ORANGE = (40, 110, 220), (245, 130, 20)
+_LIFT = 0.0015
+"""Metres by which lines and points lie above the top, so that they are seen."""
+
+
+@dataclass
+class Shown:
+    """What is drawn beside the objects.
+
+    Attributes:
+      hulls: the collision parts instead of the surfaces.
+      region: the queried region, and boxes that objects stayed out of.
+      scene_cloud: points of the region and of all placed objects.
+      object_cloud: points of the object of the chosen attempt.
+      failures: all failed attempts at once.
+    """
+
+    hulls: bool = False
+    region: bool = True
+    scene_cloud: bool = False
+    object_cloud: bool = False
+    failures: bool = False
+
+
+class SceneNodes:
+    """Draws one recording at a time.
+
+    Args:
+      server: of viser; or one browser of it, which then alone sees what is drawn.
+    """
+
+    def __init__(self, server: viser.ViserServer | viser.ClientHandle) -> None:
+        self.server, self.shown = server, Shown()
+        self.recording: Recording | None = None
+        self._roots: list[Any] = []
+        self._fixed: list[Any] = []
+        self._objects: dict[int, _ObjectNodes] = {}
+        self._failed: dict[int, _FailedAttempt] = {}
+        self._region: list[Any] = []
+        self._top_cloud: Any = None
+        server.scene.set_up_direction("+z")
+        server.scene.configure_default_lights(True, cast_shadow=True)
+        # The floor has no end: far away it becomes the background.
+        server.scene.configure_fog(4.0, 14.0, color=(255, 255, 255))
+        server.scene.add_light_ambient("/light", intensity=0.35)
+
+    def show(self, recording: Recording) -> None:
+        """Replaces whatever was drawn by another recording, at its end."""
+        with self.server.atomic():
+            self._clear()
+            self.recording = recording
+            self._add_support(recording.support)
+            self._add_region(recording)
+            for index, asset in enumerate(recording.objects):
+                if recording.is_placed[index] or recording.attempts_at(index):
+                    self._objects[index] = _ObjectNodes(self.server, index, asset)
+            for number, attempt in enumerate(recording.attempts):
+                if not attempt.is_stable:
+                    asset = recording.objects[attempt.object_index]
+                    self._failed[number] = _FailedAttempt(self.server, number, asset, attempt)
+            self.at(len(recording.attempts), None)
+
+    def at(self, number: int, progress: float | None) -> None:
+        """The scene at attempt `number`, from 1; 0 is the beginning.
+
+        Args:
+          progress: how far the attempt has come, in [0, 1]; None is the attempt's end, and at the last
+            attempt the finished scene.
+        """
+        recording = self.recording
+        if recording is None:
+            return
+        attempt = recording.attempts[number - 1] if 0 < number <= len(recording.attempts) else None
+        poses, is_placed = self._state(number, attempt, progress)
+        with self.server.atomic():
+            for index, nodes in self._objects.items():
+                is_current = attempt is not None and index == attempt.object_index
+                nodes.place(poses[index], bool(is_placed[index]), self.shown, is_current)
+            for place, failed in self._failed.items():
+                is_chosen = place == number - 1
+                failed.place(progress if is_chosen else None, is_chosen or self.shown.failures)
+            for node in self._region:
+                node.visible = self.shown.region
+            self._top_cloud.visible = self.shown.scene_cloud
+
+    def _state(
+        self, number: int, attempt: Attempt | None, progress: float | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Poses f[K, 7] and bool[K]: what stands where, the current object included if it is to stay."""
+        recording = self.recording
+        assert recording is not None
+        if attempt is None:
+            first = recording.attempts[0] if recording.attempts and number == 0 else None
+            if first is not None:
+                return first.poses, first.is_placed
+            return recording.poses, recording.is_placed
+        if progress is None and number == len(recording.attempts) and attempt.is_stable:
+            return recording.poses, recording.is_placed
+        poses, is_placed = attempt.poses.copy(), attempt.is_placed.copy()
+        if attempt.is_stable:
+            poses = attempt.settled.copy() if progress is None else poses
+            is_placed[attempt.object_index] = True
+            if progress is not None:
+                poses[attempt.object_index] = _pose_at(attempt, progress)
+        return poses, is_placed
+
+    def _clear(self) -> None:
+        for node in [*self._fixed, *self._region, *([self._top_cloud] if self._top_cloud else [])]:
+            node.remove()
+        for group in (self._objects, self._failed):
+            for nodes in group.values():
+                nodes.remove()
+            group.clear()
+        self._fixed, self._region, self._top_cloud = [], [], None
+
+    def _add_support(self, support: SupportAsset) -> None:
+        scene = self.server.scene
+        reach = 20.0
+        self._fixed.append(
+            scene.add_box(
+                "/floor",
+                color=(222, 223, 226),
+                dimensions=(2 * reach, 2 * reach, 0.01),
+                position=(0.0, 0.0, -0.005),
+                cast_shadow=False,
+            )
+        )
+        for index, piece in enumerate(support.pieces):
+            self._fixed.append(_surface(self.server, f"/support/{index}", piece))
+        for index, box in enumerate(() if support.pieces else support.boxes):
+            self._fixed.append(
+                scene.add_box(
+                    f"/support/box-{index}",
+                    color=_bytes(box.rgba),
+                    dimensions=tuple(2 * np.array(box.half_extents)),
+                    position=box.center,
+                    wxyz=yaw_quaternion(box.yaw),
+                )
+            )
+        points = top_points(support) + np.array([0.0, 0.0, _LIFT])
+        self._top_cloud = scene.add_point_cloud(
+            "/cloud", points.astype(np.float32), _BLUE, point_size=0.0035, point_shape="circle"
+        )
+
+    def _add_region(self, recording: Recording) -> None:
+        height = recording.support.top + _LIFT
+        named = [("region", recording.region, _BLUE)]
+        named += [(f"keep-out-{k}", box, RED) for k, box in enumerate(recording.keep_out)]
+        for name, rectangle, colour in named:
+            self._region.append(
+                self.server.scene.add_line_segments(
+                    f"/{name}", _outline(rectangle, height), colour, thickness=0.004
+                )
+            )
+
+
+class _ObjectNodes:
+    """One object: a frame, its surfaces, its hulls and its cloud."""
+
+    def __init__(self, server: viser.ViserServer, index: int, asset: ObjectAsset) -> None:
+        root = f"/objects/{index}"
+        self.frame = server.scene.add_frame(root, show_axes=False)
+        self.surfaces = [
+            _surface(server, f"{root}/visual-{k}", piece) for k, piece in enumerate(asset.pieces)
+        ]
+        self.hulls = [
+            _hull(server, f"{root}/hull-{k}", part, _hue(index * 7 + k)) for k, part in enumerate(asset.parts)
+        ]
+        self.cloud = server.scene.add_point_cloud(
+            f"{root}/cloud", asset.cloud.astype(np.float32), cloud_colours(asset), point_size=0.0035
+        )
+        self.own_cloud = server.scene.add_point_cloud(
+            f"{root}/own-cloud", asset.cloud.astype(np.float32), _ORANGE, point_size=0.005
+        )
+
+    def place(self, pose: np.ndarray, is_there: bool, shown: Shown, is_current: bool) -> None:
+        """Puts the object to `pose` f[7] and shows of it what is wanted."""
+        self.frame.position, self.frame.wxyz, self.frame.visible = pose[:3], pose[3:], is_there
+        for node in self.surfaces:
+            node.visible = not shown.hulls or not self.hulls
+        for node in self.hulls:
+            node.visible = shown.hulls or not self.surfaces
+        self.cloud.visible = shown.scene_cloud
+        self.own_cloud.visible = shown.object_cloud and is_current
+
+    def remove(self) -> None:
+        """Takes the object and all that belongs to it out of the scene."""
+        self.frame.remove()
+
+
+class _FailedAttempt:
+    """A failed attempt: the object in red where it ended, and its path."""
+
+    def __init__(self, server: viser.ViserServer, number: int, asset: ObjectAsset, attempt: Attempt) -> None:
+        root = f"/failed/{number}"
+        self.attempt = attempt
+        self.frame = server.scene.add_frame(root, show_axes=False)
+        whole = joined([piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts])
+        _surface(server, f"{root}/visual", Piece(whole, _GHOST))
+        points = attempt.trajectory[:, :3].astype(np.float32)
+        segments = np.stack([points[:-1], points[1:]], axis=1)
+        self.trail = server.scene.add_line_segments(f"/trail/{number}", segments, RED, thickness=0.003)
+
+    def place(self, progress: float | None, is_seen: bool) -> None:
+        """Shows the object at a moment of its attempt, None being the end."""
+        pose = _pose_at(self.attempt, 1.0 if progress is None else progress)
+        self.frame.position, self.frame.wxyz = pose[:3], pose[3:]
+        self.frame.visible = self.trail.visible = is_seen
+
+    def remove(self) -> None:
+        """Takes the object and its path out of the scene."""
+        self.frame.remove()
+        self.trail.remove()
+
+
+def _pose_at(attempt: Attempt, progress: float) -> np.ndarray:
+    """f[7]: where the current object is, `progress` in [0, 1] of the way through its attempt."""
+    return attempt.trajectory[round(progress * attempt.num_steps), :7]
+
+
+def _surface(server: viser.ViserServer, name: str, piece: Piece) -> Any:
+    """A mesh that is smooth where it bends gently and sharp at its edges."""
+    if piece.texture is not None:
+        return server.scene.add_mesh_trimesh(name, textured_mesh(piece))
+    rgba = piece.rgba
+    vertices, _, faces, _ = shaded(piece.mesh)
+    return server.scene.add_mesh_simple(
+        name,
+        vertices,
+        faces,
+        color=_bytes(rgba),
+        opacity=None if rgba[3] >= 1 else float(rgba[3]),
+        side="double",
+    )
+
+
+def textured_mesh(piece: Piece) -> trimesh.Trimesh:
+    """A piece that has an image as trimesh keeps one, seen from both sides."""
+    assert piece.texture is not None
+    vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=piece.texture.image,
+        baseColorFactor=np.round(255 * np.array(linear(piece.rgba))).astype(np.uint8),
+        metallicFactor=0.0,
+        roughnessFactor=0.65,
+        doubleSided=True,
+        alphaMode="OPAQUE" if piece.rgba[3] >= 1 else "BLEND",
+    )
+    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    return trimesh.Trimesh(vertices, faces, vertex_normals=normals, visual=visual, process=False)
+
+
+def _hull(server: viser.ViserServer, name: str, part: Mesh, colour: tuple[int, int, int]) -> Any:
+    mesh = part.hull()
+    return server.scene.add_mesh_simple(
+        name, mesh.vertices, mesh.faces, color=colour, flat_shading=True, visible=False
+    )
+
+
+def _outline(rectangle: Rectangle, height: float) -> np.ndarray:
+    """f32[4, 2, 3]: the sides of a rectangle at a height, world frame."""
+    ring = np.column_stack([rectangle.corners, np.full(4, height)])
+    return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1).astype(np.float32)
+
+
+def _bytes(rgba: tuple[float, ...]) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * float(value)) for value in rgba[:3])
+    return red, green, blue
+
+
+def _hue(number: int) -> tuple[int, int, int]:
+    """Distinct colours for hulls, by turning the hue."""
+    turn = (0.08 + 0.618034 * number) % 1.0
+    wave = 0.62 + 0.3 * np.cos(2 * np.pi * (turn + np.array([0.0, 1 / 3, 2 / 3])))
+    return _bytes(tuple(wave))

@@ -1,0 +1,315 @@
+"""One browser: the panel beside the scene, what its buttons do, and which scene it shows."""
+
+from __future__ import annotations
+
+import io
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from PIL import Image
+
+from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.placement.rollout.replay import Recording
+from cluttergen_jax.rendering.viewer.scene_nodes import SceneNodes
+from cluttergen_jax.rendering.viewer.source import Source
+from cluttergen_jax.rendering.viewer.words import attempt_words, scene_words
+
+if TYPE_CHECKING:
+    import viser
+
+_FRAMES_PER_SECOND = 20
+_SECONDS_PER_ATTEMPT = 0.8
+_DIRECTION = np.array([0.62, -0.88, 0.78])
+
+
+@dataclass(frozen=True)
+class SessionConfig:
+    """What all browsers are offered alike.
+
+    Attributes:
+      source: the scenes.
+      methods: the source's, for new scenes.
+      first: the scene to begin with.
+      folder: where screenshots go.
+      worker: reads and makes scenes, one after another for all browsers.
+    """
+
+    source: Source
+    methods: tuple[str, ...]
+    first: int
+    folder: Path
+    worker: Executor
+
+
+class Session:
+    """Shows a source's scenes in one browser, until it leaves.
+
+    The newest request counts: whatever the browser asked for before and has not begun is dropped.
+
+    Args:
+      config: what there is to see.
+      client: the browser.
+    """
+
+    def __init__(self, config: SessionConfig, client: viser.ClientHandle) -> None:
+        self.source, self.folder, self.client = config.source, config.folder, client
+        self.nodes = SceneNodes(client)
+        self.number, self.recording, self._note = config.first, None, ""
+        self._request, self._lock = 0, threading.RLock()
+        self._worker = config.worker
+        self._playing = threading.Event()
+        self._is_closed = False
+        self._build_panel(config.methods)
+        self.show(config.first)
+
+    recording: Recording | None
+    # viser types the value of its handles as read-only, which it is not.
+    _scene: Any
+    _slider: Any
+    _seed_entry: Any
+
+    def close(self) -> None:
+        """Stops what is under way."""
+        self._playing.clear()
+        with self._lock:
+            self._is_closed = True
+            self._request += 1
+
+    # What the buttons do.
+
+    def show(self, number: int) -> None:
+        """Shows a scene by number; first as it is stored, then with its attempts."""
+
+        def stored() -> Recording:
+            return self.source.still(number)
+
+        def attempted() -> Recording:
+            return self.source.recorded(number)
+
+        with self._lock:
+            self.number = number
+        self._ask(stored, attempted, f"scene {number}", self.source.notice())
+
+    def step(self, places: int) -> None:
+        """The scene so many places further on, round and round."""
+        numbers = self.source.numbers
+        place = numbers.index(self.number) if self.number in numbers else -min(places, 0)
+        number = int(numbers[(place + places) % len(numbers)])
+        # The entry shows it, which is a change of the entry, which shows the scene.
+        self._scene.value = number
+        self.show(number)
+
+    def sample(self) -> None:
+        """A new scene by the chosen method."""
+        method, seed = self._method.value, int(self._seed_entry.value)
+        self._seed_entry.value = seed + 1
+        what = f"sampling by {method}, seed {seed}"
+        self._ask(lambda: self.source.sample(method, seed), None, what, self.source.notice(method))
+
+    def screenshot(self) -> Path:
+        """Saves what the browser shows as PNG here, and sends it to the browser as a download."""
+        client = self.client
+        height, width = client.camera.image_height, client.camera.image_width
+        pixels = client.get_render(height=height, width=width, transport_format="png", timeout=30)
+        image = Image.new("RGB", (width, height), (255, 255, 255))
+        layer = Image.fromarray(pixels)
+        image.paste(layer, mask=layer.getchannel("A") if layer.mode == "RGBA" else None)
+        buffer = io.BytesIO()
+        image.save(buffer, format="PNG")
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = _unused(self.folder, _file_name(self.recording.title if self.recording else self.source.name))
+        path.write_bytes(buffer.getvalue())
+        client.send_file_download(path.name, buffer.getvalue(), save_immediately=True)
+        return path
+
+    def play(self) -> None:
+        """Plays the attempts from the chosen one to the end; called again, it stops."""
+        if self._playing.is_set():
+            self._playing.clear()
+            return
+        self._playing.set()
+        self._play.label = "Stop"
+        recording = self.recording
+        last = len(recording.attempts) if recording else 0
+        start = int(self._slider.value)
+        for number in range(1 if start >= last else start + 1, last + 1):
+            self._slider.value = number
+            for frame in range(frames := round(_SECONDS_PER_ATTEMPT * _FRAMES_PER_SECOND)):
+                if not self._playing.is_set() or self.recording is not recording:
+                    break
+                self.nodes.at(number, frame / (frames - 1))
+                time.sleep(1 / _FRAMES_PER_SECOND)
+        if self.recording is recording:
+            self._redraw()
+        self._playing.clear()
+        self._play.label = "Play"
+
+    # How it is done.
+
+    def _ask(
+        self, make: Callable[[], Recording], then: Callable[[], Recording] | None, what: str, notice: str
+    ) -> None:
+        with self._lock:
+            self._request += 1
+            request = self._request
+        self._playing.clear()
+        self._status.content = f"{what}: {notice} ..." if notice else f"{what} ..."
+        self._worker.submit(self._answer, request, make, then)
+
+    def _answer(
+        self, request: int, make: Callable[[], Recording], then: Callable[[], Recording] | None
+    ) -> None:
+        """In the worker's thread: makes and shows a recording, and then its fuller version."""
+        if request != self._request:
+            return
+        try:
+            recording = make()
+            if recording.attempts or then is None:
+                self._set(request, recording, "")
+                return
+            self._set(
+                request, recording, "_making its attempts again, which takes longer the first time ..._"
+            )
+            # In a turn of its own, so that other browsers need not wait for it.
+            if request == self._request:
+                self._worker.submit(self._answer, request, then, None)
+        except ClutterGenError as error:
+            self._report(request, str(error))
+        except Exception as error:
+            # Whatever goes wrong, the panel says so; a thread that dies in silence would leave it waiting.
+            self._report(request, f"{type(error).__name__}: {error}")
+            raise
+
+    def _set(self, request: int, recording: Recording, note: str) -> None:
+        with self._lock:
+            if request != self._request or self._is_closed:
+                return
+            is_first = self.recording is None
+            self.recording, self._note = recording, note
+            self.nodes.show(recording)
+            if is_first:
+                self._aim()
+            last = len(recording.attempts)
+            self._slider.max = max(last, 1)
+            self._slider.value = last
+            self._slider.disabled = self._play.disabled = self._failures.disabled = last == 0
+            self._redraw()
+
+    def _report(self, request: int, text: str) -> None:
+        with self._lock:
+            if request != self._request:
+                return
+            self._note = f"**Note:** {text}"
+            if self.recording is None:
+                self._status.content = self._note
+            else:
+                self._redraw()
+
+    def _redraw(self) -> None:
+        with self._lock:
+            if self.recording is None:
+                return
+            number = int(self._slider.value) if self.recording.attempts else 0
+            self.nodes.at(number if self.recording.attempts else 1, None)
+            self._status.content = scene_words(self.recording, self._note)
+            self._attempt.content = attempt_words(self.recording, number)
+
+    def _aim(self) -> None:
+        """Puts the camera where the whole region is seen."""
+        if self.recording is None:
+            return
+        client = self.client
+        region, top = self.recording.region, self.recording.support.top
+        reach = 1.25 * float(np.hypot(*region.half_extents)) + 0.25
+        target = np.array([*region.center, top + 0.05])
+        with client.atomic():
+            client.camera.fov = float(np.radians(42))
+            client.camera.up_direction = (0.0, 0.0, 1.0)
+            client.camera.position = target + 1.9 * reach * _DIRECTION / np.linalg.norm(_DIRECTION)
+            client.camera.look_at = target
+
+    def _build_panel(self, methods: tuple[str, ...]) -> None:
+        gui = self.client.gui
+        numbers = self.source.numbers
+        with gui.add_folder("Scene"):
+            self._status = gui.add_markdown("")
+            self._scene = gui.add_number(
+                "Number", self.number, min=int(numbers[0]), max=int(numbers[-1]), step=1
+            )
+            turn = gui.add_button_group("Go to", ("Previous", "Next"))
+        with gui.add_folder("Attempts"):
+            self._attempt = gui.add_markdown("")
+            self._slider = gui.add_slider("Attempt", min=0, max=1, step=1, initial_value=0)
+            self._play = gui.add_button("Play")
+            self._failures = gui.add_checkbox("All failed attempts", False)
+        with gui.add_folder("Show"):
+            boxes = {
+                "hulls": gui.add_checkbox("Hulls", False),
+                "region": gui.add_checkbox("Queried region", True),
+                "scene_cloud": gui.add_checkbox("Scene cloud", False),
+                "object_cloud": gui.add_checkbox("Object cloud", False),
+                "failures": self._failures,
+            }
+        with gui.add_folder("New scene"):
+            self._method = gui.add_dropdown("Method", methods or ("none",), disabled=not methods)
+            self._seed_entry = gui.add_number("Seed", 1, min=0, max=2**31 - 1, step=1)
+            sample = gui.add_button("Sample", disabled=not methods)
+        with gui.add_folder("Camera"):
+            camera = gui.add_button_group("View", ("Reset", "Screenshot"))
+            self._saved = gui.add_markdown("")
+        turn.on_click(lambda _: self.step(-1 if turn.value == "Previous" else 1))
+        sample.on_click(lambda _: self.sample())
+        self._play.on_click(lambda _: self.play())
+        camera.on_click(lambda _: self._on_camera(camera.value))
+        self._scene.on_update(self._on_number)
+        self._slider.on_update(self._on_slider)
+        for name, box in boxes.items():
+            box.on_update(self._setter(name, box))
+
+    def _setter(self, name: str, box: Any) -> Callable[[Any], None]:
+        def update(_: Any) -> None:
+            setattr(self.nodes.shown, name, box.value)
+            self._redraw()
+
+        return update
+
+    def _on_camera(self, request: str) -> None:
+        if request == "Reset":
+            self._aim()
+            return
+        try:
+            self._saved.content = f"saved as {self.screenshot()}"
+        except (OSError, RuntimeError, TimeoutError) as error:
+            self._saved.content = f"not saved: {error}"
+
+    def _on_number(self, event: Any) -> None:
+        # Only what a person typed: the panel's own changes have no client.
+        if event.client is None:
+            return
+        number = int(self._scene.value)
+        if number in self.source.numbers:
+            self.show(number)
+        else:
+            self._status.content = f"{self.source.name} has no scene {number}"
+
+    def _on_slider(self, event: Any) -> None:
+        if event.client is not None:
+            self._playing.clear()
+            self._redraw()
+
+
+def _file_name(title: str) -> str:
+    return "".join(c if c.isalnum() or c in "-_" else "-" for c in title).replace("--", "-")
+
+
+def _unused(folder: Path, name: str) -> Path:
+    """A file that is not there yet: NAME-001.png and so on."""
+    return next(
+        path for number in range(1, 100_000) if not (path := folder / f"{name}-{number:03d}.png").exists()
+    )

@@ -1,0 +1,47 @@
+"""Where a viewer's scenes come from; the command line fills it in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from cluttergen_jax.placement.rollout.replay import Recording
+
+
+class Source(Protocol):
+    """Scenes to look at, by number, and new ones."""
+
+    @property
+    def name(self) -> str:
+        """What to call it; part of file names."""
+        ...
+
+    @property
+    def numbers(self) -> Sequence[int]:
+        """The scenes that it holds, at least one, in ascending order; where they are seeds, a vast range."""
+        ...
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """How new scenes can be sampled; empty if they cannot."""
+        ...
+
+    def notice(self, method: str | None = None) -> str:
+        """What to say while a scene by `method`, or by number, is made; empty where it comes at once."""
+        ...
+
+    def still(self, number: int) -> Recording:
+        """A scene as it is stored, perhaps without its attempts. Quick."""
+        ...
+
+    def recorded(self, number: int) -> Recording:
+        """A scene with its attempts.
+
+        Raises:
+          ClutterGenError: they are not known; it says why.
+        """
+        ...
+
+    def sample(self, method: str, seed: int) -> Recording:
+        """A new scene by one of `methods`."""
+        ...

@@ -1,0 +1,211 @@
+"""The dataset card: a README in the bank's folder, so that whoever finds the folder knows what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.pool import public_name
+from cluttergen_jax.files import write_atomically
+from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.stats import BankStats, stats_of
+from cluttergen_jax.scene.bank.table import CERTIFICATE, COUNTED, SCHEMA
+from cluttergen_jax.tables import markdown_table
+from cluttergen_jax.types import Verdict, small_length
+
+CARD = "README.md"
+_MARK = "<!-- written by cluttergen; remove this line to keep your own changes -->"
+
+_COLUMNS = {
+    "index": "the scene's number; its random key is fold_in(key(seed), index)",
+    "is_success": "every object placed, and all stand together in the last check",
+    "is_filled": "every object placed",
+    "verdict": "the last word on the scene",
+    "drift": "metres, the largest movement in the last check",
+    "num_placed": "objects placed",
+    "object_index": "slot by slot, the number of the object in the compiled world",
+    "objects": "slot by slot, its name; mug#2 is the second mug",
+    "is_placed": "slot by slot, whether it was placed",
+    "poses": "slot by slot, position (metres) and quaternion wxyz in the world: z up, origin on the floor "
+    "below the support's centre",
+    "attempts": "slot by slot, attempts used",
+    "steps": "slot by slot, steps of all its attempts",
+    "rest_steps": "slot by slot, steps of the attempt that succeeded",
+    "simulated_steps": "steps simulated for the scene",
+    "residual_speed": "after `cluttergen certify`: m/s, the fastest object 0.25 s after the scene is let go",
+    "residual_angular_speed": "after `certify`: rad/s, likewise",
+    "horizon_drift": "after `certify`: metres, the most that an object moves within the horizon",
+    "horizon_turn": "after `certify`: radians, the most that an object turns within the horizon",
+    "horizon_seconds": "after `certify`: the horizon",
+    "penetration": "after `certify`: metres, the deepest overlap of two bodies",
+    "num_contacts": "after `certify`: contact points",
+    "shake": "after `certify`: m/s^2, the sideways acceleration of the support, growing slowly, at which an "
+    "object has moved 5 mm; the smaller of both directions",
+    "shake_x": "after `certify`: m/s^2, along world x",
+    "shake_y": "after `certify`: m/s^2, along world y",
+    "rests_on": "after `certify`: pairs of object_index, who rests and on whom; -1 is the support",
+    "margin": "after `certify`: metres, the least support margin of its objects: the distance in plan of an "
+    "object's centre of mass to the edge of the polygon of the contacts that carry it; negative outside it",
+    "margins": "after `certify`: slot by slot, each object's; null for what no contact carries from below",
+    **{
+        f"tilt_{angle}": f"after `certify`: of eight directions, the share in which gravity tilted by "
+        f"{angle} degrees moves nothing by 5 mm or 5 degrees within 2 s"
+        for angle in (1, 2, 5)
+    },
+} | {f"num_{v.label.replace('-', '_')}": f"attempts that ended {v.label}: {v.sentence}" for v in COUNTED}
+
+
+def write_card(bank: Bank) -> Path | None:
+    """Writes the card, unless the user has a README of their own there; returns its path if written.
+
+    Raises:
+      BankError: the bank holds no scenes yet, or it or one of its assets is damaged.
+    """
+    path = bank.path / CARD
+    if path.exists() and _MARK not in path.read_text(encoding="utf-8", errors="replace"):
+        return None
+    write_atomically(path, card_text(bank, stats_of(bank)).encode())
+    return path
+
+
+def card_text(bank: Bank, stats: BankStats) -> str:
+    """The card of a bank as Markdown."""
+    names = sorted(bank.record.get("assets", {}).get("objects", {})) or [each.name for each in stats.objects]
+    assets = [bank.object(name) for name in names]
+    sections = [
+        _head([*(asset.provenance.licence for asset in assets), bank.support.provenance.licence]),
+        _about(bank, stats),
+        _figures(stats),
+        _files(),
+        _made(bank.record["recipe"]),
+        _stability(bank.record["recipe"]),
+        _assets(assets, bank),
+    ]
+    return "\n\n".join(sections) + "\n"
+
+
+def _head(licences: Sequence[str]) -> str:
+    """The block that dataset hubs read: their word for one known licence, else all of them by name."""
+    known = sorted(set(licences))
+    if known == ["Apache-2.0"]:
+        lines = ["---", "license: apache-2.0"]
+    else:
+        lines = ["---", "license: other", f"license_name: {' and '.join(known)!r}"]
+    lines += [
+        "tags: [robotics, simulation, mujoco, tabletop, scenes]",
+        "pretty_name: cluttered tabletop scenes",
+        # What a table of scenes is made of; else the pictures would be taken for the data.
+        "configs: [{config_name: default, data_files: 'scenes-*.parquet'}]",
+    ]
+    return "\n".join([*lines, "---", _MARK])
+
+
+def _about(bank: Bank, stats: BankStats) -> str:
+    return (
+        f"# {bank.path.resolve().name}\n\n"
+        f"{stats.scenes} cluttered tabletop scenes, of which {stats.success} stand: objects placed one after "
+        "another on a support until all lie still together, checked in physics. Failures are kept in the "
+        "record, so that success rates can be computed from it."
+    )
+
+
+def _figures(stats: BankStats) -> str:
+    rows = [
+        ("scenes asked for", stats.asked),
+        ("scenes here", stats.scenes),
+        ("succeed", f"{stats.success} ({stats.success_rate:.1%})"),
+        ("objects placed", stats.placed),
+        ("attempts", stats.attempts),
+        ("steps simulated", stats.simulated_steps),
+        ("median movement in the last check", small_length(stats.drift_median)),
+        ("most", small_length(stats.drift_most)),
+        ("scenes that repeat another", sum(len(group) - 1 for group in stats.duplicates)),
+    ]
+    rows += [(f"verdict {name}", number) for name, number in stats.verdicts.items()]
+    if stats.certificate is not None:
+        rows += [(name, value) for name, _, value in (f.partition(": ") for f in stats.certificate.lines())]
+    return "\n".join(["## Figures", "", markdown_table(("", ""), rows)])
+
+
+def _files() -> str:
+    lines = [
+        "## Files",
+        "",
+        "- `bank.json`: how the bank was made: every setting, versions, digests of the files.",
+        "- `scenes-*.parquet`: 256 scenes each, a row per scene, failures included.",
+        "- `assets/`: every object once (surfaces, images, convex parts, mass, inertia), and the support.",
+        "- `scenes/`: if present, an MJCF file (and a picture) for each scene that stands; poses are in "
+        "the bodies and in the keyframe `scene`.",
+        "",
+        "```python",
+        "import jax, cluttergen_jax as cg",
+        'bank = cg.load_bank("this folder")  # or "owner/name", where it is on a hub',
+        "scene = jax.jit(bank.reset)(jax.random.key(0))  # a scene that stands, for an environment's reset",
+        "```",
+        "",
+    ]
+    fields = [(f"`{f.name}`", f"`{f.type}`", _COLUMNS[f.name]) for f in (*SCHEMA, *CERTIFICATE)]
+    return "\n".join([*lines, markdown_table(("column", "type", "meaning"), fields)])
+
+
+def _made(recipe: dict[str, Any]) -> str:
+    placement = recipe.get("placement", {})
+    rows = {
+        "pool": public_name(str(recipe.get("pool"))),
+        "support": Path(str(recipe.get("support"))).name,
+        "objects per scene": placement.get("num_objects"),
+        "attempts per object": placement.get("max_attempts"),
+        "method": recipe.get("method"),
+        "checkpoint": recipe.get("checkpoint_hash") or "none",
+        "seed": recipe.get("seed"),
+        "engine": recipe.get("engine"),
+        "queried region": recipe.get("region"),
+        "containment": placement.get("containment"),
+        "support margin asked for, metres": placement.get("min_margin", 0),
+        "versions": ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items()),
+    }
+    return "\n".join(["## How it was made", "", *(f"- {name}: {value}" for name, value in rows.items())])
+
+
+def _stability(recipe: dict[str, Any]) -> str:
+    limits = {
+        **recipe.get("stability", {}),
+        **{f"contact {k}": v for k, v in recipe.get("contact", {}).items()},
+    }
+    lines = [
+        "## What stable means here",
+        "",
+        "An attempt lets the object go at rest; it counts if the object comes to rest in time, no other "
+        "object is disturbed and nothing overlaps too much. A scene counts if, in addition, all its objects "
+        "stand together when simulated from the saved poses with everything awake. Thresholds (SI units, "
+        "radians; steps of `timestep`):",
+        "",
+        ", ".join(f"{name} = {value}" for name, value in limits.items()) + ".",
+        "",
+        f"Verdicts: {'; '.join(f'{v.label}: {v.sentence}' for v in Verdict if v >= 0)}.",
+    ]
+    return "\n".join(lines)
+
+
+def _assets(assets: Sequence[ObjectAsset], bank: Bank) -> str:
+    rows = [
+        (
+            f"{asset.label} (`{asset.name}`)",
+            f"{asset.mass:.3g} kg",
+            asset.provenance.source,
+            asset.provenance.licence,
+            "; ".join(asset.flags),
+        )
+        for asset in assets
+    ]
+    table = bank.support
+    rows.append((f"{table.label} (support)", "", table.provenance.source, table.provenance.licence, ""))
+    lines = [
+        "## Assets and licences",
+        "",
+        markdown_table(("asset", "mass", "source", "licence", "notes"), rows),
+    ]
+    credits = sorted({asset.provenance.attribution for asset in assets} - {""})
+    return "\n".join([*lines, *(["", *credits] if credits else [])])

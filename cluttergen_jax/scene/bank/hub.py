@@ -1,0 +1,206 @@
+"""Banks on a hub: pushed whole, pulled whole, and looked at before they are used."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from pathlib import Path
+
+from cluttergen_jax.assets.pool import user_root
+from cluttergen_jax.errors import BankError, ClutterGenError, UnsafePathError
+from cluttergen_jax.files import PARTIAL, inside, swap_in, writing
+from cluttergen_jax.placement.world import base_name
+from cluttergen_jax.scene.bank.bank import INDEX, Bank, read_bank
+from cluttergen_jax.scene.bank.card import write_card
+from cluttergen_jax.scene.bank.digests import changes_of
+from cluttergen_jax.scene.bank.hubs import FolderHub, Hub, HuggingFaceHub, is_of_a_bank
+from cluttergen_jax.scene.bank.lock import BankLock
+
+HUB_VARIABLE = "CLUTTERGEN_HUB"
+_DATASET = re.compile(r"\w[\w-]*(\.[\w-]+)*/\w[\w-]*(\.[\w-]+)*", re.ASCII)
+_EMPTY = {".gitattributes", "README.md"}
+_NAMES_PATHS = ("pool", "support", "checkpoint", "start")
+
+
+def push_bank(path: str | Path, name: str, *, hub: str | None = None, is_private: bool = False) -> str:
+    """Publishes a bank as a data set, with its card; returns where it is.
+
+    What is there under that name is replaced at once, if it is a bank: a hub keeps its earlier revisions.
+
+    Args:
+      path: a whole bank; nobody may be writing it.
+      name: OWNER/NAME.
+      hub: an address https://..., or a folder; `$CLUTTERGEN_HUB`, else the Hugging Face Hub if not given.
+      is_private: a new data set can be seen by its owner alone.
+
+    Raises:
+      BankError: the bank is not whole, the name is none or that of something else, or the hub refuses or
+        cannot be reached.
+      MissingExtraError: the extra `hub` is not installed.
+    """
+    _check_name(name)
+    place = hub_of(hub)
+    bank = read_bank(path)
+    with writing(bank.path):
+        lock = BankLock(bank.path)
+    try:
+        check_whole(bank)
+        with writing(bank.path):
+            write_card(bank)
+        _check_free(place, name)
+        return place.store(name, bank.path, is_private)
+    finally:
+        lock.release()
+
+
+def pull_bank(
+    name: str,
+    out: str | Path | None = None,
+    *,
+    hub: str | None = None,
+    revision: str | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Fetches a bank; returns its folder, which is there whole or not at all.
+
+    It is fetched beside its place, its names, blocks, assets and digests are checked, and then it is moved
+    there. An interrupted pull goes on where it stopped.
+
+    Args:
+      name: OWNER/NAME.
+      out: a folder that does not exist yet; that of `load_bank` if not given.
+      hub: see `push_bank`.
+      revision: a branch, tag or commit; the latest if not given.
+      overwrite: replace a bank that is there.
+
+    Raises:
+      BankError: there is no such bank, it is damaged, `out` exists, or the hub cannot be reached.
+      UnsafePathError: it names paths outside of its folder.
+      MissingExtraError: the extra `hub` is not installed.
+    """
+    _check_name(name)
+    place = hub_of(hub)
+    out = pulled_path(name) if out is None else Path(out)
+    _check_place(out, overwrite)
+    scratch = out.with_name(f".{out.name}{PARTIAL}")
+    with writing(out):
+        scratch.mkdir(parents=True, exist_ok=True)
+        lock = BankLock(scratch)
+        try:
+            _fetch(place, name, revision, scratch)
+        finally:
+            lock.release()
+        swap_in(scratch, out)
+    return out
+
+
+def pulled_path(name: str) -> Path:
+    """Where `load_bank` keeps a bank that it has pulled."""
+    return inside(user_root().parent / "banks", name)
+
+
+def find_bank(path: str | Path, *, hub: str | None = None, revision: str | None = None) -> Path:
+    """The folder of a bank that is named by it, or as OWNER/NAME on a hub, from where it is pulled once.
+
+    Raises:
+      BankError: there is no such folder, and it is no name; or there is no such bank on the hub.
+      MissingExtraError: the extra `hub` is not installed.
+    """
+    if Path(path).exists() or not isinstance(path, str) or not _DATASET.fullmatch(path):
+        return Path(path)
+    stored = pulled_path(path)
+    if revision is None and (stored / INDEX).is_file():
+        return stored
+    try:
+        return pull_bank(path, hub=hub, revision=revision, overwrite=True)
+    except ClutterGenError as error:
+        raise BankError(
+            f"{path} is not a bank: there is no such folder, and as a name on a hub: {error.given}",
+            "a folder that `generate` made, or OWNER/NAME",
+            error.hint,
+        ) from error
+
+
+def hub_of(text: str | None) -> Hub:
+    """The hub that an argument names: see `push_bank`."""
+    text = text or os.environ.get(HUB_VARIABLE) or None
+    if text is None or text.startswith(("https://", "http://")):
+        return HuggingFaceHub(text)
+    return FolderHub(Path(text.removeprefix("file://")))
+
+
+def check_whole(bank: Bank) -> None:
+    """Looks at everything in a bank.
+
+    Raises:
+      BankError: scenes are missing, or a file is missing, damaged or changed.
+      UnsafePathError: it names a path outside of its folder.
+    """
+    if bank.table.num_rows < bank.num_scenes:
+        raise BankError(f"{bank.path} holds {bank.table.num_rows} of {bank.num_scenes} scenes", hint=_MENDED)
+    rows = {base_name(name) for names in bank.table["objects"].to_pylist() for name in names}
+    for name in sorted(rows | set(bank.record.get("assets", {}).get("objects", {}))):
+        bank.object(name)
+    _ = bank.support
+    if changes := changes_of(bank):
+        told = ", ".join(f"{change.name} ({change.what})" for change in changes[:3])
+        more = f", and {len(changes) - 3} more" if len(changes) > 3 else ""
+        raise BankError(f"{bank.path}: files are not what was written: {told}{more}", hint=_MENDED)
+
+
+_MENDED = "the same `cluttergen generate` again"
+
+
+def local_paths(bank: Bank) -> list[str]:
+    """The paths of this machine that the record of a bank names: who pushes it, publishes them."""
+    recipe = bank.record["recipe"]
+    texts = [recipe.get(name) for name in _NAMES_PATHS]
+    return [text for text in texts if isinstance(text, str) and ("/" in text or os.sep in text)]
+
+
+def _fetch(place: Hub, name: str, revision: str | None, scratch: Path) -> None:
+    """Fetches and checks; what is found to be bad is not kept."""
+    commit, names = place.listing(name, revision)
+    if INDEX not in names:
+        raise BankError(f"{name} is not a bank: it has no {INDEX}", "what `cluttergen push` made")
+    for each in names:
+        inside(scratch, each)
+    place.fetch(name, commit, scratch)
+    shutil.rmtree(scratch / ".cache", ignore_errors=True)
+    wanted = set(filter(is_of_a_bank, names))
+    for file in [each for each in scratch.rglob("*") if not each.is_dir()]:
+        if file.name != ".lock" and file.relative_to(scratch).as_posix() not in wanted:
+            file.unlink()
+    try:
+        check_whole(read_bank(scratch))
+    except (BankError, UnsafePathError) as error:
+        shutil.rmtree(scratch, ignore_errors=True)
+        given = error.given.replace(str(scratch), name)
+        raise type(error)(given, hint="pulling it again, or asking who pushed it") from error
+
+
+def _check_free(place: Hub, name: str) -> None:
+    """Refuses a data set that is something else than a bank; what is not there yet is free."""
+    try:
+        names = set(place.listing(name, None)[1])
+    except BankError:
+        return
+    if names - _EMPTY and INDEX not in names:
+        raise BankError(f"{name} is a data set that is not a bank", "a new name, or that of a bank")
+
+
+def _check_place(out: Path, overwrite: bool) -> None:
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return
+    if not (out / INDEX).is_file():
+        raise BankError(f"{out} exists and is not a bank", "a new folder, or that of a bank", "another `out`")
+    if not overwrite:
+        raise BankError(f"{out} exists", "a new folder", "another `out`, or `overwrite` to replace it")
+
+
+def _check_name(name: str) -> None:
+    if not _DATASET.fullmatch(name):
+        raise BankError(
+            f"a data set called {name!r}", "OWNER/NAME, in letters, digits, '-', '_' and single '.'"
+        )

@@ -1,0 +1,282 @@
+"""The independent check: a saved file, loaded afresh in plain MuJoCo, everything awake, for ten seconds."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.config import VerifyConfig, check_workers
+from cluttergen_jax.errors import BankError, UnsafePathError
+from cluttergen_jax.files import inside, write_atomically
+from cluttergen_jax.geometry import turn_between
+from cluttergen_jax.physics.log import silent_log
+from cluttergen_jax.progress import tracked
+from cluttergen_jax.scene.bank.bank import INDEX, read_bank
+from cluttergen_jax.scene.bank.digests import Change, changes_of, touched
+from cluttergen_jax.types import small_length
+
+_STRIDE = 12
+_SHORTEST_STEP, _LONGEST_STEP = 1e-4, 0.05
+_GIVEN = "the folder of a bank with files, or one MJCF file"
+_FOLDERS = ("meshdir", "texturedir", "assetdir")
+_SHOWN = 20
+_OURS = "files written by `cluttergen generate`"
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """How a saved scene behaved.
+
+    Attributes:
+      path: the file.
+      objects: names of its free bodies.
+      shift: f64[N], the farthest each was from its start, metres.
+      turn: f64[N], the most each had turned, radians.
+      stands: all of them stayed within the limits.
+    """
+
+    path: Path
+    objects: tuple[str, ...]
+    shift: np.ndarray
+    turn: np.ndarray
+    stands: bool
+
+    @property
+    def worst(self) -> str:
+        """The object that moved the most."""
+        return self.objects[int(np.argmax(self.shift))]
+
+
+@dataclass(frozen=True, eq=False)
+class VerificationReport:
+    """What `verify` found; printed, it says which scenes stand, how far objects moved, and what was changed.
+
+    Attributes:
+      path: what was verified.
+      config: how long it was simulated, and what counts as standing.
+      scenes: how each file behaved.
+      changes: the files of a bank that are not what was written; None if it has no digests of them.
+      changed_files: for each scene, those of its files that were changed.
+      unwritten: why verification.json could not be written into the bank's folder; "" if it is there.
+    """
+
+    path: Path
+    config: VerifyConfig
+    scenes: tuple[Verification, ...]
+    changes: tuple[Change, ...] | None
+    changed_files: tuple[tuple[str, ...], ...]
+    unwritten: str = ""
+
+    @property
+    def stands(self) -> np.ndarray:
+        """bool[N]: the scene stands, and is the one that was written."""
+        pairs = zip(self.scenes, self.changed_files, strict=True)
+        return np.array([scene.stands and not changed for scene, changed in pairs])
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether every scene stands and no file was changed."""
+        return bool(self.stands.all()) and not self.changes
+
+    def as_json(self) -> list[dict[str, Any]]:
+        """A record for each scene, as verification.json holds them."""
+        return [
+            {
+                "file": scene.path.name,
+                "stands": bool(stands),
+                "changed_files": list(changed),
+                "shift_m_and_turn_rad": {
+                    name: [float(shift), float(turn)]
+                    for name, shift, turn in zip(scene.objects, scene.shift, scene.turn, strict=True)
+                },
+            }
+            for scene, stands, changed in zip(self.scenes, self.stands, self.changed_files, strict=True)
+        ]
+
+    def __str__(self) -> str:
+        shift = np.concatenate([each.shift for each in self.scenes])
+        turn = np.degrees(np.concatenate([each.turn for each in self.scenes]))
+        limits = f"{self.config.max_shift * 1000:g} mm or {self.config.max_turn_deg:g} deg"
+        lines = [
+            *self._of_files(),
+            f"{self.stands.sum()} of {len(self.scenes)} scenes stand for {self.config.seconds:g} s "
+            f"(no object moved more than {limits})",
+            f"movement of {len(shift)} objects: median {small_length(np.median(shift))}, "
+            f"99th percentile {small_length(np.percentile(shift, 99))}, "
+            f"most {small_length(shift.max())} and {turn.max():.2f} deg",
+        ]
+        if num_changed := sum(map(bool, self.changed_files)):
+            lines.append(f"  {num_changed} scenes do not count: files that they are made of were changed")
+        for each in self.scenes:
+            if not each.stands:
+                lines.append(f"  {each.path.name}: {each.worst} moved {small_length(each.shift.max())}")
+        return "\n".join(lines)
+
+    def _of_files(self) -> Iterator[str]:
+        if self.changes is None:
+            yield f"note: {self.path} has no digests of its files (made before they were kept)"
+        elif self.changes:
+            number = len(self.changes)
+            yield f"files of {self.path} that are not what `cluttergen generate` wrote ({number}):"
+            yield from (f"  {change.name}: {change.what}" for change in self.changes[:_SHOWN])
+            if number > _SHOWN:
+                yield f"  and {number - _SHOWN} more"
+            yield "  the same `cluttergen generate` again mends them; what is not in bank.json, remove"
+
+
+def verify(path: str | Path, check: VerifyConfig | None = None, *, jobs: int = 0) -> VerificationReport:
+    """Checks that saved scenes stand: plain MuJoCo, everything awake; `cluttergen verify`.
+
+    Of a bank, its files are compared with the digests in bank.json as well: a scene of which a file was
+    changed does not count. What was found is written to verification.json in the bank's folder.
+
+    Args:
+      path: a bank, or one MJCF file with a keyframe called scene.
+      check: how long, and what counts as standing; `VerifyConfig()` if not given.
+      jobs: scenes simulated at a time; 0 takes every core.
+
+    Raises:
+      BankError: there is nothing to verify, or a file cannot be loaded or simulated.
+      UnsafePathError: a file of a bank names files outside of that bank.
+      ConfigError: `jobs` is out of range.
+    """
+    check_workers("jobs", jobs)
+    path, check = Path(path), check or VerifyConfig()
+    files = scene_files(path)
+    changes = changes_of(read_bank(path)) if (path / INDEX).is_file() else []
+    # MuJoCo keeps meshes that it has read, and takes a file of the same second for the one that it knows.
+    mujoco.mj_clearCache(mujoco.mj_getCache())
+    with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
+        checks = pool.map(lambda file: verify_scene(file, check), files)
+        try:
+            scenes = tuple(tracked(checks, "verifying", len(files), "scene"))
+        except BaseException:
+            # Leaving the pool waits for what has begun; what has not is not to begin.
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    changed = tuple(tuple(touched(changes or [], each.path.name, each.objects)) for each in scenes)
+    report = VerificationReport(path, check, scenes, None if changes is None else tuple(changes), changed)
+    return replace(report, unwritten=_keep(report)) if path.is_dir() else report
+
+
+def _keep(report: VerificationReport) -> str:
+    """Writes the record beside the scenes; where it cannot be written, why: the verdict was still given."""
+    path = report.path / "verification.json"
+    try:
+        write_atomically(path, (json.dumps(report.as_json(), indent=1) + "\n").encode())
+    except OSError as error:
+        return f"{path} was not written ({error.strerror})"
+    return ""
+
+
+def verify_scene(path: str | Path, config: VerifyConfig | None = None) -> Verification:
+    """Simulates one MJCF file from its keyframe `scene`, at rest.
+
+    Raises:
+      BankError: the file cannot be loaded, has no such keyframe, or its bodies and keyframe disagree.
+      UnsafePathError: the file is one of a bank, and names files outside of that bank.
+    """
+    config = config or VerifyConfig()
+    path = Path(path)
+    if (path.parent.parent / INDEX).is_file():
+        _check_links(path, path.parent.parent)
+    try:
+        with silent_log():
+            return _simulated(path, *_loaded(path), config)
+    except mujoco.FatalError as error:
+        raise BankError(f"{path} cannot be simulated: {error}", _OURS) from error
+
+
+def _check_links(path: Path, bank: Path) -> None:
+    """Refuses a bank's scene file that makes MuJoCo read what is not the bank's."""
+    try:
+        elements = list(ET.parse(path).iter())
+    except (OSError, ET.ParseError):
+        # What cannot be parsed is for MuJoCo to explain.
+        return
+    if any(element.tag == "include" for element in elements):
+        raise UnsafePathError(f"{path} includes another file", _OURS)
+    folders = {element.get(name, ".") for element in elements for name in _FOLDERS}
+    for folder in (path.parent / each for each in folders):
+        if not Path(os.path.realpath(folder)).is_relative_to(os.path.realpath(bank)):
+            raise UnsafePathError(f"{path} names the folder {folder}", f"folders of {bank}")
+        for element in elements:
+            for attribute in element.attrib:
+                if attribute.startswith("file"):
+                    inside(folder, element.get(attribute))
+
+
+def _loaded(path: Path) -> tuple[mujoco.MjModel, int]:
+    """The model of a scene file, and its keyframe `scene`."""
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+        model.names.decode()
+    except (ValueError, OSError) as error:
+        told = " ".join(str(error).split())
+        raise BankError(f"{path} cannot be loaded: {told}", _OURS, "generating the bank again") from error
+    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "scene")
+    if key < 0:
+        raise BankError(f"{path} has no keyframe called 'scene'", _OURS)
+    if not model.njnt or (model.jnt_type != mujoco.mjtJoint.mjJNT_FREE).any():
+        raise BankError(f"{path} holds no free bodies, or joints of another kind", _OURS)
+    if not np.allclose(model.key_qpos[key], model.qpos0, atol=1e-6):
+        raise BankError(f"{path}: the bodies' poses and the keyframe 'scene' differ")
+    if not _SHORTEST_STEP <= model.opt.timestep <= _LONGEST_STEP:
+        allowed = f"{_SHORTEST_STEP} to {_LONGEST_STEP} s"
+        raise BankError(f"{path}: its time step is {model.opt.timestep:g} s", allowed)
+    return model, key
+
+
+def _simulated(path: Path, model: mujoco.MjModel, key: int, config: VerifyConfig) -> Verification:
+    model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    # A diverging scene must be seen, not put back to where it started.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, key)
+    data.qvel[:] = 0
+    start = data.qpos.reshape(-1, 7).copy()
+    shift, turn = np.zeros(len(start)), np.zeros(len(start))
+    for num_steps in _strides(round(config.seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data, num_steps)
+        poses = data.qpos.reshape(-1, 7)
+        shift = np.maximum(shift, np.linalg.norm(poses[:, :3] - start[:, :3], axis=1))
+        turn = np.maximum(turn, turn_between(np, poses[:, 3:], start[:, 3:]))
+    names = tuple(model.body(int(body)).name for body in model.jnt_bodyid)
+    stands = bool((shift <= config.max_shift).all() and (turn <= np.radians(config.max_turn_deg)).all())
+    return Verification(path, names, shift, turn, stands)
+
+
+def _strides(num_steps: int) -> list[int]:
+    """`num_steps` in strides after each of which the scene is looked at."""
+    whole, rest = divmod(num_steps, _STRIDE)
+    return [_STRIDE] * whole + [rest] * (rest > 0)
+
+
+def scene_files(path: str | Path) -> list[Path]:
+    """The MJCF files of a bank, or the one that is given.
+
+    Raises:
+      BankError: there is nothing to verify.
+    """
+    path = Path(path)
+    if path.suffix in (".parquet", ".json"):
+        raise BankError(f"{path} is a part of a bank", _GIVEN, f"cluttergen verify {path.parent}")
+    if path.is_file():
+        return [path]
+    files = sorted((path / "scenes").glob("*.xml"))
+    if not files:
+        raise BankError(
+            f"{path} holds no scene files",
+            _GIVEN,
+            "cluttergen generate --out DIR, which writes files unless it is told otherwise",
+        )
+    return files

@@ -1,0 +1,272 @@
+"""Writing a bank, block by block; an interrupted one is continued."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cluttergen_jax.assets.obj import write_parts
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.object_files import object_hash, read_object, write_object
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
+from cluttergen_jax.errors import BankError, ClutterGenError
+from cluttergen_jax.files import PARTIAL, folder_whole, inside, remove_partial, write_atomically, writing
+from cluttergen_jax.placement.scenes import BLOCK_SIZE
+from cluttergen_jax.scene.bank.bank import (
+    FORMAT,
+    INDEX,
+    block_numbers,
+    block_path,
+    index_bytes,
+    read_bank,
+    read_block,
+    recovered_record,
+    with_record,
+)
+from cluttergen_jax.scene.bank.digests import digests_in
+from cluttergen_jax.scene.bank.lock import LOCK, BankLock
+
+
+class BankWriter:
+    """Creates a bank, or continues one that was made with the same settings and assets.
+
+    A context manager: it holds the bank's lock until it is closed.
+
+    Args:
+      path: the bank's folder.
+      recipe: JSON values that decide what the scenes are: two banks of equal recipes hold equal scenes.
+      num_scenes: how many; a bank may be continued to a larger number.
+      objects, support: stored once; damaged copies in the bank are mended.
+      overwrite: begin anew if the folder holds another bank.
+
+    Raises:
+      BankError: the folder holds something else, or a bank of another recipe or of other assets; somebody
+        else is writing to it; or it cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        recipe: dict[str, Any],
+        num_scenes: int,
+        objects: dict[str, ObjectAsset],
+        support: SupportAsset,
+        overwrite: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        hashes = {
+            "objects": {name: object_hash(asset) for name, asset in objects.items()},
+            "support": support_hash(support),
+        }
+        self._record = json.loads(json.dumps({"format": FORMAT, "recipe": recipe, "assets": hashes}))
+        with writing(self.path):
+            self._check_place()
+            self.path.mkdir(parents=True, exist_ok=True)
+            self._lock = BankLock(self.path)
+        try:
+            with writing(self.path):
+                self._begin(num_scenes, overwrite)
+                self._store_assets(objects, support)
+                self._write_index()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> BankWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Lets others write. The writer cannot be used after that."""
+        self._lock.release()
+
+    def has_block(self, block: int, num_rows: int) -> bool:
+        """Whether block number `block` is there, sound, with at least `num_rows` rows."""
+        try:
+            return block_path(self.path, block).exists() and read_block(self.path, block).num_rows >= num_rows
+        except BankError:
+            return False
+
+    def write_block(self, block: int, table: pa.Table) -> None:
+        """Stores the rows of a block as a whole.
+
+        Raises:
+          BankError: it cannot be written, for instance because the disk is full.
+        """
+        write_rows(self.path, block, table, self._record)
+
+    def keep_digests(self, files: dict[str, str]) -> None:
+        """Enters the digests of scene files, by path within the bank, into `bank.json`.
+
+        Raises:
+          BankError: it cannot be written.
+        """
+        self._files |= files
+        with writing(self.path):
+            self._write_index()
+
+    def _write_index(self) -> None:
+        files = dict(sorted(self._files.items()))
+        record = {"num_scenes": self._num_scenes, **self._record, "files": files}
+        write_atomically(self.path / INDEX, index_bytes(record), is_durable=True)
+
+    def _check_place(self) -> None:
+        """Refuses a place that holds something which is not a bank."""
+        if not self.path.exists() or (self.path / INDEX).exists() or block_numbers(self.path):
+            return
+        # A writer that was killed before anything was finished leaves no more than these.
+        ours = (LOCK, f".{INDEX}{PARTIAL}")
+        if not self.path.is_dir() or any(each.name not in ours for each in self.path.iterdir()):
+            raise BankError(f"{self.path} exists and is not a bank", "a new or empty folder", "another `out`")
+
+    def _begin(self, num_scenes: int, overwrite: bool) -> None:
+        remove_partial(self.path)
+        if overwrite:
+            _remove_bank(self.path)
+        theirs = self._stored_record()
+        if theirs is not None:
+            _check_same(self.path, self._record, theirs)
+            num_scenes = max(num_scenes, theirs["num_scenes"])
+        self._num_scenes = num_scenes
+        self._files: dict[str, str] = (theirs or {}).get("files", {})
+        self._write_index()
+
+    def _stored_record(self) -> dict[str, Any] | None:
+        """What the folder says it holds: `bank.json`, or a block in its stead if that is damaged or lost."""
+        try:
+            return read_bank(self.path).record
+        except BankError as error:
+            blocks, record = block_numbers(self.path), recovered_record(self.path)
+            if record is not None:
+                return {"num_scenes": blocks[-1] * BLOCK_SIZE + 1, **record}
+            if blocks or _is_json(self.path / INDEX):
+                raise BankError(
+                    f"{self.path} holds a bank of which nothing tells how it was made ({error.given})",
+                    "a bank that this version wrote",
+                    "another `out`, or `overwrite` to begin anew",
+                ) from error
+            return None
+
+    def _store_assets(self, objects: dict[str, ObjectAsset], support: SupportAsset) -> None:
+        """Writes what is missing, damaged, or of no known digest; `self._files` then tells what is there."""
+        hashes = self._record["assets"]
+        for name, asset in objects.items():
+            folder, images = f"assets/objects/{name}", inside(self.path, "assets/textures")
+            is_as_written = self._is_as_written(folder)
+            if not (is_as_written and _hash_of_object(self.path / folder, images) == hashes["objects"][name]):
+                with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
+                    _write_object(asset, fresh, images)
+        folder = "assets/support"
+        if not (self._is_as_written(folder) and _hash_of_support(self.path / folder) == hashes["support"]):
+            with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
+                write_support(fresh, support)
+        scenes = {name: digest for name, digest in self._files.items() if _is_scene(self.path, name)}
+        self._files = scenes | digests_in(self.path, "assets")
+
+    def _is_as_written(self, folder: str) -> bool:
+        """Whether the bank's copy of an asset is what its digests say; where there are none, it is not."""
+        known = {name: digest for name, digest in self._files.items() if name.startswith(f"{folder}/")}
+        return bool(known) and digests_in(self.path, folder) == known
+
+
+def write_rows(path: Path, block: int, table: pa.Table, record: dict[str, Any]) -> None:
+    """Stores the rows of a block, and the bank's record in it, as a whole. For who holds the bank's lock.
+
+    Raises:
+      BankError: it cannot be written, for instance because the disk is full.
+    """
+    buffer = io.BytesIO()
+    pq.write_table(with_record(table, record), buffer, write_page_checksum=True)
+    file = block_path(path, block)
+    with writing(file):
+        write_atomically(file, buffer.getvalue(), is_durable=True)
+
+
+def _is_json(path: Path) -> bool:
+    try:
+        return isinstance(json.loads(path.read_bytes()), dict)
+    except (OSError, ValueError, RecursionError):
+        return False
+
+
+def _check_same(path: Path, ours: dict[str, Any], theirs: dict[str, Any]) -> None:
+    """Refuses to continue a bank of another recipe, or of other assets."""
+    changed = sorted(_changed(ours["recipe"], theirs["recipe"]))
+    if changed:
+        raise BankError(
+            f"{path} holds a bank made with another {', '.join(changed)}",
+            "the same settings, which continue it",
+            "another `out`, or `overwrite` to begin anew",
+        )
+    known = theirs.get("assets", ours["assets"])
+    other = sorted(n for n, digest in ours["assets"]["objects"].items() if known["objects"].get(n) != digest)
+    other += ["its support"] * (known["support"] != ours["assets"]["support"])
+    if other:
+        raise BankError(
+            f"{path} holds a bank made with other assets of the same name: {', '.join(other)}",
+            "the assets that it was made with",
+            "another `out`, or `overwrite` to begin anew; the bank's own copies are in its folder `assets`",
+        )
+
+
+def _changed(ours: dict[str, Any], theirs: dict[str, Any]) -> list[str]:
+    """Which settings differ, such as placement.min_margin."""
+    names = []
+    for name in {*ours, *theirs}:
+        one, other = ours.get(name), theirs.get(name)
+        if isinstance(one, dict) and isinstance(other, dict):
+            names += [f"{name}.{inner}" for inner in _changed(one, other)]
+        elif one != other:
+            names.append(name)
+    return names
+
+
+def _write_object(asset: ObjectAsset, folder: Path, images: Path) -> None:
+    write_parts(folder, asset)
+    write_object(folder, asset, images)
+
+
+def _is_scene(path: Path, name: str) -> bool:
+    """Whether a file of a scene is there that an earlier run wrote."""
+    return name.startswith("scenes/") and inside(path, name).is_file()
+
+
+def _hash_of_object(folder: Path, images: Path) -> str:
+    """The digest of the bank's own object; empty if there is none or it is damaged."""
+    try:
+        return object_hash(read_object(folder, images))
+    except ClutterGenError:
+        return ""
+
+
+def _hash_of_support(folder: Path) -> str:
+    """The digest of the bank's own table, likewise."""
+    try:
+        return support_hash(read_support(folder))
+    except ClutterGenError:
+        return ""
+
+
+def _remove_bank(path: Path) -> None:
+    """Removes what a bank consists of, and nothing else that may lie in the folder."""
+    for block in block_numbers(path):
+        block_path(path, block).unlink()
+    for folder in ("assets", "scenes"):
+        shutil.rmtree(path / folder, ignore_errors=True)
+    for name in ("overview.png", "verification.json", INDEX):
+        (path / name).unlink(missing_ok=True)
+
+
+def names_of(objects: Sequence[ObjectAsset]) -> dict[str, ObjectAsset]:
+    """Assets by their own name: an asset that stands in a world more than once is stored once."""
+    return {asset.name: asset for asset in objects}

@@ -1,0 +1,191 @@
+"""What scenes can be exported as: for each format who writes objects, the support and scenes."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene.export.glb import glb_bytes
+from cluttergen_jax.scene.export.maniskill import maniskill_json
+from cluttergen_jax.scene.export.meshes import write_object_meshes, write_support_meshes
+from cluttergen_jax.scene.export.robosuite import object_xml, support_xml
+from cluttergen_jax.scene.export.scene_json import scene_json
+from cluttergen_jax.scene.export.sdf import sdf_text
+from cluttergen_jax.scene.export.urdf import object_urdf, support_urdf
+from cluttergen_jax.scene.xml import scene_xml
+
+WriteObject = Callable[[Path, ObjectAsset, ContactConfig], None]
+WriteSupport = Callable[[Path, SupportAsset, ContactConfig], None]
+WriteScene = Callable[[Path, Scene], None]
+
+
+@dataclass(frozen=True)
+class Format:
+    """One way to write scenes.
+
+    Attributes:
+      name: as on the command line.
+      opens_in: who reads it, and how, in a sentence for the folder's README.
+      ending: of a scene's file in `scenes/`.
+      write_object, write_support: write what all scenes share into a folder; None where a scene holds all.
+      write_scene: writes a scene's file.
+      script: a stand-alone loader that travels along, in `export/scripts`; "" for none.
+      notes: more for the README: the settings that the program needs, and what it takes from the files.
+      require: raises MissingExtraError if a package that the format needs is not installed.
+    """
+
+    name: str
+    opens_in: str
+    ending: str
+    write_object: WriteObject | None
+    write_support: WriteSupport | None
+    write_scene: WriteScene
+    script: str = ""
+    notes: str = ""
+    require: Callable[[], None] = lambda: None
+
+
+def _files(
+    meshes: Callable[[Path, Any], None],
+    model: Callable[[Any, ContactConfig], bytes] | None = None,
+    ending: str = "",
+) -> Callable[[Path, Any, ContactConfig], None]:
+    """Writes what all scenes share of an object or the support: meshes, and a model named as its folder."""
+
+    def write(folder: Path, asset: Any, contact: ContactConfig) -> None:
+        meshes(folder, asset)
+        if model is not None:
+            (folder / f"{folder.name}.{ending}").write_bytes(model(asset, contact))
+
+    return write
+
+
+def _written(make: Callable[[Scene], bytes]) -> WriteScene:
+    def write(path: Path, scene: Scene) -> None:
+        path.write_bytes(make(scene))
+
+    return write
+
+
+def _mjcf_text(scene: Scene) -> bytes:
+    return scene_xml(
+        scene.objects,
+        scene.poses,
+        scene.support,
+        scene.stability,
+        scene.contact,
+        names=scene.names,
+        cameras=scene.cameras,
+    )
+
+
+def _usd(function: str) -> Callable[..., None]:
+    """A function of `scene.export.usd`, imported when it is called: USD's library takes a while to load."""
+    return lambda *args: getattr(importlib.import_module("cluttergen_jax.scene.export.usd"), function)(*args)
+
+
+_DRAKE_NOTES = (
+    "For Drake (1.40 or newer) parts and boxes are compliant hydroelastic bodies of 1e9 Pa with the friction "
+    "of the scene (drake:proximity_properties); other readers skip this. The plant needs the time step named "
+    "above, and all else as Drake has it: contact hydroelastic_with_fallback, approximation lagged."
+)
+_ALL = (
+    Format(
+        "mjcf",
+        "MuJoCo: python -m mujoco.viewer --mjcf=scenes/NUMBER.xml; the keyframe `scene` holds the poses too.",
+        "xml",
+        _files(write_object_meshes),
+        _files(write_support_meshes),
+        _written(_mjcf_text),
+    ),
+    Format(
+        "urdf",
+        "PyBullet: python load_pybullet.py scenes/NUMBER.json (needs pybullet only; --direct opens no "
+        "window). Objects and support are one URDF each.",
+        "json",
+        _files(write_object_meshes, object_urdf, "urdf"),
+        _files(write_support_meshes, support_urdf, "urdf"),
+        _written(partial(scene_json, ending="urdf")),
+        script="load_pybullet.py",
+    ),
+    Format(
+        "sdf",
+        "Drake: Parser(plant).AddModels('scenes/NUMBER.sdf'), the plant made by "
+        "AddMultibodyPlantSceneGraph(builder, time_step=1/240); Gazebo: gz sim scenes/NUMBER.sdf.",
+        "sdf",
+        _files(write_object_meshes),
+        _files(write_support_meshes),
+        _written(sdf_text),
+        notes=_DRAKE_NOTES,
+    ),
+    Format(
+        "usd",
+        "Isaac Sim, Omniverse or usdview: open scenes/NUMBER.usda. Physics is UsdPhysics.",
+        "usda",
+        _usd("write_object_usd"),
+        _usd("write_support_usd"),
+        _usd("write_scene_usd"),
+        require=_usd("require_usd"),
+    ),
+    Format(
+        "glb",
+        "any glTF viewer; the second glTF scene shows the collision parts.",
+        "glb",
+        None,
+        None,
+        _written(glb_bytes),
+    ),
+    Format(
+        "maniskill",
+        "ManiSkill 3: import cluttergen_maniskill, then gymnasium.make('ClutterGenScene-v1', scene='N').",
+        "json",
+        _files(write_object_meshes),
+        _files(write_support_meshes),
+        _written(maniskill_json),
+        script="cluttergen_maniskill.py",
+    ),
+    Format(
+        "robosuite",
+        "robosuite 1.5: import cluttergen_robosuite, then robosuite.make('ClutterGenScene', robots='Panda', "
+        "scene='N').",
+        "json",
+        _files(write_object_meshes, object_xml, "xml"),
+        _files(write_support_meshes, support_xml, "xml"),
+        _written(partial(scene_json, ending="xml")),
+        script="cluttergen_robosuite.py",
+    ),
+    Format(
+        "libero",
+        "LIBERO: import cluttergen_libero, then cluttergen_libero.make_env(N). python cluttergen_libero.py "
+        "writes LIBERO's task descriptions and initial states.",
+        "json",
+        _files(write_object_meshes, object_xml, "xml"),
+        _files(write_support_meshes, support_xml, "xml"),
+        _written(partial(scene_json, ending="xml")),
+        script="cluttergen_libero.py",
+    ),
+)
+FORMATS = {each.name: each for each in _ALL}
+"""Every format by name."""
+
+
+def find_format(name: str) -> Format:
+    """The format of that name.
+
+    Raises:
+      ConfigError: there is none.
+      MissingExtraError: it needs a package that is not installed.
+    """
+    if name not in FORMATS:
+        raise ConfigError(f"format {name!r}", ", ".join(FORMATS), "format='mjcf'", closest(name, FORMATS))
+    FORMATS[name].require()
+    return FORMATS[name]

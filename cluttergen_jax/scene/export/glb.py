@@ -1,0 +1,188 @@
+"""glTF 2.0, binary: one file per scene that holds everything, images included, for viewers.
+
+glTF has y up: the node `world` turns the scene, below it everything is in the scene's own frame, z up. The
+default scene shows the surfaces; a second one, `collision`, shows the convex parts. Mass, centre of mass,
+inertia and friction, for which glTF has no words, are in `extras`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from typing import Any
+
+import numpy as np
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.shading import box_mesh, linear, shaded
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.scene import Camera, Scene
+from cluttergen_jax.scene.export.friction import friction_of
+from cluttergen_jax.scene.export.meshes import drawn_pieces
+
+_ARRAY, _ELEMENT = 34962, 34963
+_FLOAT, _UNSIGNED = 5126, 5125
+_Y_UP = [-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]
+_PART_RGBA = (0.6, 0.6, 0.65, 1.0)
+
+
+def glb_bytes(scene: Scene) -> bytes:
+    """The scene as one binary glTF file."""
+    return _Builder().of(scene)
+
+
+class _Builder:
+    """Grows a glTF document and its buffer; meshes and materials that come again are shared."""
+
+    def __init__(self) -> None:
+        self._blob = bytearray()
+        self._doc: dict[str, list[Any]] = {
+            key: [] for key in ("accessors", "bufferViews", "materials", "meshes", "nodes")
+        }
+        self._materials: dict[tuple[Any, ...], int] = {}
+        self._images: dict[Texture, int] = {}
+
+    def of(self, scene: Scene) -> bytes:
+        supports = scene.support.pieces or tuple(
+            Piece(box_mesh(box), box.rgba) for box in scene.support.boxes
+        )
+        boxes = [Piece(box_mesh(box), _PART_RGBA) for box in scene.support.boxes]
+        drawn = {name: self._mesh(name, drawn_pieces(asset)) for name, asset in scene.assets.items()}
+        hulls = {
+            name: self._mesh(f"{name}/collision", [Piece(part.hull(), _PART_RGBA) for part in asset.parts])
+            for name, asset in scene.assets.items()
+        }
+        roots = [
+            self._world("world", scene, self._mesh("support", supports), drawn),
+            self._world("world/collision", scene, self._mesh("support/collision", boxes), hulls),
+        ]
+        return self._packed(roots)
+
+    def _world(self, name: str, scene: Scene, support: int, meshes: dict[str, int]) -> int:
+        suffix = "" if name == "world" else "/collision"
+        friction = {"friction": scene.contact.friction[0]}
+        children = [self._add("nodes", {"name": "support" + suffix, "mesh": support, "extras": friction})]
+        for own, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
+            w, x, y, z = pose[3:].tolist()
+            node = {
+                "name": own + suffix,
+                "mesh": meshes[asset.name],
+                "translation": pose[:3].tolist(),
+                "rotation": [x, y, z, w],
+                "extras": _body(asset) | {"friction": friction_of(asset, scene.contact)[0]},
+            }
+            children.append(self._add("nodes", node))
+        children += [self._camera(each) for each in scene.cameras if not suffix]
+        return self._add("nodes", {"name": name, "rotation": _Y_UP, "children": children})
+
+    def _camera(self, camera: Camera) -> int:
+        """glTF's cameras look along -z too."""
+        lens = {
+            "yfov": math.radians(camera.fovy),
+            "aspectRatio": camera.width / camera.height,
+            "znear": 0.01,
+            "zfar": 100.0,
+        }
+        index = self._add("cameras", {"name": camera.name, "type": "perspective", "perspective": lens})
+        w, x, y, z = camera.quaternion.tolist()
+        node = {"name": f"camera/{camera.name}", "camera": index}
+        return self._add("nodes", {**node, "translation": camera.position.tolist(), "rotation": [x, y, z, w]})
+
+    def _mesh(self, name: str, pieces: Any) -> int:
+        primitives = [self._primitive(piece) for piece in pieces]
+        return self._add("meshes", {"name": name, "primitives": primitives})
+
+    def _primitive(self, piece: Piece) -> dict[str, Any]:
+        vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
+        bounds = {"min": vertices.min(0).tolist(), "max": vertices.max(0).tolist()}
+        attributes = {
+            "POSITION": self._accessor(vertices, "VEC3", _FLOAT, _ARRAY, **bounds),
+            "NORMAL": self._accessor(normals, "VEC3", _FLOAT, _ARRAY),
+        }
+        if uv is not None:
+            # glTF's v runs down the image.
+            attributes["TEXCOORD_0"] = self._accessor(uv * [1, -1] + [0, 1], "VEC2", _FLOAT, _ARRAY)
+        return {
+            "attributes": attributes,
+            "indices": self._accessor(faces.ravel(), "SCALAR", _UNSIGNED, _ELEMENT),
+            "material": self._material(piece),
+        }
+
+    def _accessor(self, values: np.ndarray, kind: str, component: int, target: int, **more: Any) -> int:
+        data = values.astype("<u4" if component == _UNSIGNED else "<f4").tobytes()
+        index = self._view(data, target=target)
+        return self._add(
+            "accessors",
+            {"bufferView": index, "componentType": component, "count": len(values), "type": kind, **more},
+        )
+
+    def _view(self, data: bytes, **more: Any) -> int:
+        view = {"buffer": 0, "byteOffset": len(self._blob), "byteLength": len(data), **more}
+        # What comes next begins at a multiple of four bytes.
+        self._blob += data + b"\0" * (-len(data) % 4)
+        return self._add("bufferViews", view)
+
+    def _material(self, piece: Piece) -> int:
+        rgba, key = piece.rgba, (piece.rgba, piece.texture)
+        if key not in self._materials:
+            colour: dict[str, Any] = {
+                "baseColorFactor": linear(rgba),
+                "metallicFactor": 0.0,
+                "roughnessFactor": 0.65,
+            }
+            if piece.texture is not None:
+                colour["baseColorTexture"] = {"index": self._image(piece.texture)}
+            material: dict[str, Any] = {"pbrMetallicRoughness": colour, "doubleSided": True}
+            if rgba[3] < 1:
+                material["alphaMode"] = "BLEND"
+            self._materials[key] = self._add("materials", material)
+        return self._materials[key]
+
+    def _image(self, texture: Texture) -> int:
+        if texture not in self._images:
+            image = {
+                "mimeType": "image/png",
+                "name": texture.file_name,
+                "bufferView": self._view(texture.data),
+            }
+            self._images[texture] = self._add("textures", {"source": self._add("images", image)})
+        return self._images[texture]
+
+    def _add(self, key: str, value: dict[str, Any]) -> int:
+        # glTF allows no empty lists: one that nothing is added to is left out.
+        self._doc.setdefault(key, []).append(value)
+        return len(self._doc[key]) - 1
+
+    def _packed(self, roots: list[int]) -> bytes:
+        names = ("scene", "collision")
+        document = {
+            "asset": {"version": "2.0", "generator": "cluttergen_jax"},
+            "scene": 0,
+            "scenes": [{"name": name, "nodes": [root]} for name, root in zip(names, roots, strict=True)],
+            "buffers": [{"byteLength": len(self._blob)}],
+            **self._doc,
+        }
+        text = json.dumps(document, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        blob = bytes(self._blob) + b"\0" * (-len(self._blob) % 4)
+        size = 12 + 8 + len(text) + 8 + len(blob)
+        return b"".join(
+            [
+                struct.pack("<4sII", b"glTF", 2, size),
+                struct.pack("<I4s", len(text), b"JSON"),
+                text,
+                struct.pack("<I4s", len(blob), b"BIN\0"),
+                blob,
+            ]
+        )
+
+
+def _body(asset: ObjectAsset) -> dict[str, Any]:
+    return {
+        "asset": asset.name,
+        "mass": float(asset.mass),
+        "center_of_mass": np.asarray(asset.center_of_mass).tolist(),
+        "inertia": np.asarray(asset.inertia).tolist(),
+    }

@@ -1,0 +1,283 @@
+"""USD with UsdPhysics: one file per object and one for the support, referenced by one stage per scene.
+
+Metres, kilograms, z up. An object is a rigid body with a mass; its parts are undrawn meshes whose collider is
+their convex hull, bound to a physics material. This needs the optional extra `usd`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.shading import linear, shaded
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.errors import MissingExtraError
+from cluttergen_jax.geometry import yaw_quaternion
+from cluttergen_jax.scene import Camera, Scene
+from cluttergen_jax.scene.export.frames import principal_of
+from cluttergen_jax.scene.export.friction import friction_of
+from cluttergen_jax.scene.export.meshes import (
+    SUPPORT_FOLDER,
+    drawn_pieces,
+    object_folder,
+    object_image,
+    support_image,
+    write_object_images,
+    write_support_images,
+)
+
+try:
+    from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, Vt
+except ImportError:  # pragma: no cover - depends on what is installed
+    Usd = None
+
+_FOCAL_LENGTH = 24.0
+_UV = "st"
+"""USD's usual name of texture coordinates."""
+
+
+def require_usd() -> None:
+    """Raises MissingExtraError if usd-core is not installed."""
+    if Usd is None:
+        raise MissingExtraError("usd", "the format usd")
+
+
+def write_object_usd(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
+    """Writes `NAME.usda`: a rigid body in the object frame."""
+    stage, root = _asset_stage(folder / f"{asset.name}.usda", asset.name)
+    prim = root.GetPrim()
+    UsdPhysics.RigidBodyAPI.Apply(prim)
+    principal = principal_of(asset)
+    mass = UsdPhysics.MassAPI.Apply(prim)
+    mass.CreateMassAttr(asset.mass)
+    mass.CreateCenterOfMassAttr(Gf.Vec3f(*principal.center.tolist()))
+    mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*principal.moments.tolist()))
+    mass.CreatePrincipalAxesAttr(Gf.Quatf(*principal.turn.tolist()))
+    _note(prim, asset.label, asset.provenance)
+    pieces = drawn_pieces(asset)
+    _add_visuals(stage, pieces, [object_image(piece) for piece in pieces])
+    write_object_images(folder, asset)
+    material = _add_contact(stage, friction_of(asset, contact)[0], contact)
+    for index, part in enumerate(asset.parts):
+        mesh = _add_mesh(stage, f"{_collisions(stage)}/part_{index:02d}", part.hull())
+        UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr("convexHull")
+        _make_collider(mesh.GetPrim(), material)
+    stage.GetRootLayer().Save()
+
+
+def write_support_usd(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
+    """Writes `support.usda`: static colliders in the world frame, and surfaces where there are any."""
+    stage, root = _asset_stage(folder / "support.usda", "support")
+    _note(root.GetPrim(), support.label, support.provenance)
+    _add_visuals(stage, support.pieces, [support_image(piece) for piece in support.pieces])
+    write_support_images(folder, support)
+    material = _add_contact(stage, contact.friction[0], contact)
+    parent = _collisions(stage) if support.pieces else f"{_root(stage)}/boxes"
+    for index, box in enumerate(support.boxes):
+        cube = UsdGeom.Cube.Define(stage, f"{parent}/box_{index:02d}")
+        cube.CreateSizeAttr(2.0)
+        cube.CreateExtentAttr([(-1, -1, -1), (1, 1, 1)])
+        _place(cube, np.array(box.center), np.array(yaw_quaternion(box.yaw)))
+        cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*box.half_extents))
+        cube.CreateDisplayColorAttr([Gf.Vec3f(*linear(box.rgba)[:3])])
+        if not support.pieces:
+            _bind(cube.GetPrim(), _colour(stage, box.rgba))
+        _make_collider(cube.GetPrim(), material)
+    stage.GetRootLayer().Save()
+
+
+def write_scene_usd(path: Path, scene: Scene) -> None:
+    """Writes the stage of a scene into `scenes/`; it refers to the files of its objects."""
+    stage = _new_stage(path)
+    world = UsdGeom.Xform.Define(stage, "/World")
+    stage.SetDefaultPrim(world.GetPrim())
+    physics = UsdPhysics.Scene.Define(stage, "/World/physics")
+    physics.CreateGravityDirectionAttr(Gf.Vec3f(0, 0, -1))
+    physics.CreateGravityMagnitudeAttr(scene.contact.gravity)
+    _add_lights(stage)
+    support = UsdGeom.Xform.Define(stage, "/World/support").GetPrim()
+    support.GetReferences().AddReference(f"../{SUPPORT_FOLDER}/support.usda")
+    UsdGeom.Xform.Define(stage, "/World/objects")
+    names = _identifiers(scene.names)
+    for name, own, asset, pose in zip(scene.names, names, scene.objects, scene.poses, strict=True):
+        body = UsdGeom.Xform.Define(stage, f"/World/objects/{own}")
+        body.GetPrim().SetDisplayName(name)
+        body.GetPrim().GetReferences().AddReference(f"../{object_folder(asset.name)}/{asset.name}.usda")
+        _place(body, pose[:3], pose[3:])
+    for each in scene.cameras:
+        _add_camera(stage, each)
+    stage.GetRootLayer().Save()
+
+
+def _add_camera(stage: Any, camera: Camera) -> None:
+    """USD's own cameras look along -z too; apertures and focal length are of the same unit."""
+    prim = UsdGeom.Camera.Define(stage, f"/World/cameras/{camera.name}")
+    _place(prim, camera.position, camera.quaternion)
+    prim.CreateFocalLengthAttr(_FOCAL_LENGTH)
+    prim.CreateHorizontalApertureAttr(2 * _FOCAL_LENGTH * np.tan(np.radians(camera.fovx) / 2))
+    prim.CreateVerticalApertureAttr(2 * _FOCAL_LENGTH * np.tan(np.radians(camera.fovy) / 2))
+    prim.CreateClippingRangeAttr(Gf.Vec2f(0.01, 100.0))
+
+
+def _identifiers(names: Sequence[str]) -> list[str]:
+    """Names as USD allows them, still unique."""
+    result: list[str] = []
+    for name in names:
+        own = Tf.MakeValidIdentifier(name)
+        while own in result:
+            own += "_"
+        result.append(own)
+    return result
+
+
+def _new_stage(path: Path) -> Any:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    return stage
+
+
+def _asset_stage(path: Path, name: str) -> tuple[Any, Any]:
+    stage = _new_stage(path)
+    root = UsdGeom.Xform.Define(stage, f"/{Tf.MakeValidIdentifier(name)}")
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root.GetPrim()).SetKind("component")
+    return stage, root
+
+
+def _root(stage: Any) -> str:
+    return str(stage.GetDefaultPrim().GetPath())
+
+
+def _collisions(stage: Any) -> str:
+    """The path below which colliders stand that are not drawn."""
+    path = f"{_root(stage)}/collisions"
+    if not stage.GetPrimAtPath(path):
+        UsdGeom.Xform.Define(stage, path).CreatePurposeAttr(UsdGeom.Tokens.guide)
+    return path
+
+
+def _note(prim: Any, label: str, provenance: Any) -> None:
+    prim.SetDisplayName(label)
+    prim.SetCustomDataByKey("licence", provenance.licence)
+    prim.SetCustomDataByKey("source", provenance.source)
+    prim.SetCustomDataByKey("attribution", provenance.attribution)
+
+
+def _place(xformable: Any, position: np.ndarray, quaternion: np.ndarray) -> None:
+    double = UsdGeom.XformOp.PrecisionDouble
+    xformable.AddTranslateOp(double).Set(Gf.Vec3d(*position.tolist()))
+    xformable.AddOrientOp(double).Set(Gf.Quatd(*quaternion.tolist()))
+
+
+def _add_visuals(stage: Any, pieces: Sequence[Piece], images: Sequence[str | None]) -> None:
+    for index, (piece, image) in enumerate(zip(pieces, images, strict=True)):
+        mesh = _add_mesh(stage, f"{_root(stage)}/visuals/piece_{index:02d}", piece.mesh, piece.uv)
+        mesh.CreateDisplayColorAttr([Gf.Vec3f(*linear(piece.mean_rgba)[:3])])
+        mesh.CreateDisplayOpacityAttr([piece.rgba[3]])
+        _bind(mesh.GetPrim(), _colour(stage, piece.rgba, image))
+
+
+def _add_mesh(stage: Any, path: str, mesh: Mesh, uv: np.ndarray | None = None) -> Any:
+    vertices, normals, faces, places = shaded(mesh, uv)
+    result = UsdGeom.Mesh.Define(stage, path)
+    result.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(vertices))
+    result.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
+    result.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.ravel().astype(np.int32)))
+    result.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals))
+    result.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    if places is not None:
+        kind = Sdf.ValueTypeNames.TexCoord2fArray
+        primvar = UsdGeom.PrimvarsAPI(result).CreatePrimvar(_UV, kind, UsdGeom.Tokens.vertex)
+        primvar.Set(Vt.Vec2fArray.FromNumpy(places))
+    result.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    result.CreateDoubleSidedAttr(True)
+    result.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([vertices.min(0), vertices.max(0)])))
+    return result
+
+
+def _colour(stage: Any, rgba: tuple[float, ...], image: str | None = None) -> Any:
+    """A matte material of this colour, times the image if there is one; made once."""
+    name = "colour_" + "_".join(f"{round(255 * value):03d}" for value in rgba)
+    if image is not None:
+        name += "_" + Tf.MakeValidIdentifier(PurePosixPath(image).stem)
+    path = f"{_root(stage)}/materials/{name}"
+    if existing := UsdShade.Material.Get(stage, path):
+        return existing
+    UsdGeom.Scope.Define(stage, f"{_root(stage)}/materials")
+    material = UsdShade.Material.Define(stage, path)
+    shader = UsdShade.Shader.Define(stage, f"{path}/surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    red, green, blue, alpha = linear(rgba)
+    diffuse = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    if image is None:
+        diffuse.Set(Gf.Vec3f(red, green, blue))
+    else:
+        diffuse.ConnectToSource(_image(stage, path, image, (red, green, blue)).ConnectableAPI(), "rgb")
+    shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(alpha)
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.65)
+    shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
+    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    return material
+
+
+def _image(stage: Any, path: str, image: str, factor: tuple[float, float, float]) -> Any:
+    """The shader that reads an image, multiplied by a linear colour."""
+    reader = UsdShade.Shader.Define(stage, f"{path}/uv")
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set(_UV)
+    reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    texture = UsdShade.Shader.Define(stage, f"{path}/image")
+    texture.CreateIdAttr("UsdUVTexture")
+    texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(image))
+    texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+    for side in ("wrapS", "wrapT"):
+        texture.CreateInput(side, Sdf.ValueTypeNames.Token).Set("repeat")
+    texture.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*factor, 1.0))
+    texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+    texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
+    return texture
+
+
+def _bind(prim: Any, material: Any) -> None:
+    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
+
+
+def _add_contact(stage: Any, sliding: float, contact: ContactConfig) -> Any:
+    UsdGeom.Scope.Define(stage, f"{_root(stage)}/materials")
+    material = UsdShade.Material.Define(stage, f"{_root(stage)}/materials/contact")
+    physics = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
+    physics.CreateStaticFrictionAttr(sliding)
+    physics.CreateDynamicFrictionAttr(sliding)
+    physics.CreateRestitutionAttr(0.0)
+    if sliding != contact.friction[0]:
+        # PhysX takes the mean of two coefficients unless one asks for more. Its schema is not part of USD.
+        material.GetPrim().AddAppliedSchema("PhysxMaterialAPI")
+        mode = material.GetPrim().CreateAttribute(
+            "physxMaterial:frictionCombineMode", Sdf.ValueTypeNames.Token, custom=False
+        )
+        mode.Set("min" if sliding < contact.friction[0] else "max")
+    return material
+
+
+def _make_collider(prim: Any, material: Any) -> None:
+    UsdPhysics.CollisionAPI.Apply(prim)
+    binding = UsdShade.MaterialBindingAPI.Apply(prim)
+    binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
+
+
+def _add_lights(stage: Any) -> None:
+    dome = UsdLux.DomeLight.Define(stage, "/World/lights/dome")
+    dome.CreateIntensityAttr(400.0)
+    sun = UsdLux.DistantLight.Define(stage, "/World/lights/sun")
+    sun.CreateIntensityAttr(1500.0)
+    sun.AddRotateXYZOp().Set(Gf.Vec3f(35, 15, 0))
