@@ -1,0 +1,350 @@
+"""Bodies: mass against hand arithmetic, parts against the mesh, frames that rest, cavities that stay open."""
+
+import dataclasses
+import tracemalloc
+
+import numpy as np
+import pytest
+import trimesh
+
+from cluttergen_jax.assets.body import BodyConfig, make_object
+from cluttergen_jax.assets.cloud import farthest_first, sample_surface
+from cluttergen_jax.assets.config import DecompositionConfig
+from cluttergen_jax.assets.deviation import deviation, is_inside
+from cluttergen_jax.assets.inertia import mass_properties
+from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.object import CLOUD_SIZE, MAX_PART_VERTICES
+from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.assets.parts import (
+    finished,
+    flattened,
+    hull_of,
+    reduced,
+    sound_points,
+    with_plain_bottom,
+)
+from cluttergen_jax.assets.rest import settled_turn, tilt_of, upright_turn
+from cluttergen_jax.assets.solid import solid_of
+from cluttergen_jax.errors import AssetError, ConfigError
+from cluttergen_jax.importing.readers.primitives import cylinder, ellipsoid
+from cluttergen_jax.importing.solo import solo_poses, solo_stability, with_solo
+from tests.helpers.shapes import open_box, open_box_slabs, shape_of, slab
+
+
+def rotation_about(axis, degrees):
+    return trimesh.transformations.rotation_matrix(np.radians(degrees), axis)[:3, :3]
+
+
+# --- solids -----------------------------------------------------------------------------------------
+
+
+def test_overlapping_pieces_count_once():
+    a, b = slab((0.05, 0.02, 0.02)), slab((0.05, 0.02, 0.02), (0.05, 0, 0))
+    assert solid_of([a, b]).volume == pytest.approx(0.15 * 0.04 * 0.04)
+    assert solid_of([joined([a, b])]).is_exact
+
+
+def test_a_surface_turned_inside_out_is_the_same_solid():
+    mesh = slab((0.03, 0.02, 0.01))
+    turned = Mesh(mesh.vertices, mesh.faces[:, ::-1])
+    assert solid_of([turned]).volume == pytest.approx(solid_of([mesh]).volume)
+
+
+def test_a_hole_is_mended_and_a_void_is_filled():
+    ball, void = ellipsoid(np.full(3, 0.05)), ellipsoid(np.full(3, 0.02))
+    holed = Mesh(ball.vertices, ball.faces[1:])
+    assert solid_of([holed]).volume == pytest.approx(solid_of([ball]).volume, rel=1e-3)
+    hollow = joined([ball, Mesh(void.vertices, void.faces[:, ::-1])])
+    assert solid_of([hollow]).volume == pytest.approx(solid_of([ball]).volume, rel=1e-6)
+
+
+def test_a_soup_is_rebuilt_on_its_own_surface():
+    ball = ellipsoid(np.full(3, 0.05))
+    corners = ball.vertices[ball.faces]
+    # Every triangle for itself, a little apart from its neighbours.
+    corners = corners.mean(1, keepdims=True) + 0.97 * (corners - corners.mean(1, keepdims=True))
+    soup = Mesh(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
+    solid = solid_of([joined([soup, slab((0.02, 0.02, 0.02))])])
+    assert not solid.is_exact
+    assert solid.volume == pytest.approx(4 / 3 * np.pi * 0.05**3, rel=0.06)
+    radius = np.linalg.norm(solid.mesh.vertices, axis=1)
+    assert np.percentile(np.abs(radius - 0.05), 95) < 0.001
+
+
+@pytest.mark.slow
+def test_a_dense_solid_is_thinned_within_a_hair():
+    ball = trimesh.creation.icosphere(7, 0.05)
+    solid = solid_of([Mesh(ball.vertices, ball.faces)])
+    assert len(solid.mesh.faces) < 100_000
+    assert solid.is_exact
+    radius = np.linalg.norm(solid.mesh.vertices, axis=1)
+    np.testing.assert_allclose(radius, 0.05, atol=2e-4 * solid.diagonal)
+    assert solid.volume == pytest.approx(ball.volume, rel=1e-3)
+
+
+def test_nothing_with_a_volume_is_refused():
+    line = Mesh([[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]], [[0, 1, 2]])
+    with pytest.raises(AssetError):
+        make_object(shape_of(line))
+
+
+# --- mass -------------------------------------------------------------------------------------------
+
+
+def test_mass_and_inertia_of_a_box_and_a_cylinder():
+    half = np.array([0.05, 0.03, 0.02])
+    box = mass_properties(slab(half, (1, 2, 3)), density=500)
+    assert box.mass == pytest.approx(500 * 8 * half.prod())
+    np.testing.assert_allclose(box.center, [1, 2, 3])
+    x, y, z = half**2
+    np.testing.assert_allclose(box.inertia, box.mass / 3 * np.diag([y + z, x + z, x + y]), atol=1e-9)
+    rod = mass_properties(cylinder(0.02, 0.1, sections=512), density=1, mass=2.0)
+    side = 2.0 * (3 * 0.02**2 + 0.2**2) / 12
+    np.testing.assert_allclose(np.diag(rod.inertia), [side, side, 2.0 * 0.02**2 / 2], rtol=1e-3)
+
+
+def test_moving_mass_keeps_its_moments():
+    before = mass_properties(slab((0.05, 0.03, 0.02), (0.1, 0, 0)), density=500)
+    turn = rotation_about([1, 2, 3], 40)
+    after = before.moved(turn, np.array([0.0, 0.0, 1.0]))
+    direct = mass_properties(
+        slab((0.05, 0.03, 0.02), (0.1, 0, 0)).transformed(turn, np.array([0.0, 0.0, 1.0])), density=500
+    )
+    np.testing.assert_allclose(after.center, direct.center, atol=1e-9)
+    np.testing.assert_allclose(after.inertia, direct.inertia, atol=1e-9)
+
+
+# --- parts ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_reduced_hulls_lie_inside_and_lose_little(seed):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(300, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    few = reduced(points * [1, 0.6, 1.5])
+    assert len(few) <= MAX_PART_VERTICES
+    whole, small = hull_of(points * [1, 0.6, 1.5]), hull_of(few)
+    assert len(small.vertices) == len(few)
+    assert is_inside(few * 0.999, [whole.points]).all()
+    assert small.volume > 0.8 * whole.volume
+
+
+def test_bottoms_become_flat_and_stay_wide():
+    rng = np.random.default_rng(0)
+    can = cylinder(0.03, 0.05, sections=64).vertices
+    rough = can + np.where(can[:, 2:] < 0, rng.uniform(0, 0.0025, (len(can), 1)) * [0, 0, 1], 0)
+    (part,) = finished([rough], 12)
+    bottom = part[part[:, 2] == part[:, 2].min()]
+    assert len(part) <= MAX_PART_VERTICES
+    assert len(bottom) >= 8
+    assert np.linalg.norm(bottom[:, :2], axis=1).min() > 0.029
+
+
+def test_the_bottom_keeps_no_corner_that_it_does_not_need():
+    rng = np.random.default_rng(0)
+    foot = slab((0.05, 0.002, 0.03)).vertices
+    crowded = np.concatenate(
+        [foot, foot + rng.uniform(-1, 1, foot.shape) * [5e-4, 2e-5, 0], foot * [0.1, 1, 1]]
+    )
+    kept = with_plain_bottom(crowded, -0.03)
+    low = kept[kept[:, 2] == -0.03]
+    assert len(low) == 4
+    np.testing.assert_allclose(np.ptp(low[:, :2], axis=0), [0.1, 0.004], rtol=0.03)
+    assert (kept[:, 2] > 0).sum() == (crowded[:, 2] > 0).sum()
+
+
+def test_a_round_base_stays_round():
+    can = cylinder(0.03, 0.05, sections=64).vertices
+    kept = with_plain_bottom(can, -0.05)
+    low = kept[kept[:, 2] == -0.05]
+    assert 8 <= len(low) <= 12
+    # However it leans, the can stands on nearly as wide a base.
+    angles = np.linspace(0, 2 * np.pi, 100)
+    reach = (low[:, :2] @ np.stack([np.cos(angles), np.sin(angles)])).max(0)
+    assert reach.min() > 0.9 * 0.03
+
+
+def test_thin_things_are_not_flattened_away():
+    sheet = slab((0.05, 0.05, 0.001)).vertices
+    np.testing.assert_array_equal(flattened([sheet])[0], sheet)
+
+
+def test_points_are_made_sound_in_memory_that_grows_with_their_number():
+    points = np.random.default_rng(0).normal(size=(4000, 3))
+    tracemalloc.start()
+    sound_points(points)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # A matrix of 4,000 x 4,000 would be 128 MB.
+    assert peak < 20e6
+    assert len(sound_points(np.zeros((1, 3)))) == 8
+
+
+def test_flat_points_get_a_thickness():
+    square = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0.0]])
+    assert hull_of(square) is None
+    assert hull_of(sound_points(square)).volume > 0
+
+
+# --- deviation and clouds ---------------------------------------------------------------------------
+
+
+def test_deviation_of_known_offsets():
+    ball = solid_of([ellipsoid(np.full(3, 0.05))])
+    diagonal = 0.1 * np.sqrt(3)
+    assert deviation([ball.mesh.vertices], ball) < 0.005
+    assert deviation([ball.mesh.vertices * 1.1], ball) == pytest.approx(0.005 / diagonal, rel=0.15)
+    spire = np.concatenate([ball.mesh.vertices, [[0, 0, 0.1]]])
+    assert deviation([spire], ball) > 0.2
+
+
+def test_faces_along_which_parts_touch_do_not_count():
+    whole = solid_of([slab((0.06, 0.03, 0.03))])
+    halves = [slab((0.0299, 0.03, 0.03), (side * 0.03, 0, 0)).vertices for side in (-1, 1)]
+    assert deviation(halves, whole) < 0.01
+
+
+def test_inner_faces_of_a_box_and_its_lid_do_not_count():
+    box, lid = slab((0.05, 0.04, 0.03)), slab((0.05, 0.04, 0.008), (0, 0, 0.038 + 1e-7))
+    solid = solid_of([box, lid])
+    assert solid.is_exact
+    assert deviation([box.vertices, lid.vertices], solid) < 0.015
+    # The lid's own thickness still counts where the parts lack it.
+    assert deviation([box.vertices], solid) == pytest.approx(0.016 / solid.diagonal, rel=0.1)
+
+
+def test_a_filled_cavity_is_a_deviation():
+    solid = solid_of(open_box_slabs())
+    hull = np.concatenate([each.vertices for each in open_box_slabs()])
+    assert deviation([hull], solid) > 0.2
+    assert deviation([each.vertices for each in open_box_slabs()], solid) < 0.015
+
+
+def test_samples_are_uniform_by_area():
+    mesh = joined([slab((0.1, 0.1, 0.001)), slab((0.05, 0.05, 0.001), (1, 0, 0))])
+    points = sample_surface(mesh, 20_000, 0)
+    assert np.mean(points[:, 0] > 0.5) == pytest.approx(0.2, abs=0.02)
+
+
+def test_every_prefix_of_the_order_is_spread_out():
+    points = np.random.default_rng(0).uniform(size=(800, 3))
+    order = farthest_first(points)
+    assert sorted(order) == list(range(800))
+    gaps = [np.linalg.norm(points[order[:i]] - points[order[i]], axis=1).min() for i in range(1, 800)]
+    assert (np.diff(gaps) <= 1e-12).all()
+
+
+# --- rest -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("degrees", [3, 10])
+def test_a_leaning_object_gets_the_frame_in_which_it_rests(degrees):
+    turn = rotation_about([1, 1, 0], degrees)
+    mesh = slab((0.03, 0.04, 0.05)).transformed(turn, np.array([0.3, 0.1, -0.4]))
+    asset = make_object(shape_of(mesh))
+    np.testing.assert_allclose(asset.half_extents[2], 0.05, atol=2e-4)
+    assert asset.flags == ()
+    assert tilt_of(settled_turn(asset)) < np.radians(0.5)
+
+
+def test_a_toppling_object_is_flagged():
+    stick = slab((0.004, 0.004, 0.1)).transformed(rotation_about([0, 1, 0], 40), np.zeros(3))
+    asset = make_object(shape_of(stick))
+    assert any("does not stand as authored" in flag for flag in asset.flags)
+
+
+def test_upright_turn_takes_any_direction_up_without_yaw():
+    for up in np.random.default_rng(0).normal(size=(50, 3)):
+        up /= np.linalg.norm(up)
+        turn = upright_turn(up)
+        np.testing.assert_allclose(turn @ up, [0, 0, 1], atol=1e-12)
+        assert tilt_of(turn) == pytest.approx(np.arccos(up[2]))
+    np.testing.assert_allclose(upright_turn(np.array([0, 0, -1.0])) @ [0, 0, -1], [0, 0, 1])
+
+
+def test_a_box_rests_on_its_sides_the_wide_ones_more_often():
+    asset = make_object(shape_of(slab((0.05, 0.03, 0.01))))
+    heights = {round(pose.height, 3): pose.likelihood for pose in asset.resting}
+    assert asset.resting[0].quaternion == (1.0, 0.0, 0.0, 0.0)
+    assert set(heights) <= {0.01, 0.03, 0.05}
+    assert heights[0.01] + asset.resting[1].likelihood > 0.6
+    rest = [pose.likelihood for pose in asset.resting[1:]]
+    assert rest == sorted(rest, reverse=True)
+
+
+# --- whole bodies -----------------------------------------------------------------------------------
+
+
+def test_own_parts_are_kept_where_they_are_sound():
+    asset = make_object(open_box())
+    assert len(asset.parts) == 5
+    assert asset.quality.cavity_fill < 0.05
+    assert asset.quality.holds_ball
+    assert asset.flags == ()
+    np.testing.assert_allclose(asset.half_extents, [0.05, 0.04, 0.03], atol=1e-6)
+    vertices = np.concatenate([part.vertices for part in asset.parts])
+    np.testing.assert_allclose(vertices.min(0) + vertices.max(0), 0, atol=1e-6)
+    assert asset.cloud.shape == (CLOUD_SIZE, 3)
+    assert asset.cloud.dtype == np.float32
+
+
+def test_own_parts_that_fill_the_cavity_are_replaced_by_coacd():
+    slabs = open_box_slabs()
+    lid = Mesh.points(np.concatenate([each.vertices for each in slabs]))
+    asset = make_object(dataclasses.replace(open_box(), parts=(lid,)))
+    assert len(asset.parts) > 1
+    assert asset.quality.cavity_fill <= 0.2
+    assert asset.quality.holds_ball
+    assert asset.flags == ()
+
+
+def test_the_light_tier_is_one_hull():
+    asset = make_object(open_box(), BodyConfig(tier="light"))
+    assert len(asset.parts) == 1
+    assert len(asset.parts[0].vertices) <= MAX_PART_VERTICES
+    assert asset.tier == "light"
+    assert asset.quality.cavity_fill > 0.9
+    standard = make_object(open_box())
+    assert asset.mass == standard.mass
+
+
+def test_the_same_shape_gives_the_same_bytes():
+    shape = shape_of(slab((0.04, 0.01, 0.01)), slab((0.01, 0.01, 0.03), (0, 0, 0.03)))
+    first, second = make_object(shape), make_object(shape)
+    assert len(first.parts) > 1
+    assert object_hash(first) == object_hash(second)
+
+
+def test_settings_out_of_range_are_refused():
+    with pytest.raises(ConfigError):
+        DecompositionConfig(max_parts=64)
+    with pytest.raises(ConfigError):
+        DecompositionConfig(threshold=2)
+    with pytest.raises(ConfigError):
+        BodyConfig(tier="heavy")
+
+
+# --- solo -------------------------------------------------------------------------------------------
+
+
+def test_a_box_stands_alone_and_a_stick_on_end_does_not():
+    box = with_solo(make_object(shape_of(slab((0.04, 0.03, 0.02)))), trials=64)
+    assert box.quality.solo_rate == 1.0
+    assert box.quality.solo_trials == 64
+    assert 20 <= box.quality.solo_steps <= 60
+    assert box.flags == ()
+    # Tipped onto a corner, it has to fall.
+    tip = rotation_about([1, 1, 0], 50)
+    parts = tuple(Mesh.points(part.vertices @ tip.T) for part in box.parts)
+    assert solo_stability(dataclasses.replace(box, parts=parts), 32)[0] == 0.0
+
+
+def test_solo_poses_start_within_three_millimetres_above_the_top():
+    asset = make_object(shape_of(slab((0.04, 0.03, 0.02))))
+    poses = solo_poses(asset, 0.5, 500, 0)
+    gap = poses[:, 0, 2] - 0.5 - 0.02
+    assert gap.min() >= -1e-6
+    assert gap.max() <= 0.003 + 1e-6
+    assert np.ptp(gap) > 0.0025
+    np.testing.assert_allclose(np.linalg.norm(poses[:, 0, 3:], axis=1), 1, atol=1e-6)

@@ -1,0 +1,141 @@
+"""Visual surfaces face outwards whatever their files say, and sheets are drawn from both sides."""
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from cluttergen_jax.assets.body import make_object
+from cluttergen_jax.assets.facing import faced
+from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.solid import simplified, solid_of
+from cluttergen_jax.importing.readers.primitives import cylinder, ellipsoid
+from cluttergen_jax.rendering.gl import renderer_status
+from cluttergen_jax.rendering.picture import render_model
+from tests.helpers.shapes import open_box_slabs, shape_of, slab
+
+IS_DRAWING, STATUS = renderer_status()
+BALL = ellipsoid(np.full(3, 0.05))
+RNG = np.random.default_rng(0)
+
+
+def inverted(mesh, which=slice(None)):
+    faces = mesh.faces.copy()
+    faces[which] = faces[which][:, ::-1]
+    return Mesh(mesh.vertices, faces)
+
+
+def turned_outwards(*meshes):
+    """All surfaces of the pieces after they have been faced."""
+    pieces = faced([Piece(mesh) for mesh in meshes], solid_of(meshes))
+    return joined([piece.mesh for piece in pieces])
+
+
+def winding(mesh, points):
+    """How often a closed surface goes around each point: 1 inside, 0 outside (Van Oosterom and Strackee)."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]][None] - points[:, None] for k in range(3))
+    la, lb, lc = (np.linalg.norm(each, axis=2) for each in (a, b, c))
+    volume = (a * np.cross(b, c)).sum(2)
+    base = la * lb * lc + (a * b).sum(2) * lc + (b * c).sum(2) * la + (c * a).sum(2) * lb
+    return np.arctan2(volume, base).sum(1) / (2 * np.pi)
+
+
+def facing_out(mesh, solid, step=5e-4):
+    """The share of the surface's area that has air, not the solid, before it, seen at 200 triangles."""
+    solid = simplified(solid, 2e-4)
+    corners = mesh.vertices[mesh.faces[np.linspace(0, len(mesh.faces) - 1, 200).astype(int)]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normals, axis=1, keepdims=True)
+    before = winding(solid, corners.mean(1) + step * normals / area)
+    return float((area[:, 0] * (before < 0.5)).sum() / area.sum())
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        inverted(BALL),
+        inverted(BALL, RNG.random(len(BALL.faces)) < 0.4),
+        inverted(Mesh(BALL.vertices, BALL.faces[1:]), slice(0, 500)),
+        inverted(cylinder(0.03, 0.05), slice(None, None, 2)),
+    ],
+    ids=["closed", "partly", "holed", "striped"],
+)
+def test_an_inverted_surface_is_turned_outwards(mesh):
+    solid = solid_of([mesh]).mesh
+    assert facing_out(mesh, solid) < 0.7
+    after = turned_outwards(mesh)
+    assert facing_out(after, solid) == 1.0
+    np.testing.assert_array_equal(np.sort(after.faces, axis=1), np.sort(mesh.faces, axis=1))
+
+
+def test_what_faces_outwards_stays_as_it_is():
+    for meshes in ([BALL], [slab((0.05, 0.04, 0.03)), BALL], open_box_slabs()):
+        after = turned_outwards(*meshes)
+        np.testing.assert_array_equal(after.faces, joined(meshes).faces)
+
+
+def test_sides_of_several_colours_are_turned_by_what_they_enclose():
+    box = slab((0.05, 0.04, 0.03))
+    sides = [Mesh(box.vertices, box.faces[[i, i + 1]]) for i in range(0, 12, 2)]
+    wrong = [inverted(each) if index % 2 else each for index, each in enumerate(sides)]
+    pieces = faced([Piece(mesh) for mesh in wrong], solid_of([box]))
+    assert facing_out(joined([piece.mesh for piece in pieces]), box) == 1.0
+    assert sum(len(piece.mesh.faces) for piece in pieces) == 12
+
+
+def test_a_bowl_of_one_sheet_is_seen_from_both_sides():
+    is_bowl = BALL.vertices[BALL.faces, 2].max(1) < 0.01
+    bowl = inverted(Mesh(BALL.vertices, BALL.faces[is_bowl]), slice(0, 400))
+    after = turned_outwards(bowl)
+    num = len(bowl.faces)
+    assert len(after.faces) == 2 * num
+    corners = after.vertices[after.faces]
+    outwards = (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) * corners.mean(1)).sum(
+        1
+    )
+    assert (outwards[:num] > 0).all()
+    assert (outwards[num:] < 0).all()
+    # The second side lies inside the first, where it belongs.
+    radius = np.linalg.norm(corners.mean(1), axis=1)
+    np.testing.assert_allclose(radius[:num] - radius[num:], 0.0002, atol=2e-5)
+    (again,) = faced([Piece(bowl)], None)
+    assert len(again.mesh.faces) == 2 * num
+
+
+def brightness(surface):
+    """The mean of the pixels that show a surface, and their share."""
+    spec = mujoco.MjSpec()
+    mesh = spec.add_mesh(name="surface")
+    mesh.uservert, mesh.userface = surface.vertices.ravel(), surface.faces.ravel()
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, group=2)
+    image = render_model(spec.compile(), width=120, height=120, samples=1).astype(float).mean(2)
+    return image[image > 0].mean(), (image > 0).mean()
+
+
+@pytest.mark.skipif(not IS_DRAWING, reason=STATUS)
+def test_an_inverted_object_is_drawn_like_the_other():
+    stone = ellipsoid(np.array([0.05, 0.04, 0.03]))
+    light, size = brightness(stone)
+    assert brightness(inverted(stone))[0] < 0.9 * light
+    (piece,) = make_object(shape_of(inverted(stone))).pieces
+    assert brightness(piece.mesh) == (pytest.approx(light, rel=0.02), pytest.approx(size, rel=0.02))
+
+
+def test_a_moebius_strip_is_left_alone():
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    across = np.stack(
+        [np.cos(angle) * np.cos(angle / 2), np.sin(angle) * np.cos(angle / 2), np.sin(angle / 2)], 1
+    )
+    ring = 0.05 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+    vertices = np.concatenate([ring - 0.01 * across, ring + 0.01 * across])
+    here, there = np.arange(24), np.roll(np.arange(24), -1)
+    low, high = here, here + 24
+    low_next, high_next = there.copy(), there + 24
+    low_next[-1], high_next[-1] = 24, 0
+    faces = np.concatenate([np.stack([low, low_next, high], 1), np.stack([high, low_next, high_next], 1)])
+    strip = Mesh(vertices, faces)
+    assert not trimesh.Trimesh(vertices, faces).is_winding_consistent
+    (after,) = faced([Piece(strip)], None)
+    np.testing.assert_array_equal(after.mesh.faces[: len(faces)], faces)

@@ -1,0 +1,181 @@
+"""Pools put together: unions, all but some, added to, shown and removed; and banks that name such a pool."""
+
+from dataclasses import replace
+
+import pytest
+import trimesh
+
+from cluttergen_jax.assets import pool as pools
+from cluttergen_jax.assets.pool import Pool, composed, find_pool, public_name, user_root, write_pool
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.generation import make_sampler
+from cluttergen_jax.importing import run
+from cluttergen_jax.importing.run import ImportConfig, import_sources
+from cluttergen_jax.importing.worker import ObjectConfig
+from cluttergen_jax.learning.methods import choose_method
+from cluttergen_jax.learning.training.train import TrainConfig
+from cluttergen_jax.scene.bank import read_bank
+from tests.assets.test_pool import make_box
+from tests.helpers.worlds import box, prism
+
+QUICK = ObjectConfig(trials=8)
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path, monkeypatch):
+    """Two pools of the user's own: a holds mug and pan, b holds another mug and a lid."""
+    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
+    monkeypatch.setattr(run, "run_all", lambda do, jobs, _: ((i, do(job)) for i, job in enumerate(jobs)))
+    write_pool(user_root() / "a", Pool("a", (make_box("mug"), make_box("pan")), licence="CC0"))
+    write_pool(user_root() / "b", Pool("b", (make_box("mug", seed=1), make_box("lid")), licence="MIT"))
+
+
+def test_a_union_prefixes_what_clashes():
+    union = find_pool("a+b")
+    assert union.names == ("a-mug", "pan", "b-mug", "lid")
+    assert (union.name, union.licence) == ("a-b", "CC0; MIT")
+    assert find_pool("a+b").hash == union.hash != find_pool("b+a").hash
+    assert find_pool(f"{user_root() / 'a'}+dining").names[:2] == ("a-mug", "pan")
+
+
+def test_all_but_some():
+    assert find_pool("a~mug").names == find_pool("a", exclude=("mug",)).names == ("pan",)
+    assert find_pool("a+b~a-mug~lid").names == ("pan", "b-mug")
+    assert find_pool("a~mug").hash == Pool("other", (find_pool("a")["pan"],)).hash
+    assert len(find_pool("all", ["mug"])) == 49
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a+c", "'c'"),
+        ("a+", "''"),
+        ("a~jug", "no object 'jug'.*mug, pan"),
+        ("a~mug~pan", "no object left"),
+        ("a+a", "different names"),
+        ("a+light", "one tier"),
+    ],
+)
+def test_what_cannot_be_put_together(text, message):
+    lean = replace(make_box("bar"), tier="light")
+    write_pool(user_root() / "light", Pool("light", (lean,), tier="light"))
+    with pytest.raises(PoolError, match=message):
+        find_pool(text)
+
+
+def test_a_folder_may_be_called_like_a_union(tmp_path):
+    path = write_pool(tmp_path / "x+y~z", Pool("xyz", (make_box("bar"),)))
+    assert find_pool(path).names == ("bar",)
+
+
+def test_names_without_folders():
+    assert public_name("/home/me/pools/a+dining~mug") == "a+dining~mug"
+    assert public_name("dining") == "dining"
+    assert Trial(pool="/home/me/a+/home/me/b~mug").pool_name == "a+b~mug"
+    assert TrainConfig(pool=composed("/home/me/a", ["mug"])).folder.name == "a~mug-policy-0"
+
+
+def test_part_of_a_pool_has_its_policy():
+    for method in (None, "policy"):
+        (name, part), (_, whole) = (
+            choose_method(method, pool, "table", 9) for pool in ("dining~mug", "dining")
+        )
+        assert name == "policy"
+        assert part.path == whole.path
+
+
+@pytest.mark.slow
+def test_a_bank_of_a_composition_is_made_continued_and_verified(tmp_path, capsys):
+    write_pool(user_root() / "c", Pool("c", (box("cube", (0.03, 0.03, 0.03)), prism("can", 0.03, 0.04))))
+    write_pool(
+        user_root() / "d", Pool("d", (box("slab", (0.05, 0.05, 0.01)), box("cube", (0.02, 0.02, 0.02))))
+    )
+    out = str(tmp_path / "bank")
+    line = [
+        "generate",
+        "--pool",
+        "c+d",
+        "--exclude",
+        "c-cube",
+        "--method",
+        "clear",
+        "--no-render",
+        "--out",
+        out,
+    ]
+    assert main([*line, "-n", "1"]) == 0
+    bank = read_bank(out)
+    assert bank.record["recipe"]["pool"] == "c+d~c-cube"
+    # No key of its own: banks of whole pools that older versions made are continued as before.
+    assert "exclude" not in bank.record["recipe"]
+    assert set(bank.record["assets"]["objects"]) == {"can", "slab", "d-cube"}
+    assert main(["generate", "--pool", "c+d~c-cube", *line[5:], "-n", "2"]) == 0
+    assert read_bank(out).num_scenes == 2
+    assert main(["verify", out, "--seconds", "1"]) == 0
+    # Another exclusion is another bank.
+    assert main([*line[:3], "--exclude", "can", *line[5:], "-n", "2"]) == 2
+    assert "another names, pool" in capsys.readouterr().err
+
+
+def test_samplers_leave_objects_out():
+    sampler = make_sampler("dining", exclude=("mug", "bottle"), num_objects=3, method="random")
+    assert sampler.problem.config.pool == "dining~mug~bottle"
+    assert not {"mug", "bottle"} & set(sampler.problem.world.names)
+    with pytest.raises(ConfigError, match="exclude"):
+        make_sampler("dining", exclude="mug")
+
+
+def test_adding_to_a_pool(tmp_path):
+    crate, cube = tmp_path / "crate.obj", tmp_path / "cube.obj"
+    trimesh.creation.box((0.08, 0.06, 0.04)).export(crate)
+    trimesh.creation.box((0.05, 0.05, 0.05)).export(cube)
+
+    def add(path, **how):
+        return import_sources([path], "a", ImportConfig(QUICK, 1, progress=False, **how))
+
+    assert len(add(crate, add=True).objects) == 1
+    assert find_pool("a").names == ("mug", "pan", "crate")
+    assert set(find_pool("a").licence.split("; ")) == {"CC0", "not stated"}
+    # The same again changes nothing.
+    assert add(crate, add=True).num_cached == 1
+    assert find_pool("a").names == ("mug", "pan", "crate")
+    # Another object of that name is refused, or replaced where it was.
+    cube.replace(crate)
+    with pytest.raises(PoolError, match=r"other objects called crate.*`force`"):
+        add(crate, add=True)
+    assert find_pool("a")["crate"].half_extents[0] == pytest.approx(0.04, abs=1e-4)
+    add(crate, add=True, force=True)
+    assert find_pool("a").names == ("mug", "pan", "crate")
+    assert find_pool("a")["crate"].half_extents[0] == pytest.approx(0.025, abs=1e-4)
+    with pytest.raises(PoolError, match=r"not among your own.*a, b"):
+        import_sources([crate], "nowhere", ImportConfig(QUICK, 1, progress=False, add=True))
+
+
+def test_show_list_and_remove(capsys):
+    assert main(["pool", "show", "a+b~lid"]) == 0
+    out = capsys.readouterr().out
+    assert "a-mug" in out
+    assert "60 x 40 x 82" in out
+    assert "! pan: a flag" in out
+    assert main(["pool", "list"]) == 0
+    assert str(user_root() / "a") in capsys.readouterr().out
+    assert main(["pool", "remove", "a", "nothing"]) == 2
+    assert (user_root() / "a").is_dir()
+    assert main(["pool", "remove", "dining"]) == 2
+    assert "'dining' is embedded" in capsys.readouterr().err
+    assert main(["pool", "remove", "a"]) == 0
+    assert "removed pool a (2 objects: mug, pan)" in capsys.readouterr().out
+    assert [each.name for each in user_root().iterdir()] == ["b"]
+    (user_root() / "b" / "mug" / "object.json").write_text("{}")
+    assert main(["pool", "remove", "b"]) == 0
+    assert "damaged" in capsys.readouterr().out
+    assert not list(user_root().iterdir())
+    assert main(["pool", "show"]) == main(["pool", "list", "a"]) == 2
+
+
+def test_a_pool_that_hides_behind_an_embedded_name_is_not_removed(capsys):
+    write_pool(user_root() / "dining", Pool("dining", (make_box("mug"),)))
+    assert main(["pool", "remove", "dining"]) == 2
+    assert find_pool("dining").hash == pools.read_pool(pools.embedded_root() / "pools" / "dining").hash

@@ -1,0 +1,352 @@
+"""Images on surfaces: read from every format, kept by pools and banks, the right way up wherever they go."""
+
+import dataclasses
+import io
+import json
+import struct
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from cluttergen_jax.assets.facing import faced
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
+from cluttergen_jax.assets.pieces import drawn
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.scene_cloud import cloud_colours
+from cluttergen_jax.assets.shape import Piece, Shape
+from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
+from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.errors import BankError, PoolError
+from cluttergen_jax.importing.cache import source_digest
+from cluttergen_jax.importing.readers import ReadOptions, Source, find_sources, read_source, survey
+from cluttergen_jax.importing.support_import import support_from_mesh
+from cluttergen_jax.rendering.viewer.scene_nodes import textured_mesh
+from cluttergen_jax.scene.bank.bank import read_bank
+from cluttergen_jax.scene.bank.writer import BankWriter
+from tests.helpers import textured
+from tests.helpers.shapes import SOURCE
+
+WAYS = {
+    "obj": textured.write_obj,
+    "glb": textured.write_gltf,
+    "gltf": lambda folder: textured.write_gltf(folder, "slab.gltf"),
+    "dae": textured.write_dae,
+    "urdf": textured.write_urdf,
+    "urdf-material": lambda folder: textured.write_urdf(folder, with_own_material=False),
+    "mjcf": textured.write_mjcf,
+}
+
+
+def assert_upright(piece, factor=1.0):
+    """Each quarter of the slab's top has the colour that belongs there."""
+    for (x, y), colour in textured.quarters():
+        np.testing.assert_allclose(textured.colour_at(piece, x, y), np.array(colour) * factor, atol=3)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_every_format_brings_its_image_the_right_way_up(way, tmp_path):
+    (shape,) = read_source(WAYS[way](tmp_path / "in"))
+    (piece,) = shape.pieces
+    assert shape.notes == ()
+    assert piece.texture.image.size == (64, 64)
+    assert_upright(piece)
+
+
+def test_the_colour_of_a_material_multiplies_its_image(tmp_path):
+    dim, black = (
+        read_source(textured.write_obj(tmp_path / kd[0], kd=kd))[0].pieces[0]
+        for kd in ("0.5 0.5 0.5", "0 0 0")
+    )
+    assert_upright(dim, 0.5)
+    assert dim.rgba[0] != 0.5  # MuJoCo takes exactly this grey for no colour at all.
+    assert_upright(black)
+
+
+def test_two_materials_of_a_file_stay_apart(tmp_path):
+    path = textured.write_obj(tmp_path)
+    lines = path.read_text().splitlines()
+    middle = next(k for k, line in enumerate(lines) if line.startswith("f ")) + 6
+    path.write_text("\n".join([*lines[:middle], "usemtl plain", *lines[middle:]]) + "\n")
+    with (tmp_path / "slab.mtl").open("a") as file:
+        file.write("newmtl plain\nKd 0.2 0.4 0.6\n")
+    pieces = read_source(path)[0].pieces
+    assert {piece.texture is None: len(piece.mesh.faces) for piece in pieces} == {False: 6, True: 6}
+    plain = next(piece for piece in pieces if piece.texture is None)
+    np.testing.assert_allclose(plain.rgba, (0.2, 0.4, 0.6, 1), atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [
+        ("label.png", "textures/label.png"),
+        ("C:\\\\models\\\\art\\\\label.png", "label.png"),
+        ("-s 1 1 1 -clamp on label.png", "label.png"),
+        ("my%20label.png", "my label.png"),
+        ("../pictures/label.png", "../pictures/label.png"),
+    ],
+)
+def test_an_image_is_found_where_it_moved_to(name, place, tmp_path):
+    path = textured.write_obj(tmp_path / "in")
+    (tmp_path / "in" / "slab.mtl").write_text(f"newmtl printed\nmap_Kd {name}\n")
+    (tmp_path / "in" / place).parent.mkdir(exist_ok=True)
+    (tmp_path / "in" / "slab.png").rename(tmp_path / "in" / place)
+    (shape,) = read_source(path)
+    assert_upright(shape.pieces[0])
+    before = source_digest(find_sources(path)[0])
+    (tmp_path / "in" / place).write_bytes(textured.png(textured.picture(32)))
+    assert source_digest(find_sources(path)[0]) != before
+
+
+def _without_image(folder):
+    path = textured.write_obj(folder)
+    (folder / "slab.png").unlink()
+    return path, "slab.png"
+
+
+def _without_material_file(folder):
+    path = textured.write_obj(folder)
+    (folder / "slab.mtl").unlink()
+    return path, "slab.mtl"
+
+
+def _no_image(folder):
+    path = textured.write_obj(folder)
+    (folder / "slab.png").write_text("this is no picture")
+    return path, "slab.png cannot be read as an image"
+
+
+def _cut_image(folder):
+    path = textured.write_obj(folder)
+    data = (folder / "slab.png").read_bytes()
+    (folder / "slab.png").write_bytes(data[:-60])
+    return path, "cannot be decoded"
+
+
+def _broken_in_glb(folder):
+    path = textured.write_gltf(folder)
+    path.write_bytes(path.read_bytes().replace(b"\x89PNG", b"XXXX"))
+    return path, "the image of material 'printed' cannot be read"
+
+
+def _moved_in_glb(folder):
+    path = textured.write_gltf(folder)
+    data = path.read_bytes()
+    (length,) = struct.unpack("<I", data[12:16])
+    document = json.loads(data[20 : 20 + length])
+    image = document["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
+    image["extensions"] = {"KHR_texture_transform": {"offset": [0.5, 0]}}
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + length :]
+    head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON")
+    path.write_bytes(head + text + rest)
+    return path, "KHR_texture_transform"
+
+
+def _with_relief(folder):
+    path = textured.write_obj(folder)
+    with (folder / "slab.mtl").open("a") as file:
+        file.write("map_Bump relief.png\n")
+    return path, "map_bump"
+
+
+def _missing_in_urdf(folder):
+    path = textured.write_urdf(folder, with_own_material=False)
+    (folder / "slab.png").unlink()
+    return path, "slab.png"
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        _without_image,
+        _without_material_file,
+        _no_image,
+        _cut_image,
+        _broken_in_glb,
+        _moved_in_glb,
+        _with_relief,
+        _missing_in_urdf,
+    ],
+)
+def test_an_image_that_is_lost_is_said(harm, tmp_path):
+    path, said = harm(tmp_path / "in")
+    (shape,) = read_source(path)
+    assert any(said in note for note in shape.notes), shape.notes
+    assert (shape.pieces[0].texture is None) == (harm not in (_moved_in_glb, _with_relief))
+
+
+def test_vertex_colours_become_one_and_that_is_said(tmp_path):
+    vertices, faces, _ = textured.slab()
+    colours = np.zeros((len(vertices), 4), np.uint8)
+    colours[:] = np.where(vertices[:, :1] > 0, (255, 0, 0, 255), (0, 0, 255, 255))
+    trimesh.Trimesh(vertices, faces, vertex_colors=colours, process=False).export(str(tmp_path / "a.ply"))
+    (shape,) = read_source(tmp_path / "a.ply")
+    assert any("vertex colours" in note for note in shape.notes)
+    np.testing.assert_allclose(shape.pieces[0].rgba, (0.5, 0, 0.5, 1), atol=0.02)
+
+
+def test_large_images_are_shrunk_unless_asked(tmp_path):
+    path = textured.write_obj(tmp_path)
+    textured.picture(1500).save(tmp_path / "slab.png", "JPEG")
+    (usual,), (large,), (small,) = (
+        read_source(path, options)[0].pieces
+        for options in (None, ReadOptions(max_texture=4096), ReadOptions(max_texture=16))
+    )
+    assert [each.texture.image.size[0] for each in (usual, large, small)] == [1024, 1500, 16]
+    for piece in (usual, large):
+        for (x, y), colour in textured.quarters():
+            np.testing.assert_allclose(textured.colour_at(piece, x, y), colour, atol=12)
+
+
+def test_objects_keep_their_image_on_disk(tmp_path):
+    asset = textured.asset()
+    write_object(tmp_path / "slab", asset)
+    back = read_object(tmp_path / "slab")
+    assert object_files(back) == object_files(asset)
+    assert object_hash(back) == object_hash(asset)
+    assert_upright(back.pieces[0])
+    other = dataclasses.replace(asset.pieces[0], texture=Texture.of(textured.picture(32)))
+    assert object_hash(textured.asset(surface=other)) != object_hash(asset)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "slab" / "object.xml"))
+    assert (model.ntex, model.mesh_texcoordnum.sum() > 0) == (1, True)
+    image = tmp_path / "slab" / asset.textures[0].file_name
+    image.write_bytes(textured.png(textured.picture(32)))
+    with pytest.raises(PoolError, match=asset.textures[0].file_name):
+        read_object(tmp_path / "slab")
+
+
+def test_objects_without_an_image_are_what_they_were():
+    """The digests that pools of the first version had."""
+    hashes = {name: object_hash(find_pool(name).objects[0])[:16] for name in ("dining", "office")}
+    assert hashes == {"dining": "bbd45dd74efd9391", "office": "4c94f33de0636655"}
+
+
+def test_supports_keep_their_image(tmp_path):
+    vertices, faces, uv = textured.slab()
+    piece = Piece(Mesh(vertices * 5, faces), (1.0, 1.0, 1.0, 1.0), uv, Texture.of(textured.picture()))
+    support = support_from_mesh(Shape("tray", "tray", (piece,), SOURCE))
+    back = read_support(write_support(tmp_path / "tray", support))
+    assert support_hash(back) == support_hash(support)
+    assert back.pieces[0].texture == piece.texture
+    (tmp_path / "tray" / piece.texture.file_name).write_bytes(textured.png(textured.picture(32)))
+    with pytest.raises(PoolError, match=piece.texture.file_name):
+        read_support(tmp_path / "tray")
+
+
+def test_a_bank_stores_each_image_once(tmp_path):
+    scene = textured.scene(textured.asset("one"), textured.asset("two"))
+
+    def write():
+        with BankWriter(tmp_path / "bank", {"pool": "printed"}, 1, scene.assets, scene.support):
+            pass
+
+    write()
+    images = list((tmp_path / "bank").rglob("*.png"))
+    assert [path.parent.name for path in images] == ["textures"]
+    bank = read_bank(tmp_path / "bank")
+    for name, asset in scene.assets.items():
+        assert object_hash(bank.object(name)) == object_hash(asset)
+        assert mujoco.MjModel.from_xml_path(str(bank.path / "assets" / "objects" / name / "object.xml")).ntex
+    images[0].unlink()
+    with pytest.raises(BankError, match=images[0].name):
+        bank.object("two")
+    write()
+    assert_upright(bank.object("two").pieces[0])
+
+
+def test_welding_keeps_seams_and_simplifying_keeps_the_image():
+    ball = trimesh.creation.uv_sphere(radius=0.1, count=(60, 60))
+    around = np.arctan2(ball.vertices[:, 1], ball.vertices[:, 0]) / (2 * np.pi)
+    uv = np.column_stack([np.mod(around, 1), ball.vertices[:, 2] / 0.2 + 0.5])
+    corners, corner_uv = ball.vertices[ball.faces].reshape(-1, 3), uv[ball.faces].reshape(-1, 2)
+    # Triangles over the seam end at one.
+    wraps = np.ptp(corner_uv[:, 0].reshape(-1, 3), axis=1) > 0.5
+    low = corner_uv[:, 0].reshape(-1, 3) < 0.5
+    corner_uv[:, 0] += (wraps[:, None] & low).ravel()
+    stripes = Image.fromarray(np.repeat(np.arange(256, dtype=np.uint8)[None], 64, axis=0)).convert("RGB")
+    faces = np.arange(len(corners)).reshape(-1, 3)
+    piece = Piece(Mesh(corners, faces), (1.0, 1.0, 1.0, 1.0), corner_uv, Texture.of(stripes))
+    (small,) = drawn([piece], max_textured=3000)
+    assert len(faces) > 6_500
+    assert 2_000 < len(small.mesh.faces) <= 3_000
+    assert len(small.mesh.vertices) < 0.6 * len(small.mesh.faces)
+    middle = small.mesh.vertices[small.mesh.faces].mean(1)
+    shown = small.texture.at(small.uv[small.mesh.faces].mean(1))[:, 0]
+    meant = np.mod(np.arctan2(middle[:, 1], middle[:, 0]) / (2 * np.pi), 1)
+    off = np.abs(shown - meant)
+    # All around, the two sides of the seam included, but for the poles, where a place has every colour.
+    is_away = np.linalg.norm(middle[:, :2], axis=1) > 0.02
+    assert np.quantile(np.minimum(off, 1 - off)[is_away], 0.99) < 0.02
+
+
+def test_the_second_side_of_a_sheet_has_the_image_too():
+    whole = textured.piece()
+    corners = whole.mesh.vertices[whole.mesh.faces]
+    is_top = (corners[..., 2] > textured.SIZE[2] / 2 - 1e-6).all(1)
+    sheet = dataclasses.replace(whole, mesh=Mesh(whole.mesh.vertices, whole.mesh.faces[is_top]))
+    (both,) = faced([sheet], None)
+    assert len(both.mesh.faces) == 2 * is_top.sum()
+    assert_upright(both)
+    back = dataclasses.replace(both, mesh=Mesh(both.mesh.vertices, both.mesh.faces[is_top.sum() :]))
+    assert_upright(back)
+
+
+def test_clouds_have_the_colours_of_the_image():
+    asset = textured.asset()
+    on_top = np.array([[*place, textured.SIZE[2] / 2] for place, _ in textured.quarters()], np.float32)
+    cloud = np.resize(on_top, asset.cloud.shape)
+    colours = cloud_colours(dataclasses.replace(asset, cloud=cloud))
+    np.testing.assert_array_equal(colours[:4], [colour for _, colour in textured.quarters()])
+
+
+def test_the_viewer_is_given_the_image():
+    blob = io.BytesIO(textured_mesh(textured.piece()).export(file_type="glb"))
+    (geometry,) = trimesh.load_scene(blob, file_type="glb", process=False).geometry.values()
+    piece = Piece(
+        Mesh(geometry.vertices, geometry.faces),
+        (1.0, 1.0, 1.0, 1.0),
+        geometry.visual.uv,
+        Texture.of(geometry.visual.material.baseColorTexture),
+    )
+    assert_upright(piece)
+    assert geometry.visual.material.doubleSided
+
+
+@pytest.mark.parametrize(
+    ("place", "kind"),
+    [
+        ("003_cracker_box/google_16k/textured.obj", "google_16k"),
+        ("065-a_cups/google_16k/textured.obj", "google_16k"),
+        ("003_cracker_box/textured_simple.obj", "YCB-Video"),
+        ("099_something/google_16k/textured.obj", None),
+        ("003_cracker_box/mine.obj", None),
+    ],
+)
+def test_ycb_downloads_bear_its_terms(place, kind, tmp_path):
+    path = tmp_path / place
+    textured.write_obj(path.parent, path.stem, "texture_map.png")
+    (source,) = find_sources(tmp_path)
+    assert isinstance(source, Source)
+    (shape,) = read_source(path)
+    assert_upright(shape.pieces[0])
+    assert (shape.provenance.licence == "CC BY 4.0") == (kind is not None)
+    if kind:
+        assert shape.name == place.split("/")[0]
+        assert shape.provenance.source == f"YCB Object and Model Set ({kind})"
+        assert "ICAR 2015" in shape.provenance.attribution
+
+
+def test_of_several_scans_of_a_ycb_object_the_best_is_taken(tmp_path):
+    for scan in ("google_512k", "google_16k", "poisson", "tsdf"):
+        textured.write_obj(tmp_path / "006_mustard_bottle" / scan, "textured", "texture_map.png")
+    textured.write_obj(tmp_path / "poisson", "poisson")
+    found = survey(tmp_path)
+    assert [source.name for source in found.sources] == ["006_mustard_bottle", "poisson"]
+    assert found.sources[0].path.parent.name == "google_16k"
+    assert found.sources[0].label == "mustard bottle"
+    assert sorted(each.name.split("/")[2] for each in found.skipped) == ["google_512k", "poisson", "tsdf"]

@@ -1,0 +1,218 @@
+"""Settings that cannot be meant, and places that cannot be written to: refused with a sentence, at once."""
+
+import errno
+import math
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from cluttergen_jax.assets.reach import check_reach
+from cluttergen_jax.assets.support import Rectangle, cuboid_table
+from cluttergen_jax.assets.support_file import find_support, list_supports
+from cluttergen_jax.cli.main import main, run
+from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation.measures.simulate import horizons_of
+from cluttergen_jax.evaluation.runner import Runner
+from cluttergen_jax.evaluation.store import Store
+from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.generation import make_sampler
+from cluttergen_jax.importing.readers import ReadOptions
+from cluttergen_jax.importing.worker import ObjectConfig
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.problem import ProblemConfig, make_problem
+from cluttergen_jax.scene import Scene
+from tests.helpers.banks import two_scenes
+
+NOT_POSITIVE = (math.nan, math.inf, 0.0, -1.0)
+ONE = {"objects": ("mug",), "placement": PlacementConfig(num_objects=1)}
+
+
+@pytest.mark.parametrize("value", NOT_POSITIVE)
+@pytest.mark.parametrize(
+    ("config", "name"),
+    [
+        (VerifyConfig(), "seconds"),
+        (VerifyConfig(), "max_shift"),
+        (VerifyConfig(), "max_turn_deg"),
+        (ReadOptions(), "scale"),
+        (ReadOptions(), "density"),
+        (ReadOptions(), "mass"),
+        (ObjectConfig(), "trials"),
+        (ContactConfig(), "gravity"),
+        (ContactConfig(), "iterations"),
+        (StabilityConfig(), "timestep"),
+    ],
+)
+def test_numbers_have_to_be_finite_and_above_zero(config, name, value):
+    with pytest.raises(ConfigError, match=name):
+        replace(config, **{name: value})
+    assert getattr(replace(config, **{name: 2}), name) == 2
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"friction": (0.5, 0.005)},
+        {"friction": (math.nan, 0.005, 0.0001)},
+        {"solref": (0.0, 1.0)},
+        {"solimp": "firm"},
+        {"condim": 2},
+        {"cone": "round"},
+        {"noslip_iterations": -1},
+    ],
+)
+def test_contact_parameters_are_checked(wrong):
+    with pytest.raises(ConfigError, match=next(iter(wrong))):
+        ContactConfig(**wrong)
+
+
+@pytest.mark.parametrize("seconds", [math.nan, math.inf, 0.0])
+def test_certify_refuses_a_horizon_before_it_writes(tmp_path, capsys, seconds):
+    bank = tmp_path / "bank"
+    two_scenes(bank)
+    before = {path: path.read_bytes() for path in bank.rglob("*") if path.is_file()}
+    assert main(["certify", str(bank), "--seconds", str(seconds)]) == 2
+    assert "ascending times above zero" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in bank.rglob("*") if path.is_file()} == before
+    with pytest.raises(ConfigError):
+        horizons_of((1.0, seconds))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_rectangles_are_finite(value):
+    for wrong in ({"center": (0.0, value)}, {"half_extents": (value, 0.1)}, {"yaw": value}):
+        with pytest.raises(ConfigError, match="finite"):
+            Rectangle(**wrong)
+    for side in (0.0, -0.1):
+        with pytest.raises(ConfigError, match="above zero"):
+            Rectangle(half_extents=(0.1, side))
+
+
+# Regions
+
+
+@pytest.mark.parametrize("name", sorted(list_supports()))
+def test_own_regions_lie_on_their_supports(name):
+    support = find_support(name)
+    check_reach(support.region, support)
+    x, y = support.region.half_extents
+    with pytest.raises(ConfigError, match="beyond support"):
+        check_reach(replace(support.region, half_extents=(2 * x, 2 * y)), support)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.5])
+@pytest.mark.parametrize(
+    ("region", "fits"),
+    [
+        (Rectangle((0.0, 0.0), (0.305, 0.355)), True),
+        (Rectangle((0.1, 0.0), (0.2, 0.35)), True),
+        (Rectangle((0.0, 0.0), (0.34, 0.29), math.pi / 2), True),
+        (Rectangle((0.0, 0.0), (0.6, 0.6)), False),
+        (Rectangle((0.12, 0.0), (0.2, 0.35)), False),
+        (Rectangle((0.0, 0.0), (0.3, 0.35), math.pi / 2), False),
+        (Rectangle((0.0, 0.0), (0.25, 0.25), math.pi / 4), False),
+    ],
+)
+def test_regions_lie_on_the_top_however_they_and_it_are_turned(region, fits, turn):
+    own = cuboid_table()
+    x, y = region.center
+    center = (x * math.cos(turn) - y * math.sin(turn), x * math.sin(turn) + y * math.cos(turn))
+    region = replace(region, center=center, yaw=region.yaw + turn)
+    table = replace(own, boxes=(replace(own.boxes[0], yaw=turn),), region=replace(own.region, yaw=turn))
+    if fits:
+        check_reach(region, table)
+        return
+    with pytest.raises(ConfigError, match="beyond support"):
+        check_reach(region, table)
+
+
+def test_a_problem_whose_region_is_beyond_the_table_is_refused():
+    with pytest.raises(ConfigError, match="beyond support 'table'"):
+        make_problem(ProblemConfig(region=Rectangle((0.0, 0.0), (0.6, 0.6)), **ONE))
+
+
+def test_regions_that_grow_in_evaluation_may_be_wider_than_the_top(tmp_path):
+    runner = Runner(Store(tmp_path))
+    problem = runner.setup(runner.resolve(Trial(change="all", num_objects=1)))
+    assert problem.region.half_extents == (0.30, 0.35)
+    np.testing.assert_allclose(problem.rules.region.half_extents, (0.35, 0.35))
+
+
+# Scenes in a user's own model
+
+
+def test_attaching_asks_for_objects_and_a_place():
+    asset = make_problem(ProblemConfig(**ONE)).world.objects[0]
+    pose = np.array([[0.0, 0.0, 0.8, 1.0, 0.0, 0.0, 0.0]])
+    scene = Scene(("mug",), (asset,), pose, cuboid_table())
+    for wrong in (
+        {"quaternion": (math.nan, 0.0, 0.0, 0.0)},
+        {"quaternion": (1.0, 0.0)},
+        {"position": (0.0, math.nan, 0.0)},
+    ):
+        with pytest.raises(ConfigError, match=next(iter(wrong))):
+            scene.attach_to(mujoco.MjSpec(), **wrong)
+    with pytest.raises(ConfigError, match="without objects"):
+        Scene((), (), np.zeros((0, 7)), cuboid_table()).attach_to(mujoco.MjSpec())
+    assert scene.attach_to(mujoco.MjSpec()).bodies == ("clutter/mug",)
+
+
+# The command line
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["verify", "x.xml", "--jobs", "-1"],
+        ["certify", "bank", "--jobs", "-1"],
+        ["import", "mesh.obj", "--pool", "mine", "--jobs", "-1"],
+        ["generate", "--threads", "-1"],
+        ["evaluate", "--threads", "-1"],
+    ],
+)
+def test_workers_are_not_negative(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    assert "0 to 4096" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_sampler_has_no_negative_threads():
+    with pytest.raises(ConfigError, match="0 to 4096"):
+        make_sampler(num_threads=-1)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["pretrain", "--encoder", "set"],
+        ["evaluate", "--methods", "random", "--trials", "1"],
+        ["train", "--num-objects", "2"],
+        ["export", "bank", "--format", "mjcf"],
+    ],
+)
+def test_a_file_in_the_place_of_the_folder_is_explained(words, tmp_path, monkeypatch, capsys):
+    taken = tmp_path / "taken"
+    taken.write_text("mine")
+    two_scenes(tmp_path / "bank")
+    monkeypatch.chdir(tmp_path)
+    assert main([*words, "--out", str(taken)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert str(taken) in said
+    assert "Try: " in said
+    assert taken.read_text() == "mine"
+
+
+@pytest.mark.parametrize("code", [errno.EROFS, errno.EACCES, errno.ENOSPC, errno.EIO])
+def test_what_the_disk_refuses_is_explained(code, capsys):
+    class Refused:
+        def run(self):
+            raise OSError(code, "no", "bank/verification.json")
+
+    assert run(Refused()) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: bank/verification.json: no. Try: ")

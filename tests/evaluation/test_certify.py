@@ -1,0 +1,124 @@
+"""Certificates: measured by hand where a hand can, kept in the bank, and taken up again."""
+
+import numpy as np
+import pytest
+
+import cluttergen_jax
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.placement.rollout import BLOCK_SIZE
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.bank import block_path, read_block
+from cluttergen_jax.scene.bank.card import CARD
+from cluttergen_jax.scene.bank.stats import stats_of
+from cluttergen_jax.scene.bank.table import CERTIFICATE
+from cluttergen_jax.scene.bank.writer import write_rows
+from tests.helpers import banks
+
+
+@pytest.fixture(scope="module")
+def bank(tmp_path_factory):
+    path = tmp_path_factory.mktemp("banks") / "bank"
+    banks.two_scenes(path)
+    assert main(["certify", str(path), "--seconds", "0.5"]) == 0
+    return path
+
+
+def test_numbers_are_those_of_the_mechanics(bank):
+    table = read_bank(bank).table
+    one, two, failed = (table.slice(row, 1).to_pylist()[0] for row in range(3))
+    assert all(failed[name] is None for name in CERTIFICATE.names)
+    # Two things on the table, neither on the other; -1 is the table.
+    assert one["rests_on"] == [[0, -1], [1, -1]]
+    assert two["rests_on"] == [[0, -1], [2, -1]]
+    for scene in (one, two):
+        assert scene["horizon_seconds"] == 0.5
+        assert scene["num_contacts"] > 0
+        assert 0 <= scene["residual_speed"] < 0.005
+        assert 0 <= scene["horizon_drift"] < 1e-3
+        assert 0 <= scene["penetration"] < 1e-3
+        assert scene["shake"] == min(scene["shake_x"], scene["shake_y"])
+    # Half of the narrower side of each, on the table.
+    assert one["margins"] == pytest.approx([0.03, one["margins"][1]], abs=1e-4)
+    assert two["margins"] == pytest.approx([0.03, 0.01], abs=1e-4)
+    assert one["margin"] == min(one["margins"])
+    # The tall one's centre is at ten times its half side: it tips over from 5.7 degrees on.
+    assert [two[f"tilt_{by}"] for by in (1, 2, 5)] == [1.0, 1.0, 1.0]
+    # Friction holds until 0.5 g; the tall one tips over at 0.1 g. What is let go takes a while for 5 mm.
+    assert 0.5 * 9.81 - 0.05 < one["shake"] < 0.5 * 9.81 + 0.6
+    assert 0.1 * 9.81 - 0.05 < two["shake"] < 0.1 * 9.81 + 0.6
+
+
+def test_stats_and_card_say_what_was_measured(bank, capsys):
+    found = stats_of(read_bank(bank)).certificate
+    rows = read_bank(bank).table.to_pylist()[:2]
+    assert found.scenes == 2
+    assert found.shake_least == min(row["shake"] for row in rows)
+    assert found.shake_median == pytest.approx(np.mean([row["shake"] for row in rows]))
+    assert found.horizon_drift == max(row["horizon_drift"] for row in rows)
+    assert (found.horizon_seconds, found.on_others) == (0.5, 0.0)
+    assert main(["stats", str(bank)]) == 0
+    said = capsys.readouterr().out
+    for line in found.lines():
+        assert line in said
+    card = (bank / CARD).read_text()
+    assert f"{found.shake_median:.2f} m/s^2 in the median" in card
+
+
+def test_what_is_certified_is_not_measured_again(bank, capsys):
+    before = block_path(bank, 0).read_bytes()
+    assert main(["certify", str(bank)]) == 0
+    assert "2 scenes that stand have their certificate (0 rows are new)" in capsys.readouterr().out
+    assert block_path(bank, 0).read_bytes() == before
+    assert "| `shake` |" in (bank / CARD).read_text()
+
+
+def test_certificates_from_python_are_the_commands(bank, tmp_path):
+    again = tmp_path / "bank"
+    banks.two_scenes(again)
+    found = cluttergen_jax.certify(again, seconds=0.5)
+    table = read_bank(again).table
+    assert table.equals(read_bank(bank).table)
+    assert found.num_new == table.num_rows
+    assert found.shake.tolist() == [each for each in table["shake"].to_pylist() if each is not None]
+    assert cluttergen_jax.certify(read_bank(again)).num_new == 0
+
+
+def test_a_certificate_of_an_older_version_is_shown_and_completed(tmp_path, capsys):
+    path = tmp_path / "bank"
+    banks.two_scenes(path)
+    assert main(["certify", str(path), "--seconds", "0.1"]) == 0
+    now = read_bank(path)
+    lines, table = stats_of(now).certificate.lines(), now.table
+    rows = read_block(path, 0).drop_columns(
+        ["num_unsupported", "margin", "margins", "tilt_1", "tilt_2", "tilt_5"]
+    )
+    record = {name: value for name, value in now.record.items() if name != "num_scenes"}
+    write_rows(path, 0, rows, record)
+    older = stats_of(read_bank(path)).certificate
+    assert older.margin_median is None
+    assert older.lines() == lines[:-2]
+    assert main(["certify", str(path), "--seconds", "0.1"]) == 0
+    assert "(3 rows are new)" in capsys.readouterr().out
+    assert read_bank(path).table.equals(table)
+
+
+def test_a_bank_that_grows_is_certified_as_it_grows(tmp_path, capsys):
+    path = tmp_path / "bank"
+    banks.two_scenes(path)
+    assert main(["certify", str(path), "--seconds", "0.1"]) == 0
+    with banks.writer(path, BLOCK_SIZE + 1) as writer:
+        # The block is there, certified or not.
+        assert writer.has_block(0, 3)
+        writer.write_block(
+            1, banks.rows(1, 4).slice(3, 1).set_column(0, "index", [np.array([256], np.int32)])
+        )
+    assert "shake" not in read_bank(path).table.column_names
+    assert main(["certify", str(path)]) == 0
+    assert "(1 rows are new)" in capsys.readouterr().out
+    assert read_bank(path).table["shake"].null_count == 2
+
+
+def test_a_second_writer_is_refused(bank, capsys):
+    with banks.writer(bank, 3):
+        assert main(["certify", str(bank)]) == 2
+    assert "being written by" in capsys.readouterr().err

@@ -1,0 +1,240 @@
+"""Diversity: known values, metric axioms, and invariances."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation.measures.arrangement import by_object, region_positions
+from cluttergen_jax.evaluation.measures.diversity import (
+    at_equal_count,
+    nearest_distance,
+    plan_box_area,
+    plan_entropy,
+    scene_kernel,
+    vendi_score,
+)
+from cluttergen_jax.evaluation.measures.embedding import (
+    embed,
+    independent_distance,
+    moment_root,
+    scene_distances,
+)
+from tests.helpers.worlds import box
+
+REGION = Rectangle((0.1, -0.2), (0.3, 0.2), 0.7)
+TOP = 0.7
+HALVES = ((0.02, 0.1, 0.03), (0.05, 0.05, 0.01), (0.03, 0.04, 0.05))
+OBJECTS = [box(f"box-{n}", half) for n, half in enumerate(HALVES)]
+K = len(OBJECTS)
+
+
+def scenes_at(positions, turns=None):
+    """poses f[N, K, 7] of positions f[N, K, 2] in the region's frame and world orientations (wxyz)."""
+    cos, sin = np.cos(REGION.yaw), np.sin(REGION.yaw)
+    poses = np.tile(np.eye(7)[3], (*positions.shape[:2], 1))
+    poses[..., :2] = positions @ np.array([[cos, sin], [-sin, cos]]) + REGION.center
+    poses[..., 2] = TOP
+    if turns is not None:
+        poses[..., 3:] = turns
+    return poses
+
+
+def random_scenes(rng, num, share=0.8):
+    positions = rng.uniform(-1, 1, (num, K, 2)) * REGION.half_extents
+    turns = Rotation.random(num * K, rng=rng).as_quat().reshape(num, K, 4)[..., [3, 0, 1, 2]]
+    return scenes_at(positions, turns), rng.random((num, K)) < share
+
+
+def vectors_of(poses, is_placed, **kwargs):
+    return embed(OBJECTS, poses, is_placed, REGION, TOP, **{"num_slots": K} | kwargs)
+
+
+def test_by_object_says_where_each_object_is():
+    rng = np.random.default_rng(0)
+    index = np.array([rng.permutation(6)[:4] for _ in range(20)])
+    index[:, 3] = -1
+    is_placed = np.arange(4) < rng.integers(0, 5, 20)[:, None]
+    slot_poses = rng.normal(size=(20, 4, 7))
+    poses, placed, slot = by_object(index, is_placed, slot_poses, 6)
+    assert placed.sum() == (is_placed & (index >= 0)).sum()
+    for n, k in np.argwhere(placed):
+        assert index[n, slot[n, k]] == k
+        np.testing.assert_array_equal(poses[n, k], slot_poses[n, slot[n, k]])
+    assert (slot[~placed] == -1).all()
+
+
+@given(st.floats(-0.3, 0.3), st.floats(-0.2, 0.2), st.floats(0, 6.28))
+def test_region_frame_is_the_regions(x, y, yaw):
+    turn = Rotation.from_euler("z", yaw + REGION.yaw).as_quat()[[3, 0, 1, 2]]
+    poses = scenes_at(np.array([[[x, y]]]), turn)
+    np.testing.assert_allclose(region_positions(poses, REGION), [[[x, y]]], atol=1e-12)
+
+
+def test_entropy_of_one_place_is_zero_and_of_all_cells_that_of_an_even_spread():
+    grid = np.stack(np.meshgrid(np.arange(6) + 0.5, np.arange(4) + 0.5, indexing="ij"), -1).reshape(-1, 2)
+    positions = np.zeros((24, K, 2))
+    positions[:, 1] = grid * 0.1 - REGION.half_extents
+    result = plan_entropy(scenes_at(positions), np.ones((24, K), bool) & [True, True, False], REGION, 0.1)
+    assert result.num_cells == 24
+    assert result.entropy[0] == 0
+    assert result.evenness[1] == pytest.approx(1.0)
+    assert result.area[1] == pytest.approx(0.6 * 0.4)
+    assert result.area[0] == pytest.approx(0.01)
+    assert np.isnan(result.entropy[2])
+    assert result.count.tolist() == [24, 24, 0]
+
+
+def test_correction_removes_most_of_the_bias():
+    rng = np.random.default_rng(1)
+    positions = rng.uniform(-1, 1, (40, 500, 2)) * REGION.half_extents
+    # Forty scenes of five hundred objects: as many samples of the same estimate.
+    result = plan_entropy(scenes_at(positions), np.ones((40, 500), bool), REGION, 0.1)
+    truth = np.log(24)
+    bias, plain_bias = result.entropy.mean() - truth, result.plain.mean() - truth
+    assert plain_bias < -0.2
+    assert abs(bias) < 0.4 * abs(plain_bias)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**31), st.integers(1, 30))
+def test_entropy_is_bounded_and_knows_no_order(seed, num):
+    rng = np.random.default_rng(seed)
+    poses, is_placed = random_scenes(rng, num)
+    result = plan_entropy(poses, is_placed, REGION)
+    known = ~np.isnan(result.entropy)
+    assert ((result.evenness[known] >= 0) & (result.evenness[known] <= 1)).all()
+    assert (result.entropy[known] >= result.plain[known] - 1e-12).all()
+    order = rng.permutation(num)
+    np.testing.assert_allclose(plan_entropy(poses[order], is_placed[order], REGION).entropy, result.entropy)
+
+
+def test_box_is_the_rectangle_between_extremes():
+    positions = np.array([[[-0.1, 0.0]], [[0.2, 0.05]], [[0.0, -0.1]], [[0.29, 0.19]]])
+    is_placed = np.array([[True], [True], [True], [False]])
+    assert plan_box_area(scenes_at(positions), is_placed, REGION) == pytest.approx(0.3 * 0.15)
+    assert np.isnan(plan_box_area(scenes_at(positions), is_placed & False, REGION))
+
+
+def test_distance_of_one_object_is_that_of_its_points():
+    rng = np.random.default_rng(2)
+    poses, _ = random_scenes(rng, 2)
+    # Eight equal masses at these points have the second moment of the solid box.
+    for k, half in enumerate(HALVES):
+        points = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3) * np.array(half) / np.sqrt(3)
+        first, second = (Rotation.from_quat(p[[4, 5, 6, 3]]).apply(points) + p[:3] for p in poses[:, k])
+        expected = np.sqrt(np.square(first - second).sum(1).mean())
+        only = np.tile(np.arange(K) == k, (2, 1))
+        vectors = vectors_of(poses, only, num_slots=1)
+        assert scene_distances(vectors)[0, 1] == pytest.approx(expected)
+
+
+def test_turning_a_long_object_counts_for_more():
+    def turned(k):
+        turns = np.tile([1.0, 0, 0, 0], (2, K, 1))
+        turns[1, k] = Rotation.from_euler("z", 0.5).as_quat()[[3, 0, 1, 2]]
+        poses = scenes_at(np.zeros((2, K, 2)), turns)
+        return scene_distances(vectors_of(poses, np.ones((2, K), bool)))[0, 1]
+
+    for k, half in enumerate(HALVES):
+        radius = np.sqrt((half[0] ** 2 + half[1] ** 2) / 3)
+        assert turned(k) == pytest.approx(2 * np.sin(0.25) * radius / np.sqrt(K))
+    assert turned(0) > turned(1) > turned(2)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**31))
+def test_distance_is_a_metric_whatever_is_absent(seed):
+    rng = np.random.default_rng(seed)
+    poses, is_placed = random_scenes(rng, 7, share=0.5)
+    distances = scene_distances(vectors_of(poses, is_placed))
+    np.testing.assert_allclose(distances, distances.T)
+    np.testing.assert_allclose(np.diag(distances), 0, atol=1e-12)
+    assert (distances[:, :, None] <= distances[:, None] + distances.T[None] + 1e-9).all()
+    differs = (is_placed[:, None] != is_placed[None]).any(-1)
+    assert (distances[differs] >= np.hypot(*REGION.half_extents) / np.sqrt(K) - 1e-12).all()
+    # What stands where an absent object would be does not matter.
+    elsewhere = np.where(is_placed[..., None], poses, rng.normal(size=poses.shape))
+    np.testing.assert_array_equal(scene_distances(vectors_of(elsewhere, is_placed)), distances)
+
+
+def test_distance_to_an_absent_object_is_by_its_definition():
+    poses = scenes_at(np.full((2, K, 2), 0.05))
+    is_placed = np.array([[True, False, False], [False, False, False]])
+    trace = np.square(moment_root(OBJECTS[0])).sum()
+    expected = np.sqrt(2 * 0.05**2 + trace + 0.4**2)
+    vectors = vectors_of(poses, is_placed, absence=0.4, num_slots=1)
+    assert scene_distances(vectors)[0, 1] == pytest.approx(expected)
+
+
+def test_independent_distance_is_that_of_even_draws():
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-1, 1, (2, 200_000, 2)) * REGION.half_extents
+    drawn = np.sqrt(np.square(points[0] - points[1]).sum(1).mean())
+    assert independent_distance(REGION) == pytest.approx(drawn, rel=0.01)
+
+
+def test_nearest_is_the_nearest_and_zero_for_a_repeated_scene():
+    rng = np.random.default_rng(4)
+    poses, is_placed = random_scenes(rng, 30)
+    vectors = vectors_of(poses, is_placed)
+    distances = scene_distances(vectors) + np.diag(np.full(30, np.inf))
+    np.testing.assert_allclose(nearest_distance(vectors), distances.min(1))
+    assert nearest_distance(np.concatenate([vectors, vectors[:1]]))[[0, -1]].tolist() == [0, 0]
+    with pytest.raises(ConfigError):
+        nearest_distance(vectors[:1])
+
+
+@pytest.mark.parametrize("num", [1, 2, 17])
+def test_vendi_of_equals_is_one_and_of_strangers_their_number(num):
+    assert vendi_score(np.ones((num, num))) == pytest.approx(1.0)
+    assert vendi_score(np.eye(num)) == pytest.approx(num)
+    assert vendi_score(np.kron(np.eye(num), np.ones((3, 3)))) == pytest.approx(num)
+
+
+def test_vendi_counts_scenes():
+    rng = np.random.default_rng(5)
+    poses, is_placed = random_scenes(rng, 12, share=0.6)
+    vectors = vectors_of(poses, is_placed)
+    kernel = scene_kernel(vectors, REGION)
+    score = vendi_score(kernel)
+    assert 1 < score < 12
+    order = rng.permutation(12)
+    assert vendi_score(kernel[order][:, order]) == pytest.approx(score)
+    assert vendi_score(scene_kernel(np.repeat(vectors, 3, axis=0), REGION)) == pytest.approx(score)
+    assert vendi_score(scene_kernel(vectors, REGION, 1e-4)) == pytest.approx(12)
+    assert vendi_score(scene_kernel(vectors, REGION, 1e4)) == pytest.approx(1, abs=1e-4)
+
+
+def test_what_is_no_kernel_is_refused():
+    for kernel in (
+        np.zeros((2, 2)),
+        np.ones((2, 3)),
+        np.array([[1, 2], [2, 1]]),
+        np.array([[1, 0.5], [0, 1]]),
+    ):
+        with pytest.raises(ConfigError):
+            vendi_score(kernel)
+    with pytest.raises(ConfigError):
+        plan_entropy(np.zeros((3, 2, 7)), np.ones((3, 3), bool), REGION)
+    with pytest.raises(ConfigError):
+        plan_entropy(np.full((3, 2, 7), np.nan), np.ones((3, 2), bool), REGION)
+
+
+def test_equal_counts_make_unequal_sets_comparable():
+    rng = np.random.default_rng(6)
+    vectors = rng.normal(size=(400, 3))
+
+    def nearest(rows):
+        return float(nearest_distance(vectors[rows]).mean())
+
+    assert at_equal_count(nearest, 400, 400) == (pytest.approx(nearest(np.arange(400))), 0.0)
+    few, spread = at_equal_count(nearest, 400, 50, num_draws=10)
+    # In three dimensions the distance shrinks with the cube root of the number.
+    assert few == pytest.approx(2 * nearest(np.arange(400)), rel=0.15)
+    assert 0 < spread < 0.2 * few
+    with pytest.raises(ConfigError):
+        at_equal_count(nearest, 400, 401)

@@ -1,0 +1,161 @@
+"""Gymnasium's environments: checked by its own checker, and against its own vector environment."""
+
+import warnings
+
+import gymnasium
+import jax
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
+
+import cluttergen_jax as cg
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.generation.gymnasium_envs import GymnasiumEnv, GymnasiumVectorEnv
+from cluttergen_jax.generation.wrappers import ActionRange, FlatObservation
+from cluttergen_jax.placement.env import PlacementEnv
+from tests.helpers.problems import made_up_rules
+
+NUM = 3
+
+
+def of_one(flat=True):
+    """Two objects in their order, two attempts each: equal actions give equal episodes, whatever the key."""
+    rules = made_up_rules(num_objects=2, max_attempts=2, order="fixed", history_stride=12)
+    env = PlacementEnv(rules, auto_reset=False)
+    return ActionRange(FlatObservation(env) if flat else env, -1.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def single():
+    return GymnasiumEnv(of_one())
+
+
+@pytest.fixture(scope="module")
+def envs():
+    return GymnasiumVectorEnv(of_one(), NUM)
+
+
+def actions(count):
+    """About half of them to the side of the table on which objects stay."""
+    return np.random.default_rng(0).uniform(-1, 1, (count, NUM, 4)).astype(np.float32)
+
+
+def assert_equal(one, other):
+    """Nested dictionaries, arrays and numbers; arrays of objects hold arrays or None."""
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for name in one:
+            assert_equal(one[name], other[name])
+    elif np.asarray(one).dtype.kind == "O":
+        for mine, theirs in zip(one, other, strict=True):
+            assert (mine is None) == (theirs is None)
+            if mine is not None:
+                assert_equal(mine, theirs)
+    else:
+        np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+def test_gymnasium_checks_the_single_environment(single):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # Metres have no bounds; and no picture is drawn.
+        warnings.filterwarnings("ignore", message=".*infinity.*|.*render modes.*")
+        check_env(single)
+
+
+def test_many_do_what_gymnasium_makes_of_one(single, envs):
+    theirs = SyncVectorEnv([lambda: single] * NUM, autoreset_mode=AutoresetMode.SAME_STEP)
+    assert envs.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
+    assert envs.observation_space == theirs.observation_space
+    assert envs.action_space == theirs.action_space
+
+
+@pytest.mark.slow
+def test_steps_are_those_of_gymnasium_s_own_vector_environment(envs):
+    separate = [GymnasiumEnv(of_one()) for _ in range(NUM)]
+    theirs = SyncVectorEnv([lambda env=env: env for env in separate], autoreset_mode=AutoresetMode.SAME_STEP)
+    assert_equal(envs.reset(seed=0)[0], theirs.reset(seed=0)[0])
+    num_ended = num_filled = 0
+    for action in actions(40):
+        mine, other = envs.step(action), theirs.step(action)
+        for one, two in zip(mine, other, strict=True):
+            assert_equal(one, two)
+        num_ended += mine[2].sum()
+        num_filled += mine[4].get("final_info", {"is_success": np.zeros(1)})["is_success"].sum()
+    assert num_ended > num_filled > 0
+
+
+def test_the_step_that_ends_an_episode_begins_the_next(envs):
+    first, _ = envs.reset(seed=0)
+    stays, falls = np.array([0.8, 0, 0, 0]), np.array([-0.8, 0, 0, 0])
+    envs.step(np.array([stays, falls, stays]))
+    obs, reward, terminated, truncated, infos = envs.step(np.array([stays, falls, falls]))
+    np.testing.assert_array_equal(terminated, [True, True, False])
+    assert not truncated.any()
+    assert reward[0] > reward[1]
+    np.testing.assert_array_equal(obs[:2], first[:2])
+    np.testing.assert_array_equal(infos["_final_obs"], terminated)
+    assert infos["final_obs"][2] is None
+    assert not np.array_equal(infos["final_obs"][0], infos["final_obs"][1])
+    np.testing.assert_array_equal(infos["final_info"]["is_success"], [True, False, False])
+    np.testing.assert_array_equal(infos["final_info"]["num_placed"], [2, 0, 0])
+    np.testing.assert_array_equal(infos["num_placed"], [0, 0, 1])
+    np.testing.assert_array_equal(infos["_num_placed"], [False, False, True])
+    scenes = envs.scenes
+    np.testing.assert_array_equal(scenes.is_placed.sum(-1), [2, 0, 0])
+    np.testing.assert_allclose(scenes.T_world_object[0, :, 0], 0.24, atol=1e-6)
+    # Torch takes arrays as its own only where it may write.
+    assert obs.flags.writeable
+    assert obs.dtype == np.float32
+
+
+def test_seeds_decide_what_is_drawn():
+    rules = made_up_rules(num_objects=2, history_stride=0)
+    envs = GymnasiumVectorEnv(ActionRange(PlacementEnv(rules, auto_reset=False), 0.0, 1.0), 16)
+    draws = [envs.reset(seed=seed)[0] for seed in (5, 5, 6, None)]
+    assert all(each in envs.observation_space for each in draws)
+    focus = [draw["focus"] for draw in draws]
+    np.testing.assert_array_equal(focus[0], focus[1])
+    assert not np.array_equal(focus[0], focus[2])
+    assert not np.array_equal(focus[2], focus[3])
+    assert len(np.unique(focus[0])) > 1
+
+
+def test_gymnasium_wrappers_add_up_rewards(envs):
+    watched = RecordEpisodeStatistics(envs)
+    watched.reset(seed=0)
+    for _ in range(2):
+        *_, infos = watched.step(np.tile([0.8, 0, 0, 0], (NUM, 1)))
+    np.testing.assert_array_equal(infos["episode"]["l"], 2)
+    assert (infos["episode"]["r"] > 0).all()
+
+
+def test_what_cannot_be_is_said(envs):
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        GymnasiumVectorEnv(of_one(), 2).step(np.zeros((2, 4)))
+    envs.reset()
+    with pytest.raises(ConfigError, match=r"shape \(4,\).*\(3, 4\)"):
+        envs.step(np.zeros(4))
+    with pytest.raises(ConfigError, match=r"options = \{'region': 1\}"):
+        envs.reset(options={"region": 1})
+    with pytest.raises(ConfigError, match="num_envs = 0"):
+        cg.make_vector_env(0)
+    with pytest.raises(ConfigError, match="auto_reset"):
+        cg.make_gym_env(auto_reset=True)
+
+
+@pytest.mark.slow
+def test_from_names():
+    settings = {"pool": "dining", "num_objects": 3, "action": "surface"}
+    single, envs = cg.make_gym_env(**settings), cg.make_vector_env(8, **settings)
+    assert single.observation_space == envs.single_observation_space
+    envs.reset(seed=0)
+    envs.action_space.seed(0)
+    placed = 0
+    for _ in range(12):
+        placed += envs.step(envs.action_space.sample())[1].sum()
+    assert placed > 10
+    assert jax.tree.leaves(envs.scenes)
+    envs.close()

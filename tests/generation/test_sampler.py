@@ -1,0 +1,425 @@
+"""The sampler as a JAX function: the same scene however it is mapped, and what is asked of it holds."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import mujoco
+import numpy as np
+import pytest
+
+import cluttergen_jax as cg
+from cluttergen_jax.assets.pool import Pool, write_pool
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError, PoolError
+from cluttergen_jax.learning.methods import FALLBACK_METHOD, choose_method, suited
+from cluttergen_jax.learning.policies.checkpoint import Checkpoint
+from cluttergen_jax.learning.policies.embedded import list_policies
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.region import KeepOut, make_region
+from cluttergen_jax.placement.rules import empty_start
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.types import Verdict
+from tests.helpers.worlds import trio
+
+KEYS = jax.random.split(jax.random.key(3), 6)
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
+
+
+@pytest.fixture(scope="module")
+def sample(pool):
+    return cg.make_sampler(pool=pool, num_objects=2, method="random", num_scene_points=60)
+
+
+@pytest.fixture(scope="module")
+def scenes(sample):
+    return jax.jit(jax.vmap(sample))(KEYS)
+
+
+def assert_same(one, two):
+    assert jax.tree.structure(one) == jax.tree.structure(two)
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True):
+        assert a.dtype == b.dtype
+        np.testing.assert_array_equal(a, b)
+
+
+def test_shapes_and_types_are_as_documented(scenes):
+    expected = {
+        "is_success": ((6,), bool),
+        "is_filled": ((6,), bool),
+        "verdict": ((6,), np.int32),
+        "object_index": ((6, 2), np.int32),
+        "is_placed": ((6, 2), bool),
+        "drift": ((6,), np.float32),
+        "num_draws": ((6,), np.int32),
+        "cloud": ((6, 60, 3), np.float32),
+        "cloud_mask": ((6, 60), bool),
+        "poses": ((6, 2, 7), np.float32),
+    }
+    seen = {name: getattr(scenes, name) for name in expected}
+    assert {name: (value.shape, value.dtype) for name, value in seen.items()} == expected
+    assert isinstance(scenes.T_world_object, jaxlie.SE3)
+    assert scenes.region.half_extents.shape == (6, 2)
+    np.testing.assert_allclose(scenes.T_world_support.translation(), 0)
+
+
+@pytest.mark.parametrize("form", ["vmap of vmap", "scan", "pmap"])
+def test_every_transformation_gives_the_same_scenes(sample, scenes, form):
+    if form == "vmap of vmap":
+        nested = jax.jit(jax.vmap(jax.vmap(sample)))(KEYS.reshape(2, 3))
+        result = jax.tree.map(lambda leaf: leaf.reshape(6, *leaf.shape[2:]), nested)
+    elif form == "scan":
+        result = jax.lax.scan(lambda carry, key: (carry, sample(key)), 0, KEYS)[1]
+    else:
+        mapped = jax.pmap(jax.vmap(sample), devices=jax.devices()[:1])(KEYS[None])
+        result = jax.tree.map(lambda leaf: leaf[0], mapped)
+    assert_same(result, scenes)
+
+
+SHARDED = """
+import sys, jax, numpy as np, cluttergen_jax as cg
+from jax.sharding import NamedSharding, PartitionSpec as P
+assert jax.device_count() == 2
+sample = cg.make_sampler(pool=sys.argv[1], num_objects=2, method="random")
+keys = jax.random.split(jax.random.key(3), 6)
+plain = jax.jit(jax.vmap(sample))(keys)
+mesh = jax.make_mesh((2,), ("scene",), axis_types=(jax.sharding.AxisType.Auto,))
+spread = jax.device_put(keys, NamedSharding(mesh, P("scene")))
+by_jit = jax.jit(jax.vmap(sample))(spread)
+spec = P("scene")
+mapped = jax.shard_map(jax.vmap(sample), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+by_shard_map = jax.jit(mapped)(spread)
+assert len(by_shard_map.is_success.sharding.device_set) == 2
+for other in (by_jit, by_shard_map):
+    jax.tree.map(np.testing.assert_array_equal, plain, other)
+print("equal", int(plain.is_success.sum()))
+"""
+
+
+@pytest.mark.slow
+def test_sharded_over_two_devices(pool):
+    env = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run(
+        [sys.executable, "-c", SHARDED, pool], env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.startswith("equal")
+
+
+def test_a_scene_is_what_its_fields_say(sample, scenes):
+    assert {int(index) for row in scenes.object_index for index in row} <= {0, 1, 2}
+    for row in range(6):
+        scene = sample.scene(scenes, row)
+        assert scene.origin.is_success == bool(scenes.is_success[row])
+        assert len(scene.objects) == int(scenes.is_placed[row].sum())
+        assert [asset.name for asset in scene.objects] == list(scene.names)
+        if scene.origin.is_success:
+            assert scene.origin.verdict == Verdict.STABLE.label
+            assert scene.to_mjspec().compile().nq == 7 * len(scene.names)
+        # The region's own points lie on the table's top; every point that counts is on or above it.
+        cloud = np.asarray(scenes.cloud[row])[np.asarray(scenes.cloud_mask[row])]
+        assert cloud[:, 2].min() > 0.699
+
+
+@pytest.fixture(scope="module")
+def bank(pool, tmp_path_factory):
+    path = tmp_path_factory.mktemp("banks") / "bank"
+    more = ["--method", "random", "--num-objects", "2", "-n", "6", "--seed", "5", "--max-files", "0"]
+    assert main(["generate", "--pool", pool, "--out", str(path), *more]) == 0
+    return path
+
+
+def test_is_the_scene_that_generate_saves(sample, bank):
+    # Old-style keys, to see that they do as well.
+    keys = jax.vmap(lambda index: jax.random.fold_in(jax.random.PRNGKey(5), index))(jnp.arange(6))
+    ours = jax.jit(jax.vmap(sample))(keys)
+    for row, theirs in enumerate(read_bank(bank).scenes()):
+        mine = sample.scene(ours, row)
+        assert (mine.names, mine.origin.verdict) == (theirs.objects, theirs.verdict)
+        np.testing.assert_allclose(mine.poses, theirs.poses, atol=1e-7)
+        np.testing.assert_array_equal(ours.poses[row][ours.is_placed[row]], theirs.poses)
+
+
+def test_retries_draw_again_until_a_scene_passes(pool):
+    # On so small a table, three objects at random fail more often than not.
+    asked = {"pool": pool, "support": "table-0.11x0.11", "method": "random"}
+    once = jax.jit(jax.vmap(cg.make_sampler(**asked)))(KEYS)
+    more = jax.jit(jax.vmap(cg.make_sampler(**asked, max_retries=20)))(KEYS)
+    assert (once.num_draws == 1).all()
+    assert (more.num_draws <= 21).all()
+    assert (more.is_success | (more.num_draws == 21)).all()
+    assert int(more.is_success.sum()) > int(once.is_success.sum())
+    # A scene that passed at once is left as it was; one that did not has been drawn again.
+    passed = np.asarray(once.is_success)
+    np.testing.assert_array_equal(more.num_draws == 1, passed)
+    np.testing.assert_array_equal(more.poses[passed], once.poses[passed])
+
+
+def test_larger_regions_than_the_samplers_are_refused_or_fail(sample):
+    key, top = jax.random.key(0), 0.7
+    for half in ((0.9, 0.1), (0.0, 0.1), (float("nan"), 0.1)):
+        with pytest.raises(ConfigError, match="sampler's own"):
+            sample(key, region=make_region(jnp.zeros(2), jnp.array(half), 0.0, top))
+
+    # Sides are compared one by one, along the region's own axes; a place that is no number fits nowhere.
+    with pytest.raises(ConfigError, match="one by one"):
+        sample(key, region=make_region(jnp.zeros(2), jnp.array([0.35, 0.30]), jnp.pi / 2, top))
+    for center in ([jnp.nan, 0.0], [50.0, 50.0], [0.25, 0.0]):
+        with pytest.raises(ConfigError, match="place on support"):
+            sample(key, region=make_region(jnp.array(center), jnp.array([0.1, 0.1]), 0.0, top))
+
+    @jax.jit
+    def drawn(half, center):
+        region = make_region(center, half, 0.0, top)
+        return jax.vmap(lambda key: retrying(key, region=region))(KEYS)
+
+    retrying = dataclasses.replace(sample, max_retries=3)
+    assert drawn(jnp.array([0.30, 0.35]), jnp.zeros(2)).is_success.mean() > 0.5
+    for half, center in (
+        ([0.31, 0.35], [0.0, 0.0]),
+        ([0.1, 0.1], [jnp.nan, 0.0]),
+        ([0.1, 0.1], [0.0, 0.3]),
+    ):
+        scenes = drawn(jnp.array(half), jnp.array(center))
+        assert not scenes.is_success.any()
+        assert (scenes.verdict == Verdict.OUTSIDE).all()
+        assert (scenes.num_draws == 1).all()
+
+
+def test_more_standing_objects_than_the_sampler_was_made_for(sample):
+    crowd = empty_start(3)
+    crowd = crowd.replace(is_placed=crowd.is_placed.at[0].set(True))
+    with pytest.raises(ConfigError, match="start of 1 objects"):
+        sample(jax.random.key(0), start=crowd)
+
+    @jax.jit
+    def drawn(is_placed):
+        start = crowd.replace(is_placed=is_placed)
+        return jax.vmap(lambda key: sample(key, start=start))(KEYS)
+
+    assert drawn(jnp.zeros(3, bool)).is_success.any()
+    scenes = drawn(crowd.is_placed)
+    assert not scenes.is_success.any()
+    assert (scenes.verdict == Verdict.OUTSIDE).all()
+
+
+def test_scenes_that_a_batch_does_not_hold_are_refused(sample, scenes):
+    one = jax.tree.map(lambda leaf: leaf[0], scenes)
+    nested = jax.tree.map(lambda leaf: leaf.reshape(2, 3, *leaf.shape[1:]), scenes)
+    for sampled, index, says in (
+        (scenes, 6, "0 to 5"),
+        (scenes, -1, "0 to 5"),
+        (one, 1, "0"),
+        (nested, 0, "one"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            sample.scene(sampled, index)
+    assert sample.scene(one).names == sample.scene(scenes, 0).names
+
+
+def test_region_and_keep_out_may_be_given_in_the_call_and_mapped(sample):
+    offsets = jnp.array([-0.2, 0.2])
+
+    def shifted(key, offset):
+        region = make_region(jnp.array([0.0, offset]), jnp.array([0.2, 0.1]), 0.0, 0.7)
+        return sample(key, region=region)
+
+    scenes = jax.jit(jax.vmap(shifted))(KEYS[:2], offsets)
+    centre = np.asarray(scenes.poses[..., 1])
+    placed = np.asarray(scenes.is_placed)
+    assert placed.any(axis=1).all()
+    assert (np.abs(centre - offsets[:, None])[placed] <= 0.1 + 1e-5).all()
+    right = KeepOut(jnp.array([[0.15, 0.0]]), jnp.array([[0.15, 0.5]]), jnp.zeros(1))
+    kept = jax.jit(jax.vmap(lambda key: sample(key, keep_out=right)))(KEYS)
+    assert (np.asarray(kept.poses[..., 0])[np.asarray(kept.is_placed)] < 0).all()
+
+
+def test_around_a_saved_scene(pool, bank):
+    stood = next(scene for scene in read_bank(bank).scenes() if scene.is_success)
+    around = cg.make_sampler(
+        pool=pool,
+        num_objects=1,
+        method="random",
+        start=f"{bank}:{stood.index}",
+        keep_out=[Rectangle((0.2, 0.0), (0.1, 0.35))],
+    )
+    scenes = jax.jit(jax.vmap(around))(KEYS[:3])
+    assert [name.split("#")[0] for name in around.names[-2:]] == list(stood.objects)
+    assert (scenes.object_index[:, :2] == jnp.array([3, 4])).all()
+    np.testing.assert_allclose(scenes.poses[:, :2], np.stack([stood.poses] * 3), atol=0.003)
+    assert scenes.is_placed[:, 2].any()
+    with pytest.raises(BankError, match="no such scene"):
+        cg.make_sampler(pool=pool, method="random", start=f"{bank}:99")
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        ({"num_objects": 9}, "1 to 3"),
+        ({"num_objects": 0}, "num_objects"),
+        ({"method": "magic"}, "clear"),
+        ({"method": "policy"}, "no checkpoint"),
+        ({"method": "clear", "checkpoint": "x"}, "checkpoint"),
+        ({"checkpoint": "nowhere"}, "not a checkpoint"),
+        ({"max_retries": -1}, "max_retries"),
+        ({"num_scene_points": -1}, "-1 scene points"),
+        ({"support": "nothing"}, "no support"),
+        ({"pool": "nothing"}, "no pool"),
+        ({"engine": "hand"}, "native"),
+        ({"region": Rectangle((9.0, 0.0), (0.1, 0.1))}, "beyond support"),
+        ({"region": (0.0, 0.0, 0.1, 0.1)}, "a Rectangle"),
+        ({"keep_out": Rectangle()}, "a sequence of Rectangles"),
+        ({"keep_out": [Rectangle(half_extents=(0.4, 0.4), yaw=0.1)]}, "some of the queried region free"),
+        ({"num_objects": 2.5}, "a whole number"),
+        ({"num_objects": "3"}, "a whole number"),
+        ({"max_retries": 1.5}, "a whole number"),
+        ({"num_scene_points": 10.5}, "a whole number"),
+        ({"num_threads": 10**6}, "0 to 4096"),
+        ({"objects": "tall"}, "sequence of names"),
+    ],
+)
+def test_bad_settings_are_explained(pool, asked, says):
+    with pytest.raises(ClutterGenError, match=says):
+        cg.make_sampler(**{"pool": pool} | asked)
+
+
+def test_keep_out_boxes_may_leave_little(pool):
+    boxes = [Rectangle(half_extents=(0.27, 0.4)), Rectangle(half_extents=(0.4, 0.1))]
+    assert cg.make_sampler(pool=pool, keep_out=boxes).keep_out.yaw.shape == (2,)
+
+
+@pytest.mark.parametrize("key", [KEYS, 0, jnp.zeros(2), None])
+def test_what_is_not_one_key_is_refused(sample, key):
+    with pytest.raises(ConfigError, match="one key"):
+        sample(key)
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        ({"region": Rectangle()}, "a Region"),
+        ({"keep_out": Rectangle()}, "a KeepOut"),
+        ({"start": 0}, "a Start"),
+        ({"keep_out": KeepOut(jnp.zeros(2), jnp.zeros(2), jnp.zeros(()))}, "KeepOut of shapes"),
+        ({"keep_out": KeepOut(jnp.zeros((2, 2)), jnp.zeros((1, 2)), jnp.zeros(2))}, "KeepOut of shapes"),
+        ({"keep_out": KeepOut(jnp.full((1, 2), jnp.nan), jnp.ones((1, 2)), jnp.zeros(1))}, "not finite"),
+    ],
+)
+def test_what_a_call_cannot_take_is_refused(sample, asked, says):
+    with pytest.raises(ConfigError, match=says):
+        sample(jax.random.key(0), **asked)
+
+
+def default_method(*args):
+    """The method's name where none is asked for; a policy comes with its checkpoint."""
+    method, checkpoint = choose_method(None, *args)
+    assert (checkpoint is None) == (method == FALLBACK_METHOD)
+    return method
+
+
+def test_the_default_method_follows_what_is_embedded(pool, monkeypatch):
+    assert default_method(pool, "table", 2) == FALLBACK_METHOD
+    assert default_method("dining", "table", 10) == "policy"
+    # An embedded policy is for the support and the number of objects that it was trained with.
+    assert default_method("dining", "table", 4) == "policy"
+    assert default_method("dining", "table", 11) == FALLBACK_METHOD
+    assert default_method("dining", "table-0.30x0.40", 10) == FALLBACK_METHOD
+    # A given checkpoint brings its own method.
+    assert default_method("dining", "table-0.30x0.40", 40, str(list_policies()["dining-ranked"])) == "ranked"
+    success = {"dining": 0.97, "kitchen": 0.4}
+    embedded = {f"{name}-policy": name for name in (*success, "office")}
+    monkeypatch.setattr("cluttergen_jax.learning.methods.list_policies", lambda: embedded)
+
+    def stored(name):
+        evaluation = {"evaluation": {"success": success[name]}} if name in success else {}
+        return Checkpoint(Path(name), {"support": "table", "placement": {"num_objects": 10}, **evaluation})
+
+    monkeypatch.setattr("cluttergen_jax.learning.methods.read_checkpoint", stored)
+    assert default_method("dining", "table", 10) == "policy"
+    # A poor policy, one that was not evaluated, and none.
+    assert [default_method(name, "table", 10) for name in ("kitchen", "office", "study")] == [
+        FALLBACK_METHOD
+    ] * 3
+
+
+def path_of(method, checkpoint):
+    """The folder of the checkpoint behind a method on dining."""
+    return choose_method(method, "dining", "table", 10, checkpoint)[1].path
+
+
+@pytest.mark.parametrize(
+    ("method", "trained"), [("policy", "ranked"), ("normal", "policy"), ("policy-clear", "ranked")]
+)
+def test_a_checkpoint_of_another_method_is_refused(method, trained):
+    folder = list_policies()[f"dining-{trained}"]
+    with pytest.raises(ConfigError, match=f"method={trained!r}"):
+        path_of(method, str(folder))
+    assert path_of(trained, folder) == folder
+
+
+def test_the_filter_takes_every_policy_of_poses():
+    normal = list_policies()["dining-normal"]
+    assert path_of("policy-clear", normal) == normal
+
+
+def test_a_samplers_record_is_read_once(monkeypatch):
+    read, opened = Path.read_text, []
+
+    def noted(path, *args, **kwargs):
+        opened.append(path.name)
+        return read(path, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "read_text", noted)
+    method, checkpoint = choose_method(None, "dining", "table", 10)
+    assert suited(PlacementConfig(), checkpoint).history_stride == checkpoint.placement["history_stride"]
+    assert checkpoint.kind == checkpoint.network.kind == "pose"
+    assert (method, opened.count("record.json")) == ("policy", 1)
+
+
+def test_a_method_without_checkpoint_is_refused(pool):
+    with pytest.raises(PoolError):
+        cg.make_sampler(pool=pool, method="open_loop")
+
+
+def test_importing_the_package_loads_neither_jax_nor_mujoco():
+    code = (
+        "import sys, cluttergen_jax as cg; names = dir(cg); "
+        "assert {'make_sampler', 'load_bank'} <= set(cg.__all__) <= set(names); "
+        "assert not {'jax', 'mujoco', 'numpy', 'trimesh'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = cg.nothing
+
+
+def test_every_public_name_is_what_it_says():
+    assert {getattr(cg, name).__name__ for name in cg.__all__} == set(cg.__all__)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("engine", ["warp", "jax"])
+def test_scenes_of_the_other_engines_stand_in_plain_mujoco(pool, engine):
+    sample = cg.make_sampler(
+        pool=pool, num_objects=2, method="clear", engine=engine, objects=("box", "prism")
+    )
+    scenes = jax.jit(jax.vmap(sample))(KEYS[:3])
+    assert int(scenes.is_success.sum()) >= 2
+    for row in np.flatnonzero(scenes.is_success):
+        scene = sample.scene(scenes, int(row))
+        model = scene.to_mjspec().compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        start = data.qpos.copy()
+        mujoco.mj_step(model, data, 240)
+        assert np.abs(data.qpos - start).max() < 0.005

@@ -1,0 +1,86 @@
+"""A bank as a reset: draws are scenes of the bank, in one model, and they stand there."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import cluttergen_jax as cg
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.geometry import turn_between
+from cluttergen_jax.scene.bank import read_bank
+from tests.helpers import banks
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    path = tmp_path_factory.mktemp("banks") / "bank"
+    banks.write(path, 1)
+    return path
+
+
+@pytest.fixture(scope="module")
+def bank(path):
+    return cg.load_bank(path)
+
+
+def test_draws_are_the_banks_own_scenes_that_stand(bank, path):
+    scenes = jax.jit(jax.vmap(bank.reset))(jax.random.split(jax.random.key(0), 400))
+    stored = {scene.index: scene for scene in read_bank(path).scenes()}
+    for row in range(0, 400, 37):
+        record = stored[int(scenes.index[row])]
+        assert record.is_success
+        placed = np.asarray(scenes.is_placed[row])
+        names = tuple(bank.names[each] for each in np.asarray(scenes.object_index[row])[placed])
+        assert names == record.objects
+        translation = np.asarray(scenes.T_world_object.translation()[row])[placed]
+        np.testing.assert_allclose(translation, record.poses[:, :3], atol=1e-7)
+        np.testing.assert_allclose(
+            np.asarray(scenes.T_world_object.rotation().wxyz[row])[placed], record.poses[:, 3:], atol=1e-6
+        )
+    # 400 draws of 192 scenes: nobody is left out for long, and nobody is preferred.
+    counts = np.bincount(np.asarray(scenes.index), minlength=256)
+    assert len(bank) == 192
+    assert (counts[3::4] == 0).all()
+    assert (counts > 0).sum() > 140
+    assert counts.max() < 12
+
+
+def test_reset_works_under_vmap_of_vmap_and_scan(bank):
+    keys = jax.random.split(jax.random.key(1), 6)
+    one = jax.vmap(bank.reset)(keys)
+    nested = jax.jit(jax.vmap(jax.vmap(bank.reset)))(keys.reshape(2, 3))
+    scanned = jax.lax.scan(lambda carry, key: (carry, bank.reset(key)), 0, keys)[1]
+    for a, b, c in zip(*map(jax.tree.leaves, (one, nested, scanned)), strict=True):
+        np.testing.assert_array_equal(a, b.reshape(a.shape))
+        np.testing.assert_array_equal(a, c)
+
+
+def test_a_real_scene_stands_in_the_one_model_and_absent_objects_wait(tmp_path):
+    banks.two_scenes(tmp_path / "bank")
+    bank = cg.load_bank(tmp_path / "bank")
+    model = bank.model()
+    assert bank.names == ("box", "prism", "tall")
+    for place in (0, 1):
+        scene = bank.scene(jnp.int32(place))
+        data = mujoco.MjData(model)
+        data.qpos[:], data.xfrc_applied[:] = scene.qpos, scene.xfrc_applied
+        start = data.qpos.reshape(-1, 7).copy()
+        mujoco.mj_step(model, data, 240)
+        poses = data.qpos.reshape(-1, 7)
+        np.testing.assert_allclose(poses[:, :3], start[:, :3], atol=2e-3)
+        assert turn_between(np, poses[:, 3:], start[:, 3:]).max() < 0.01
+        assert np.asarray(scene.is_present).sum() == 2
+
+
+def test_a_bank_without_a_scene_that_stands_is_refused(tmp_path):
+    with banks.writer(tmp_path / "bank", 1) as writer:
+        table = banks.rows(0, 4).to_pylist()[3:]
+        table[0]["index"] = 0
+        schema = banks.rows(0, 1).schema
+        writer.write_block(0, type(banks.rows(0, 1)).from_pylist(table, schema=schema))
+    with pytest.raises(BankError, match="none of its 1 scenes"):
+        cg.load_bank(tmp_path / "bank")
+    with pytest.raises(BankError, match="not a bank"):
+        cg.load_bank(tmp_path)

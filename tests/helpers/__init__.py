@@ -1,0 +1,1 @@
+"""What several tests share: worlds, banks, runs, shapes, probes, made files."""

@@ -1,0 +1,298 @@
+"""Readers under mutated bytes: whatever is in a file, only a ClutterGenError may come out.
+
+`python -m tests.helpers.fuzzing SECONDS SEED [READER...]` looks for crashes, each reader so long, and
+adds what it finds to `tests/corpus`, which `test_fuzz.py` tries again each time.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import hashlib
+import json
+import random
+import re
+import shutil
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import trimesh
+
+from cluttergen_jax.assets.object_files import read_object, write_object
+from cluttergen_jax.assets.pool import Pool, read_pool, write_pool
+from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.assets.support_file import read_support, write_support
+from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
+from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.importing.readers import find_sources, read_shape
+from cluttergen_jax.importing.readers.mjcf_scene import read_mjcf_scene
+from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_record, save_policy
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.scene.bank.stats import stats_of
+from cluttergen_jax.scene.bank.verify import verify_scene
+from cluttergen_jax.scene.xml import scene_xml
+from tests.helpers import banks
+from tests.helpers.worlds import trio
+
+CORPUS = Path(__file__).parents[1] / "corpus"
+LIKE = {"params": {"actor": {"kernel": np.zeros((4, 3), np.float32)}}}
+_NUMBER = re.compile(rb"-?\d+\.?\d*(?:[eE][-+]?\d+)?")
+_WORD = re.compile(rb"[A-Za-z_]{2,}")
+_NASTY = (b"nan", b"inf", b"-inf", b"-1", b"0", b"1e999", b"1e-320", b"99999999999999999999", b"4294967295")
+_NASTY += (b"null", b'""', b"[]", b"{}", b"true", b"2147483648", b"x", b"", b"1 2", b"\xff\xfe", b"\x00")
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One reader, and a file that it reads well.
+
+    Attributes:
+      make: writes a sound folder. file: the file in it that is mutated. read: reads the folder.
+      signed: signs a mutated JSON record anew, so that more than its digest is tried.
+    """
+
+    make: Callable[[Path], object]
+    file: str
+    read: Callable[[Path], object]
+    signed: Callable[[bytes], bytes] | None = None
+
+
+def mutated(data: bytes, draw: random.Random) -> bytes:
+    """One to four small accidents."""
+    for _ in range(draw.randint(1, 4)):
+        data = draw.choice(_ACCIDENTS)(data, draw)
+    return data
+
+
+def _flip(data: bytes, draw: random.Random) -> bytes:
+    if not data:
+        return data
+    place = draw.randrange(len(data))
+    return data[:place] + bytes([data[place] ^ (1 << draw.randrange(8))]) + data[place + 1 :]
+
+
+def _noise(data: bytes, draw: random.Random) -> bytes:
+    place = draw.randrange(len(data) + 1)
+    return data[:place] + draw.randbytes(draw.choice((1, 4, 8))) + data[place + draw.choice((0, 1, 4, 8)) :]
+
+
+def _cut(data: bytes, draw: random.Random) -> bytes:
+    first, last = sorted(draw.randrange(len(data) + 1) for _ in range(2))
+    return data[:first] + (data[min(last, first + draw.choice((1, 5, 50, 10**9))) :])
+
+
+def _truncate(data: bytes, draw: random.Random) -> bytes:
+    return data[: draw.randrange(len(data) + 1)]
+
+
+def _repeat(data: bytes, draw: random.Random) -> bytes:
+    first, last = sorted(draw.randrange(len(data) + 1) for _ in range(2))
+    return data[:last] + data[first:]
+
+
+def _token(pattern: re.Pattern[bytes]) -> Callable[[bytes, random.Random], bytes]:
+    def change(data: bytes, draw: random.Random) -> bytes:
+        found = list(pattern.finditer(data))
+        if not found:
+            return data
+        one, other = draw.choice(found), draw.choice(found)
+        new = draw.choice((draw.choice(_NASTY), other[0]))
+        return data[: one.start()] + new + data[one.end() :]
+
+    return change
+
+
+_ACCIDENTS = (_flip, _noise, _cut, _truncate, _repeat, *[_token(_NUMBER)] * 4, *[_token(_WORD)] * 2)
+
+
+def _bank(folder: Path, checksums: bool = True) -> None:
+    with banks.writer(folder, 8) as writer:
+        writer.write_block(0, banks.rows(0, 8))
+    if not checksums:
+        block = folder / "scenes-000000.parquet"
+        pq.write_table(pq.read_table(block), block, compression="none")
+
+
+def _read_bank(folder: Path) -> None:
+    bank = read_bank(folder)
+    _ = bank.table
+    list(bank.scenes())
+    stats_of(bank)
+    list(read_scenes(bank))
+
+
+def _sign(separators: tuple[str, str] | None) -> Callable[[bytes], bytes]:
+    def sign(data: bytes) -> bytes:
+        try:
+            record = json.loads(data)
+        except (ValueError, RecursionError):
+            return data
+        if isinstance(record, dict):
+            record.pop("hash", None)
+            text = json.dumps(record, sort_keys=True, separators=separators)
+            record["hash"] = hashlib.sha256(text.encode()).hexdigest()
+        return json.dumps(record).encode()
+
+    return sign
+
+
+def _policy(folder: Path) -> None:
+    save_policy(folder, LIKE, {"placement": {"max_attempts": 5}, "network": {}})
+
+
+def _mesh(suffix: str, kind: str = "", **kwargs: object) -> Reader:
+    def make(folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        data = trimesh.creation.box((0.1, 0.1, 0.2)).export(file_type=kind or suffix.strip("."), **kwargs)
+        (folder / f"thing{suffix}").write_bytes(data if isinstance(data, bytes) else data.encode())
+
+    return Reader(make, f"thing{suffix}", _read_shapes)
+
+
+def _read_shapes(folder: Path) -> None:
+    for source in find_sources(folder):
+        read_shape(source)
+
+
+def _text(name: str, text: str) -> Callable[[Path], None]:
+    def make(folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+        mesh = trimesh.creation.box((0.1, 0.1, 0.2)).export(file_type="obj")
+        (folder / "part.obj").write_text(mesh)
+        (folder / "label.json").write_text('{"globalScaling": 0.5, "ori_rpy": [0, 0, 1.5]}')
+
+    return make
+
+
+URDF = """<robot name="thing"><material name="red"><color rgba="1 0 0 1"/></material>
+<link name="base"><visual><origin xyz="0 0 0.1" rpy="0 0 0.3"/><geometry>
+<mesh filename="part.obj" scale="1 1 1"/></geometry><material name="red"/></visual>
+<collision><geometry><box size="0.1 0.1 0.2"/></geometry></collision></link>
+<link name="lid"><visual><geometry><cylinder radius="0.05" length="0.1"/></geometry></visual></link>
+<joint name="hinge" type="revolute"><parent link="base"/><child link="lid"/><origin xyz="0 0 0.2"/>
+<axis xyz="0 1 0"/><limit lower="0.1" upper="1"/></joint></robot>"""
+
+MJCF = """<mujoco><asset><mesh name="part" file="part.obj" scale="1 1 1"/></asset><worldbody>
+<body name="thing" pos="0 0 1"><freejoint/><geom type="mesh" mesh="part" rgba="1 0 0 1"/>
+<geom type="capsule" size="0.02 0.05" pos="0 0.1 0" contype="0" conaffinity="0"/>
+<body name="lid"><joint type="hinge" axis="0 1 0"/>
+<geom type="box" size="0.05 0.05 0.01" pos="0 0 0.11"/></body></body></worldbody></mujoco>"""
+
+
+def _scene(folder: Path) -> None:
+    poses = np.array([[0.0, 0.0, 0.75, 1.0, 0.0, 0.0, 0.0]])
+    with banks.writer(folder, 1):
+        pass
+    text = scene_xml([trio()[0]], poses, cuboid_table(), StabilityConfig(), ContactConfig())
+    (folder / "scenes").mkdir()
+    (folder / "scenes" / "000000.xml").write_bytes(text)
+
+
+READERS = {
+    "bank_record": Reader(_bank, "bank.json", _read_bank),
+    "bank_record_signed": Reader(_bank, "bank.json", _read_bank, _sign(None)),
+    "bank_block": Reader(_bank, "scenes-000000.parquet", _read_bank),
+    "bank_block_plain": Reader(lambda f: _bank(f, checksums=False), "scenes-000000.parquet", _read_bank),
+    "bank_scene": Reader(
+        _scene, "scenes/000000.xml", lambda f: verify_scene(f / "scenes" / "000000.xml", VerifyConfig(0.05))
+    ),
+    "bank_part": Reader(
+        _scene,
+        "assets/objects/box/part-00.obj",
+        lambda f: verify_scene(f / "scenes" / "000000.xml", VerifyConfig(0.05)),
+    ),
+    "object": Reader(lambda f: write_object(f, trio()[1]), "object.json", read_object),
+    "object_signed": Reader(
+        lambda f: write_object(f, trio()[1]), "object.json", read_object, _sign((",", ":"))
+    ),
+    "object_cloud": Reader(lambda f: write_object(f, trio()[1]), "cloud.npy", read_object),
+    "pool": Reader(lambda f: write_pool(f, Pool("trio", tuple(trio()))), "pool.json", read_pool),
+    "support": Reader(lambda f: write_support(f, cuboid_table()), "support.json", read_support),
+    "checkpoint_record": Reader(_policy, "record.json", read_record),
+    "checkpoint_weights": Reader(_policy, "weights.npz", lambda f: read_policy(f, LIKE)),
+    "urdf": Reader(_text("thing.urdf", URDF), "thing.urdf", _read_shapes),
+    "urdf_label": Reader(_text("thing.urdf", URDF), "label.json", _read_shapes),
+    "urdf_mesh": Reader(_text("thing.urdf", URDF), "part.obj", _read_shapes),
+    "mjcf": Reader(_text("thing.xml", MJCF), "thing.xml", _read_shapes),
+    "mjcf_mesh": Reader(_text("thing.xml", MJCF), "part.obj", _read_shapes),
+    "mjcf_scene": Reader(_text("thing.xml", MJCF), "thing.xml", lambda f: read_mjcf_scene(f / "thing.xml")),
+    **{suffix.strip("."): _mesh(suffix) for suffix in (".obj", ".stl", ".ply", ".glb", ".dae")},
+    "stl_ascii": _mesh(".stl", "stl_ascii"),
+    "ply_ascii": _mesh(".ply", encoding="ascii"),
+}
+
+
+class Bench:
+    """One reader's folder, into which mutated files are put."""
+
+    def __init__(self, name: str, folder: Path) -> None:
+        self.reader, self.folder = READERS[name], folder / name
+        self.reader.make(self.folder)
+        self.file = self.folder / self.reader.file
+        self.sound = self.file.read_bytes()
+        self.reader.read(self.folder)
+
+    def mutant(self, seed: int) -> bytes:
+        """The file after some accidents."""
+        data = mutated(self.sound, random.Random(seed))
+        return data if self.reader.signed is None else self.reader.signed(data)
+
+    def try_out(self, data: bytes) -> bool:
+        """Whether the mutant could be read; any error but ours comes through."""
+        self.file.write_bytes(data)
+        try:
+            self.reader.read(self.folder)
+        except ClutterGenError:
+            return False
+        finally:
+            self.file.write_bytes(self.sound)
+        return True
+
+
+def _hunt(name: str, seconds: float, first: int) -> None:
+    """Looks for crashes of one reader; prints where they come from and keeps one of each kind."""
+    seen: set[str] = set()
+    folder = Path(tempfile.mkdtemp())
+    bench, tries, read, end = Bench(name, folder), 0, 0, time.monotonic() + seconds
+    suspect = CORPUS / name / "suspect"
+    suspect.parent.mkdir(parents=True, exist_ok=True)
+    while time.monotonic() < end:
+        data = bench.mutant(first + tries)
+        # If the process dies or hangs over it, this is what is found.
+        suspect.write_bytes(data)
+        tries += 1
+        started = time.monotonic()
+        faulthandler.dump_traceback_later(60, exit=True)
+        try:
+            read += bench.try_out(data)
+        except Exception as error:
+            frames = [f for f in traceback.extract_tb(error.__traceback__) if "cluttergen_jax" in f.filename]
+            where = f"{type(error).__name__} {frames[-1].filename.split('/')[-1]}:{frames[-1].lineno}"
+            if where not in seen:
+                seen.add(where)
+                print(f"{name}: {where}: {error!s:.150}", flush=True)
+                digest = hashlib.sha256(data).hexdigest()[:10]
+                (CORPUS / name / digest).write_bytes(data)
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+        if time.monotonic() - started > 5:
+            print(f"{name}: slow: {time.monotonic() - started:.1f} s", flush=True)
+            shutil.copy(suspect, suspect.with_name(f"slow-{hashlib.sha256(data).hexdigest()[:10]}"))
+    suspect.unlink()
+    if not any(suspect.parent.iterdir()):
+        suspect.parent.rmdir()
+    shutil.rmtree(folder)
+    print(f"{name}: {tries} mutants, {read} could be read, {len(seen)} kinds of crash", flush=True)
+
+
+if __name__ == "__main__":
+    for reader in sys.argv[3:] or READERS:
+        _hunt(reader, float(sys.argv[1]), int(sys.argv[2]))

@@ -1,0 +1,83 @@
+"""Training runs small enough for tests: made-up physics, a tiny network, programs compiled once a file."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.experimental.compilation_cache import compilation_cache
+
+from cluttergen_jax.learning.networks.config import NetworkConfig
+from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.learning.training.interrupt import Interrupt
+from cluttergen_jax.learning.training.run import Run, RunConfig
+from tests.helpers.problems import made_up_rules
+
+SMALL = NetworkConfig(
+    object_points=8,
+    object_features=8,
+    token_width=16,
+    num_heads=2,
+    history_width=8,
+    num_layers=2,
+    width=16,
+)
+PPO = PPOConfig(num_envs=4, num_steps=4, num_minibatches=2, num_epochs=2, num_attempts=64)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once(tmp_path_factory):
+    """The same program is compiled once for all runs of a file that imports this."""
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path_factory.mktemp("programs")))
+    compilation_cache.reset_cache()
+    yield
+    jax.config.update("jax_compilation_cache_dir", before)
+    compilation_cache.reset_cache()
+
+
+def recipe(rules):
+    """What is stored with its policies."""
+    return {"placement": asdict(rules.config), "network": asdict(SMALL)}
+
+
+def make_run(folder, ppo=PPO, seed=0, evaluate=None, **config):
+    """A run of four updates, two a call at most."""
+    rules = made_up_rules(history_stride=12, reward="compressed")
+    watched = RunConfig(**{"seed": seed, "window": 2} | config)
+    return Run(rules, SMALL, ppo, watched, folder, recipe(rules), evaluate)
+
+
+class Stopping(Interrupt):
+    """As if Ctrl-C were pressed while the given number of calls had been made."""
+
+    def __init__(self, calls):
+        super().__init__()
+        self.calls = calls
+
+    @property
+    def is_asked(self):
+        self.calls -= 1
+        return self.calls < 0
+
+    @is_asked.setter
+    def is_asked(self, value): ...
+
+
+def same_bits(one, two) -> bool:
+    """Whether two trees of arrays are equal."""
+
+    def data(leaf):
+        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        return np.asarray(jax.random.key_data(leaf) if is_key else leaf)
+
+    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True)
+    return all(np.array_equal(data(a), data(b), equal_nan=data(a).dtype.kind == "f") for a, b in pairs)
+
+
+def weights(state) -> np.ndarray:
+    """All weights of a state, f32[W]."""
+    return np.concatenate([np.asarray(leaf).ravel() for leaf in jax.tree.leaves(state.params)])

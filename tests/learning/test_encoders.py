@@ -1,0 +1,327 @@
+"""Encoders of point clouds: sampling and searching against NumPy, masks, moves, orders, frozen weights."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import pdist
+
+from cluttergen_jax.assets.cloud import farthest_first
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.learning.networks import cloud_encoder, sampling
+from cluttergen_jax.learning.networks.actor_critic import NetworkConfig
+from cluttergen_jax.learning.networks.cloud_encoder import CloudEncoder, CloudNet, encode_scenes, init_encoder
+from cluttergen_jax.learning.networks.pointnet2 import PointNet2, SetAbstraction
+from cluttergen_jax.learning.networks.sampling import ball_query, farthest_points
+from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.learning.ppo.pose_agent import PoseAgent
+from cluttergen_jax.learning.ppo.ppo import PPO
+from cluttergen_jax.placement.clouds import CloudLayout, even_points, scene_cloud
+from cluttergen_jax.placement.env import PlacementEnv
+from tests.helpers.problems import made_up_rules
+from tests.helpers.runs import compiled_once
+
+__all__ = ["compiled_once"]
+
+KINDS = ("pointnet", "pointnet2")
+ENCODERS = {"set": "PointNet_0", "pointnet": "encoder", "pointnet2": "encoder"}
+SMALL = NetworkConfig(
+    scene_encoder="pointnet2",
+    object_points=16,
+    object_features=8,
+    scene_points=96,
+    scene_features=8,
+    num_centroids=24,
+    group_size=4,
+    history_width=8,
+    num_layers=1,
+    width=8,
+)
+NUM_OBJECTS = 4
+
+
+def points(number, seed=0, scale=0.5):
+    return np.random.default_rng(seed).normal(size=(number, 3)).astype(np.float32) * scale
+
+
+def world(seed=0):
+    """Clouds f32[K, 32, 3] in farthest-point order and half extents f32[K, 3], metres."""
+    clouds = np.stack([points(32, seed + k, 0.03) for k in range(NUM_OBJECTS)])
+    clouds = np.stack([cloud[farthest_first(cloud)] for cloud in clouds])
+    return jnp.asarray(clouds), jnp.asarray(np.abs(clouds).max(1))
+
+
+def scenes(batch, seed=0):
+    """Observations as far as encoders read them."""
+    rng = np.random.default_rng(seed)
+    place = rng.uniform(-0.2, 0.2, (batch, NUM_OBJECTS, 3))
+    turn = rng.normal(size=(batch, NUM_OBJECTS, 4))
+    turn /= np.linalg.norm(turn, axis=-1, keepdims=True)
+    is_placed = rng.uniform(size=(batch, NUM_OBJECTS)) < 0.6
+    poses = np.concatenate([place, turn], -1) * is_placed[..., None]
+    return {
+        "T_region_object": jnp.asarray(poses, jnp.float32),
+        "is_placed": jnp.asarray(is_placed),
+        "region": jnp.tile(jnp.array([0.3, 0.35, 0.2]), (batch, 1)),
+    }
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def encoder(request):
+    config = dataclasses.replace(SMALL, scene_encoder=request.param)
+    module = CloudEncoder(config, NUM_OBJECTS)
+    return module, init_encoder(module, jax.random.key(0), *world())
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def net(request):
+    """A compiled network on clouds of 40 points with 12 centroids, given as their indices."""
+    module = CloudNet(request.param, 8, 4)
+    cloud, mask = jnp.asarray(points(40)), jnp.ones(40, bool)
+    weights = jax.jit(module.init)(jax.random.key(1), cloud, mask, jnp.arange(12))
+    return jax.jit(lambda cloud, mask, index: module.apply(weights, cloud, mask, index))
+
+
+def test_farthest_points_are_those_of_numpy():
+    cloud, number = points(60), 25
+    mask = np.random.default_rng(1).uniform(size=60) < 0.6
+    for counts in (np.ones(60, bool), mask):
+        among = np.flatnonzero(counts)
+        expected = among[farthest_first(np.float64(cloud[among]))][:number]
+        dirty = np.where(counts[:, None], cloud, 7.0)
+        index, is_chosen = jax.jit(farthest_points, static_argnums=2)(dirty, counts, number)
+        np.testing.assert_array_equal(index, expected)
+        assert bool(is_chosen.all())
+
+
+def test_farthest_points_say_when_there_are_no_more():
+    mask = np.arange(20) % 4 == 0
+    index, is_chosen = farthest_points(jnp.asarray(points(20)), mask, 9)
+    np.testing.assert_array_equal(is_chosen, np.arange(9) < 5)
+    assert sorted(np.asarray(index)[:5].tolist()) == [0, 4, 8, 12, 16]
+
+
+def test_prefix_of_an_ordered_cloud_is_its_farthest_point_sample():
+    cloud = points(64)
+    ordered = cloud[farthest_first(np.float64(cloud))]
+    index, _ = farthest_points(jnp.asarray(ordered), np.ones(64, bool), 20)
+    np.testing.assert_array_equal(index, np.arange(20))
+
+
+@pytest.mark.parametrize("at_once", [1 << 20, 150])
+def test_ball_query_finds_what_a_tree_finds(monkeypatch, at_once):
+    monkeypatch.setattr(sampling, "_SEARCHED_AT_ONCE", at_once)
+    cloud, centres, radius, number = points(50), points(9, 3), 0.4, 5
+    mask = np.random.default_rng(2).uniform(size=50) < 0.7
+    index, is_found = jax.jit(ball_query, static_argnums=(3, 4))(centres, cloud, mask, radius, number)
+    among = np.flatnonzero(mask)
+    distance, nearest = cKDTree(cloud[among]).query(centres, number, distance_upper_bound=radius)
+    np.testing.assert_array_equal(is_found, np.isfinite(distance))
+    assert 0 < np.isfinite(distance).mean() < 1
+    for row, theirs, found in zip(np.asarray(index), nearest, np.asarray(is_found), strict=True):
+        np.testing.assert_array_equal(row[found], among[theirs[found]])
+
+
+def test_fewer_points_than_a_group_is_no_fault():
+    index, is_found = ball_query(*map(jnp.asarray, (points(2), points(3))), np.ones(3, bool), 10.0, 8)
+    assert index.shape == is_found.shape == (2, 3)
+    assert bool(is_found.all())
+
+
+def test_a_level_does_not_change_when_the_cloud_is_moved():
+    level = SetAbstraction(0.5, 4, (8, 6))
+    cloud, mask, index = jnp.asarray(points(30)), jnp.arange(30) < 25, jnp.arange(6)
+    features = jax.random.normal(jax.random.key(3), (30, 2))
+    weights = jax.jit(level.init)(jax.random.key(0), cloud, mask, features, index, mask[index])
+    apply = jax.jit(lambda cloud: level.apply(weights, cloud, mask, features, index, mask[index]))
+    # Shifts that float32 adds without rounding, so that the search finds the same points.
+    np.testing.assert_allclose(apply(cloud), apply(cloud + jnp.array([4.0, -2.0, 1.0])), atol=1e-4)
+    assert np.abs(apply(cloud) - apply(cloud * 1.3)).max() > 1e-2
+
+
+def test_masked_points_do_not_matter_whatever_they_are(net):
+    cloud, mask = points(40), np.random.default_rng(4).uniform(size=40) < 0.6
+    mask[:3] = True
+    expected = net(cloud, mask, jnp.arange(12))
+    for wrong in (1e6, np.nan, 0.0):
+        np.testing.assert_array_equal(
+            net(np.where(mask[:, None], cloud, wrong), mask, jnp.arange(12)), expected
+        )
+    assert np.abs(net(cloud, ~mask, jnp.arange(12)) - expected).max() > 1e-2
+
+
+def test_order_of_points_does_not_matter(net):
+    cloud, mask = points(40), np.arange(40) < 30
+    order = np.random.default_rng(5).permutation(40)
+    moved = np.argsort(order)[:12]
+    np.testing.assert_allclose(
+        net(cloud[order], mask[order], moved), net(cloud, mask, jnp.arange(12)), atol=1e-5
+    )
+
+
+def test_gradient_stays_finite_with_padding():
+    module = PointNet2(4, 4)
+    cloud, mask = jnp.asarray(points(20)), jnp.arange(20) < 3
+    weights = jax.jit(module.init)(jax.random.key(0), cloud, mask, np.arange(10))
+    slope = jax.jit(jax.grad(lambda w: jnp.sum(module.apply(w, cloud, mask, np.arange(10)) ** 2)))(weights)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slope))
+
+
+@pytest.mark.parametrize(("number", "objects", "size"), [(20480, 10, 1024), (2048, 10, 1024), (64, 40, 8)])
+def test_layout_shares_points_equally(number, objects, size):
+    layout = CloudLayout.of(number, objects, size)
+    assert layout.num_ground + objects * layout.share == number
+    assert layout.share <= size
+    for wanted in (number // 2, 41, 1):
+        index = layout.prefixes(wanted)
+        assert len(index) <= wanted
+        assert len(set(index.tolist())) == len(index)
+        owner = np.where(index < layout.num_ground, -1, (index - layout.num_ground) // layout.share)
+        counts = np.bincount(owner[owner >= 0], minlength=objects)
+        assert (counts == min(wanted // (objects + 1), layout.share)).all()
+        # The points of each owner are its first ones.
+        offset = np.where(owner < 0, index, (index - layout.num_ground) % layout.share)
+        assert all(sorted(offset[owner == k]) == list(range((owner == k).sum())) for k in range(-1, objects))
+
+
+def test_even_points_are_even_and_at_different_distances():
+    points = even_points(400)
+    assert np.abs(points).max() <= 1
+    for number in (400, 100):
+        counts = np.histogram2d(*points[:number].T, bins=5, range=[[-1, 1]] * 2)[0]
+        assert np.abs(counts - number / 25).max() <= 0.5 * number / 25
+    distance = np.sort(pdist(points))
+    assert np.diff(distance).min() >= 0
+    assert len(np.unique(distance.round(6))) > 0.4 * len(distance)
+
+
+def test_scene_of_unmoved_objects_is_their_clouds():
+    clouds, _ = world()
+    still = jnp.tile(jnp.array([0.0, 0, 0, 1, 0, 0, 0]), (NUM_OBJECTS, 1))
+    cloud, mask = scene_cloud(clouds, still, jnp.ones(NUM_OBJECTS, bool), jnp.ones(2), 100, NUM_OBJECTS)
+    assert bool(mask.all())
+    np.testing.assert_allclose(cloud[20:], clouds[:, :20].reshape(-1, 3), atol=1e-7)
+
+
+def test_scene_features_see_poses_of_placed_objects_only(encoder):
+    module, weights = encoder
+    clouds, _ = world()
+    seen = scenes(3) | {"is_placed": jnp.array([[True, False, True, False]] * 2 + [[False] * 4])}
+    encode = jax.jit(lambda seen: encode_scenes(module, weights, clouds, seen))
+    features = encode(seen)
+    assert np.isfinite(features).all()
+    moved = seen["T_region_object"].at[:, 1, :3].add(0.1)
+    np.testing.assert_array_equal(features, encode(seen | {"T_region_object": moved}))
+    # Farther than anything else, where even a PointNet of few features notices it.
+    change = np.abs(encode(seen | {"T_region_object": moved.at[:, 0, :3].add(1.0)}) - features).max(1)
+    assert (change[:2] > 1e-3).all()
+    assert change[2] == 0
+
+
+def test_lengths_count_in_units_of_the_object(encoder):
+    module, weights = encoder
+    clouds, half = world()
+    apply = jax.jit(lambda *each: module.apply({"params": weights}, *each, method="of_object"))
+    np.testing.assert_allclose(apply(clouds[0], half[0]), apply(2 * clouds[0], 2 * half[0]), atol=1e-5)
+    assert np.abs(apply(clouds[0], half[0]) - apply(clouds[1], half[1])).max() > 1e-2
+
+
+@pytest.mark.slow
+def test_chunks_change_neither_features_nor_gradient(monkeypatch):
+    module = CloudEncoder(SMALL, NUM_OBJECTS)
+    clouds, half = world()
+    weights, seen = init_encoder(module, jax.random.key(0), clouds, half), scenes(5)
+    results = []
+    for size in (5, 2):
+        monkeypatch.setattr(cloud_encoder, "CHUNK", size)
+
+        def total(weights):
+            features = encode_scenes(module, weights, clouds, seen)
+            return jnp.sum(features * jnp.arange(8.0)), features
+
+        slope, features = jax.jit(jax.grad(total, has_aux=True))(weights)
+        results.append((features, slope["scene_net"]))
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=2e-4, rtol=1e-3), *results)
+
+
+def test_chunks_divide_the_batch_where_they_can():
+    assert [cloud_encoder._chunk(batch) for batch in (1, 5, 64, 100, 1000, 37)] == [1, 5, 32, 25, 25, 32]
+
+
+@pytest.mark.slow
+def test_frozen_weights_keep_their_bits_through_an_update():
+    config = dataclasses.replace(SMALL, scene_encoder="pointnet", encoder_frozen=True)
+    rules = made_up_rules(history_stride=12, reward="compressed")
+    geometry = rules.geometry.replace(cloud=jnp.tile(world()[0], (2, 1, 1))[:6])
+    agent = PoseAgent(config, geometry.cloud, geometry.half_extents, 4)
+    numbers = PPOConfig(num_envs=4, num_steps=4, num_minibatches=2, num_epochs=2, num_attempts=64)
+    ppo = PPO(PlacementEnv(rules), agent.apply, numbers, encode=agent.encode)
+    observation = jax.eval_shape(ppo.env.reset, jax.random.key(0)).obs
+    start = ppo.start(jax.random.key(0), agent.init(jax.random.key(1), observation))
+    after, _ = jax.jit(ppo.update)(start)
+    same = jax.tree.map(lambda a, b: bool((a == b).all()), start.params["params"], after.params["params"])
+    assert all(jax.tree.leaves(same.pop("encoder")))
+    assert not any(jax.tree.leaves(same))
+
+
+@pytest.mark.parametrize(("kind", "is_frozen"), [("set", True), ("pointnet", True), ("pointnet", False)])
+def test_frozen_encoders_get_no_gradient_and_keep_their_features(kind, is_frozen):
+    config = dataclasses.replace(
+        SMALL, scene_encoder=kind, history_width=0, encoder_frozen=is_frozen, token_width=8
+    )
+    agent = PoseAgent(config, *world(), NUM_OBJECTS)
+    seen = scenes(3) | {"focus": jnp.array([0, 2, 1])}
+    params = agent.init(jax.random.key(0), jax.tree.map(lambda leaf: leaf[0], seen))
+
+    @jax.jit
+    def values(params):
+        kept = agent.encode(params)(seen)
+        assert ("encoded" in kept) == (is_frozen and config.reads_clouds)
+        slope = jax.grad(lambda params: jnp.sum(agent.apply(params, kept)[1]))(params)
+        return agent.apply(params, seen)[1], agent.apply(params, kept)[1], slope["params"]
+
+    whole, kept, slope = values(params)
+    np.testing.assert_allclose(whole, kept, rtol=1e-5)
+    moves = [bool(jnp.any(leaf != 0)) for leaf in jax.tree.leaves(slope[ENCODERS[kind]])]
+    assert not any(moves) if is_frozen else sum(moves) > len(moves) / 2
+    assert bool(jnp.any(slope["critic"]["Dense_0"]["kernel"] != 0))
+
+
+@pytest.mark.parametrize("kind", ["set", *KINDS])
+def test_renumbering_the_objects_leaves_actions_unchanged(kind):
+    config = dataclasses.replace(SMALL, scene_encoder=kind, history_width=0, token_width=8)
+    clouds, half = world()
+    agent = PoseAgent(config, clouds, half, NUM_OBJECTS)
+    seen = scenes(3) | {"focus": jnp.array([0, 2, 1])}
+    params = agent.init(jax.random.key(0), jax.tree.map(lambda leaf: leaf[0], seen))
+    order = jnp.array([3, 0, 1, 2])
+    renumbered = seen | {
+        "focus": jnp.argsort(order)[seen["focus"]],
+        "is_placed": seen["is_placed"][:, order],
+        "T_region_object": seen["T_region_object"][:, order],
+    }
+
+    @jax.jit
+    def act(clouds, half, seen):
+        dist, value = PoseAgent(config, clouds, half, NUM_OBJECTS).apply(params, seen)
+        return dist.mean(), value
+
+    one, two = act(clouds, half, seen), act(clouds[order], half[order], renumbered)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), one, two)
+    assert np.abs(one[1] - act(clouds, half, renumbered)[1]).max() > 1e-3
+
+
+def test_older_records_are_read():
+    old = {"head": "beta", "object_points": 64, "object_features": 64, "token_width": 96, "num_heads": 4}
+    assert NetworkConfig(**old) == NetworkConfig()
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"scene_encoder": "voxels"}, {"scene_points": 3}, {"num_centroids": 0}, {"object_points": 0}]
+)
+def test_config_refuses(wrong):
+    with pytest.raises(ConfigError):
+        NetworkConfig(**wrong)

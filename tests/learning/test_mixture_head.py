@@ -1,0 +1,64 @@
+"""The mixture head in the network: heights are read, z lies about what is below, densities are honest."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cluttergen_jax.learning.agents import make_agent
+from cluttergen_jax.learning.networks.config import NetworkConfig
+from cluttergen_jax.placement.observation import height_grid
+from tests.helpers.problems import made_up_rules
+
+CONFIG = NetworkConfig(head="mixture", num_cells=6, num_turns=4, width=16, num_layers=2, object_points=8)
+
+
+def made_up(config=CONFIG):
+    """Rules of six thin objects, their agent, fresh weights and one observation."""
+    rules = made_up_rules()
+    env, agent = make_agent(rules, config)
+    observation = env.reset(jax.random.key(0)).obs
+    return rules, agent, agent.init(jax.random.key(1), observation), observation
+
+
+def test_height_grid_sees_what_stands_where():
+    cloud = jnp.zeros((2, 4, 3)).at[0, :, 2].set(jnp.array([0.1, -0.1, 0.05, 0.0]))
+    poses = jnp.tile(jnp.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), (2, 1))
+    poses = poses.at[0, :3].set(jnp.array([0.25, -0.15, 0.1])).at[1, :3].set(jnp.array([-0.25, 0.15, 0.3]))
+    heights = height_grid(cloud, poses, jnp.array([True, False]), jnp.array([0.3, 0.2]), 6)
+    expected = np.zeros((6, 6))
+    expected[5, 0] = 0.2
+    np.testing.assert_allclose(heights, expected, atol=1e-6)
+
+
+def test_draws_lie_about_rest_on_what_is_below():
+    rules, agent, params, observation = made_up()
+    # A wall 3 cm high stands under the half of the region with x > 0.
+    observation["heights"] = jnp.zeros((6, 6)).at[3:].set(0.03)
+    observation["region"] = observation["region"].at[2].set(0.2)
+    batch = jax.tree.map(lambda leaf: leaf[None], observation)
+    dist = agent.apply(params, batch)[0]
+    draws = jax.vmap(dist.sample)(jax.random.split(jax.random.key(2), 2000))[:, 0]
+    half = float(rules.geometry.half_extents[observation["focus"], 2])
+    above = np.asarray(draws[:, 2]) * 0.2 - half - np.where(np.asarray(draws[:, 0]) > 0.5, 0.03, 0.0)
+    assert above.min() >= -0.0011
+    assert above.max() <= 0.0091
+    assert abs(np.median(above) - 0.002) < 0.001
+
+
+@pytest.mark.parametrize("config", [CONFIG, replace(CONFIG, turn_symmetry=1, undersides=True)])
+def test_no_draw_has_a_broken_density(config):
+    _, agent, params, observation = made_up(config)
+    # An object as high as the whole range: the window has to give way at both ends.
+    for height_range, height in ((0.004, 0.0), (0.05, 0.2)):
+        observation["region"] = observation["region"].at[2].set(height_range)
+        observation["heights"] = jnp.full((6, 6), height)
+        dist = agent.apply(params, jax.tree.map(lambda leaf: leaf[None], observation))[0]
+        draws = jax.vmap(dist.sample)(jax.random.split(jax.random.key(3), 2000))
+        assert float(draws.min()) > 0
+        assert float(draws.max()) < 1
+        density = jax.vmap(dist.log_prob)(draws)
+        # The average log-density of draws is minus the entropy; one clipped draw would upset it.
+        np.testing.assert_allclose(float(density.mean()), -float(dist.entropy()[0]), atol=0.1)

@@ -1,0 +1,100 @@
+"""The learner on probes with known answers; resuming and seeding bit for bit."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.learning.ppo.advantages import generalised_advantages
+from cluttergen_jax.learning.ppo.checkpoint import read_state, save_state
+from cluttergen_jax.learning.ppo.config import PPOConfig
+from tests.helpers.probes import Bandit, Coin, Constant, Late, Tiny, learner, train
+
+
+def value(state, obs):
+    return float(Tiny().apply(state.params, jnp.array([obs]))[1][0])
+
+
+def test_constant_reward_has_constant_value():
+    state = train(learner(Constant()), 40)
+    assert value(state, [0.0, 0.0]) == pytest.approx(1.0, abs=0.03)
+
+
+def test_value_follows_the_observation():
+    state = train(learner(Coin()), 60)
+    assert value(state, [0.0, 1.0]) == pytest.approx(1.0, abs=0.1)
+    assert value(state, [0.0, 0.0]) == pytest.approx(-1.0, abs=0.1)
+
+
+def test_later_reward_is_discounted():
+    state = train(learner(Late()), 60)
+    assert value(state, [1.0, 0.0]) == pytest.approx(1.0, abs=0.05)
+    assert value(state, [0.0, 0.0]) == pytest.approx(0.9, abs=0.05)
+
+
+def test_beta_bandit_finds_both_optima():
+    state = train(learner(Bandit()), 60)
+    dist, _ = Tiny().apply(state.params, jnp.array([[0.0, 1.0], [0.0, 0.0]]))
+    np.testing.assert_allclose(dist.mean()[:, 0], [0.8, 0.3], atol=0.08)
+
+
+def test_entropy_bonus_keeps_the_policy_wide():
+    narrow = train(learner(Bandit()), 60)
+    wide = train(learner(Bandit(), entropy_cost=0.3), 60)
+    seen = jnp.array([[0.0, 1.0]])
+    entropies = [float(Tiny().apply(s.params, seen)[0].entropy()[0]) for s in (narrow, wide)]
+    assert entropies[0] < entropies[1]
+
+
+def test_advantages_by_hand():
+    # Two steps that end an episode, then one that does not, one environment.
+    reward, value_, done = (
+        jnp.array(x)[:, None] for x in ([1.0, 2.0, 3.0], [0.5, 0.25, 0.1], [0.0, 1.0, 0.0])
+    )
+    advantage, target = generalised_advantages(reward, value_, done, jnp.array([4.0]), 0.9, 0.8)
+    third = 3 + 0.9 * 4 - 0.1
+    second = 2 - 0.25
+    first = 1 + 0.9 * 0.25 - 0.5 + 0.9 * 0.8 * second
+    np.testing.assert_allclose(advantage[:, 0], [first, second, third], rtol=1e-6)
+    np.testing.assert_allclose(target, advantage + value_, rtol=1e-6)
+
+
+def equal(one, two) -> bool:
+    def data(leaf):
+        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        return np.asarray(jax.random.key_data(leaf) if is_key else leaf)
+
+    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True)
+    return all(np.array_equal(data(a), data(b)) for a, b in pairs)
+
+
+@pytest.mark.slow
+def test_resumed_run_is_the_same_run_bit_for_bit(tmp_path):
+    ppo = learner(Bandit())
+    whole, half = train(ppo, 6), train(ppo, 3)
+    save_state(tmp_path / "last", half, {"pool": "none"})
+    resumed = read_state(tmp_path / "last", half)
+    update = jax.jit(ppo.update)
+    for _ in range(3):
+        resumed, _ = update(resumed)
+    assert equal(resumed, whole)
+
+
+def test_seed_decides():
+    ppo = learner(Bandit())
+    assert equal(train(ppo, 2, seed=3), train(ppo, 2, seed=3))
+    assert not equal(train(ppo, 2, seed=3).params, train(ppo, 2, seed=4).params)
+
+
+def test_no_checkpoint_is_said_so(tmp_path):
+    from cluttergen_jax.learning.ppo.checkpoint import read_record
+
+    with pytest.raises(PoolError, match="not a checkpoint"):
+        read_record(tmp_path / "nothing")
+
+
+@pytest.mark.parametrize("wrong", [{"num_envs": 0}, {"learning_rate": float("nan")}, {"num_minibatches": 7}])
+def test_config_refuses(wrong):
+    with pytest.raises(ConfigError):
+        PPOConfig(**wrong)

@@ -1,0 +1,115 @@
+"""Training runs: they leave what they promise, are taken up again, and their policies generate scenes."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.learning.networks.config import NetworkConfig
+from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
+from cluttergen_jax.learning.policies.policy import load_policy
+from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_record
+from cluttergen_jax.learning.ppo.pose_agent import PoseAgent
+from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.observation import ObservationConfig, observe
+from tests.helpers.problems import made_up_rules
+from tests.helpers.runs import SMALL, Stopping, compiled_once, make_run, weights
+
+__all__ = ["compiled_once"]
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "whole"
+    return folder, make_run(folder).train()
+
+
+def test_leaves_progress_curve_and_checkpoints(trained):
+    folder, _ = trained
+    rows = read_rows(folder / "progress.csv")
+    assert [row["attempts"] for row in rows] == [16, 32, 48, 64]
+    assert (folder / "curve.png").stat().st_size > 1000
+    assert read_record(folder / "last")["num_updates"] == 4
+    for name in ("policy", "best"):
+        assert read_record(folder / name)["kind"] == "pose"
+        assert (folder / name / "weights.npz").exists()
+    assert list((folder / "tensorboard").iterdir())
+
+
+def test_stopped_run_goes_on_to_the_same_bits(trained, tmp_path):
+    folder = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        make_run(folder).train(interrupt=Stopping(2))
+    assert 0 < read_record(folder / "last")["num_updates"] < 4
+    state = make_run(folder).train()
+    np.testing.assert_array_equal(weights(state), weights(trained[1]))
+    assert [row["update"] for row in read_rows(folder / "progress.csv")] == [0, 1, 2, 3]
+    assert read_record(folder / "best")["success"] == read_record(trained[0] / "best")["success"]
+
+
+def test_policy_reads_back_and_acts(trained):
+    folder, state = trained
+    rules = made_up_rules(history_stride=12)
+    policy = load_policy(read_checkpoint(folder / "policy"), rules, is_sampled=False)
+    episode = rules.begin(jax.random.key(0))
+    action = jax.jit(policy)(jax.random.key(1), episode)
+    assert action.shape == (4,)
+    assert ((action > 0) & (action < 1)).all()
+    # Stored at half precision, and without the critic: everything else comes back.
+    pairs = jax.tree.leaves_with_path(
+        jax.tree.map(lambda a, b: jnp.abs(a - b).max(), policy.params, state.params)
+    )
+    changed = {jax.tree_util.keystr(path).split("'")[3] for path, change in pairs if change > 1e-3}
+    assert changed <= {"critic", "value"}
+    seen = jax.tree.map(lambda leaf: leaf[None], observe(rules, episode, ObservationConfig()))
+    whole, _ = policy.agent.apply(state.params, seen)
+    np.testing.assert_allclose(action, whole.mean()[0], atol=0.01)
+
+
+def test_policy_that_remembers_otherwise_is_refused(trained):
+    with pytest.raises(ConfigError, match="history_stride"):
+        load_policy(read_checkpoint(trained[0] / "policy"), made_up_rules(history_stride=0))
+
+
+def test_weights_of_another_network_are_refused(trained):
+    other = NetworkConfig(width=24, num_layers=2)
+    rules = made_up_rules(history_stride=12)
+    geometry = rules.geometry
+    agent = PoseAgent(other, geometry.cloud, geometry.half_extents, 4)
+    seen = jax.eval_shape(PlacementEnv(rules).reset, jax.random.key(0)).obs
+    with pytest.raises(PoolError, match="another network"):
+        read_policy(trained[0] / "policy", agent.init(jax.random.key(0), seen))
+
+
+def test_damaged_record_is_named(trained, tmp_path):
+    (tmp_path / "record.json").write_text("{")
+    with pytest.raises(PoolError, match=str(tmp_path.name)):
+        read_record(tmp_path)
+    assert json.loads((trained[0] / "policy" / "record.json").read_text())["format"] == 1
+
+
+def test_renumbering_the_objects_leaves_actions_unchanged():
+    rules = made_up_rules(history_stride=12)
+    cloud = jax.random.normal(jax.random.key(5), (6, 8, 3)) * 0.03
+    half = jnp.abs(jax.random.normal(jax.random.key(6), (6, 3))) * 0.05
+    episode = rules.begin(jax.random.key(0))
+    for _ in range(2):
+        episode, _ = rules.attempt(episode, jnp.array([0.9, 0.4, 0.5, 0.1]))
+    seen = jax.tree.map(lambda leaf: leaf[None], observe(rules, episode, ObservationConfig()))
+    agent = PoseAgent(SMALL, cloud, half, 4)
+    params = agent.init(jax.random.key(1), jax.tree.map(lambda leaf: leaf[0], seen))
+    order = jnp.array([3, 0, 5, 1, 4, 2])
+    new_number = jnp.argsort(order)
+    renumbered = seen | {
+        "focus": new_number[seen["focus"]],
+        "is_placed": seen["is_placed"][:, order],
+        "T_region_object": seen["T_region_object"][:, order],
+    }
+    one = agent.apply(params, seen)
+    two = PoseAgent(SMALL, cloud[order], half[order], 4).apply(params, renumbered)
+    np.testing.assert_allclose(one[0].mean(), two[0].mean(), atol=1e-5)
+    np.testing.assert_allclose(one[1], two[1], atol=1e-5)

@@ -1,0 +1,146 @@
+"""Compiled updates: the same bits however many a call makes, and none after one that is not finite."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cluttergen_jax.learning.ppo.checkpoint import read_record, read_state
+from cluttergen_jax.learning.training.run import DivergedError
+from cluttergen_jax.learning.training.updates import Updates, num_updates
+from tests.helpers.probes import Bandit, Tiny, learner
+from tests.helpers.runs import compiled_once, make_run, same_bits
+
+__all__ = ["compiled_once"]
+
+NOTHING, OBSERVATION, REWARD, LARGE, LAST = range(5)
+
+
+class Sick(Bandit):
+    """A bandit that falls ill in its third step, in the way that its state says."""
+
+    length = 4
+
+    def _state(self, key, step, coin, reward, done):
+        state = super()._state(key, step, coin, reward, done)
+        return state.replace(info=state.info | {"illness": jnp.int32(NOTHING)})
+
+    def step(self, state, action):
+        illness, is_now = state.info["illness"], state.info["step"] == 2
+        after = super().step(state, action)
+        nan, large = jnp.float32(jnp.nan), jnp.float32(1e30)
+        reward = jnp.where(is_now & (illness == REWARD), nan, after.reward)
+        reward = jnp.where(is_now & (illness == LARGE), large, reward)
+        is_seen = is_now & (illness == OBSERVATION)
+        is_seen |= (state.info["step"] == 3) & (illness == LAST)
+        return after.replace(
+            reward=reward,
+            obs=jnp.where(is_seen, nan, after.obs),
+            info=after.info | {"illness": illness},
+        )
+
+
+@pytest.fixture(scope="module")
+def sick(compiled_once):
+    """Updates of up to three at once, and a state to begin with: rollouts are whole episodes."""
+    ppo = learner(Sick(), num_envs=4, num_steps=4, num_minibatches=2, num_epochs=2)
+    state = jax.jit(ppo.start)(jax.random.key(1), Tiny().init(jax.random.key(0), jnp.zeros((1, 2))))
+    return Updates(ppo, state, 3), state
+
+
+def ill(state, illness):
+    env = state.env
+    return state.replace(env=env.replace(info=env.info | {"illness": jnp.full((4,), illness, jnp.int32)}))
+
+
+def test_three_at_once_are_one_by_one(sick):
+    updates, state = sick
+    at_once, rows, is_finite = updates(state, 3)
+    one_by_one, singly = state, []
+    for _ in range(3):
+        one_by_one, row, _ = updates(one_by_one, 1)
+        singly += row
+    assert same_bits(at_once, one_by_one)
+    assert len(rows) == 3
+    assert rows == singly
+    assert is_finite
+    assert not same_bits(at_once.params, state.params)
+
+
+@pytest.mark.parametrize(
+    ("illness", "where"),
+    [
+        (OBSERVATION, "_roll_out"),
+        (LAST, "_roll_out"),
+        (REWARD, "_roll_out"),
+        (LARGE, "checked_update"),
+    ],
+)
+def test_an_update_that_is_not_finite_is_the_last_and_its_place_is_named(sick, illness, where):
+    updates, state = sick
+    after, rows, is_finite = updates(ill(state, illness), 3)
+    assert not is_finite
+    assert len(rows) == 1
+    assert int(after.num_updates) == 1
+    found = updates.where_not_finite(ill(state, illness), len(rows))
+    assert found.startswith(f"{where} (agent/ppo.py:")
+    assert not jax.config.jax_debug_nans
+
+
+def test_weights_that_are_not_finite_are_noticed(sick):
+    updates, state = sick
+    broken = jax.tree.map(lambda leaf: leaf * jnp.nan, state.params)
+    assert not updates(state.replace(params=broken), 1)[2]
+
+
+def test_the_update_at_fault_may_be_a_later_one(sick):
+    updates, state = sick
+    later = updates(state, 2)[0]
+    assert updates.where_not_finite(state, 3) == ""
+    assert "_roll_out" in updates.where_not_finite(ill(later, REWARD), 1)
+
+
+def test_number_of_updates_follows_their_time():
+    assert num_updates(None, 10, 4.0) == 1
+    assert num_updates(100.0, 10, 4.0) == 1
+    assert num_updates(1.5, 10, 4.0) == 2
+    assert num_updates(1e-6, 10, 4.0) == 10
+    assert num_updates(0.0, 3, 4.0) == 3
+
+
+@pytest.mark.slow
+def test_diverged_run_keeps_the_last_good_state(tmp_path, monkeypatch):
+    run = make_run(tmp_path / "run")
+    healthy, calls = Updates.__call__, []
+
+    def poisoned(self, state, num):
+        calls.append(state)
+        if len(calls) == 3:
+            state = state.replace(params=jax.tree.map(lambda leaf: leaf * jnp.nan, state.params))
+        return healthy(self, state, num)
+
+    monkeypatch.setattr(Updates, "__call__", poisoned)
+    with pytest.raises(DivergedError, match=r"update \d+: numbers are not finite"):
+        run.train()
+    last = tmp_path / "run" / "last"
+    kept = read_state(last, calls[2])
+    assert same_bits(kept, calls[2])
+    assert read_record(last)["num_updates"] == int(calls[2].num_updates) > 0
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(kept.params))
+    assert (tmp_path / "run" / "policy" / "weights.npz").exists()
+
+
+def test_calls_of_a_run_do_not_change_it(tmp_path, monkeypatch):
+    """A run that makes one update a call ends with the same bits as one that makes as many as it may."""
+    module = "cluttergen_jax.learning.training.run.num_updates"
+    most = make_run(tmp_path / "most")
+    monkeypatch.setattr(module, lambda seconds, most, longest: most)
+    quick = most.train()
+    monkeypatch.setattr(module, lambda seconds, most, longest: 1)
+    slow = make_run(tmp_path / "one")
+    slow.config = replace(slow.config, eval_every=16)
+    assert same_bits(quick, slow.train())
+    bests = [read_record(tmp_path / name / "best") for name in ("most", "one")]
+    assert bests[0] == bests[1]

@@ -1,0 +1,167 @@
+"""How a run is watched over: memory, metrics, evaluations, Weights & Biases, Ctrl-C."""
+
+import json
+import os
+import signal
+import sys
+import types
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cluttergen_jax.errors import ConfigError, MissingExtraError
+from cluttergen_jax.learning.ppo.checkpoint import read_record
+from cluttergen_jax.learning.training.interrupt import Interrupt
+from cluttergen_jax.learning.training.memory import check_memory, free_bytes
+from cluttergen_jax.learning.training.metrics_log import MetricsLog, read_rows
+from cluttergen_jax.learning.training.wandb_log import WandbLog
+from tests.helpers.runs import PPO, Stopping, compiled_once, make_run
+
+__all__ = ["compiled_once"]
+
+
+def compiled():
+    """A program with a square matrix of 4 MB as argument, another as result, and some in between."""
+
+    def function(x):
+        return jax.lax.scan(lambda carry, _: (jnp.tanh(carry @ x), carry), x, length=4)[1].sum() + x
+
+    return jax.jit(function).lower(jax.ShapeDtypeStruct((1000, 1000), jnp.float32)).compile()
+
+
+def test_memory_is_what_the_compiled_program_reports():
+    program = compiled()
+    sizes = program.memory_analysis()
+    needed = 8_000_000 + sizes.temp_size_in_bytes
+    assert sizes.temp_size_in_bytes > 4_000_000
+    assert "state 4.0 MB before and 4.0 MB after" in check_memory(program)
+    check_memory(program, needed)
+    with pytest.raises(ConfigError, match=r"`num_envs`.*`memory_limit`"):
+        check_memory(program, needed - 1)
+    assert free_bytes() > 10_000_000
+
+
+def test_run_refuses_before_its_first_update(tmp_path):
+    run = make_run(tmp_path / "run", memory_limit=1000)
+    with pytest.raises(ConfigError, match="a run that needs"):
+        run.train()
+    assert not (tmp_path / "run" / "last").exists()
+    assert not (tmp_path / "run" / "progress.csv").exists()
+
+
+def test_a_log_is_continued_and_a_torn_row_is_left_out(tmp_path):
+    path = tmp_path / "progress.csv"
+    log = MetricsLog(path)
+    for update in range(4):
+        log.add({"update": update, "attempts": 16 * update, "success": update / 3})
+    with path.open("a") as file:
+        file.write("4,64")
+    assert [row["update"] for row in read_rows(path)] == [0, 1, 2, 3]
+    again = MetricsLog(path, 2)
+    again.add({"update": 2, "attempts": 32, "success": 0.9})
+    assert [row["success"] for row in read_rows(path)] == [0.0, 1 / 3, 0.9]
+
+
+class FakeRun:
+    def __init__(self):
+        self.rows, self.is_finished = [], False
+
+    def log(self, row, step):
+        self.rows.append((step, row))
+
+    def finish(self):
+        self.is_finished = True
+
+
+def test_wandb_gets_every_row_and_the_same_id_again(tmp_path, monkeypatch):
+    calls, fake = [], FakeRun()
+    stub = types.SimpleNamespace(init=lambda **options: calls.append(options) or fake)
+    monkeypatch.setitem(sys.modules, "wandb", stub)
+    log = WandbLog(tmp_path, {"pool": "dining"})
+    log.add({"attempts": 16, "success": 0.5}, "")
+    log.add({"attempts": 16, "success": 0.25}, "evaluation/")
+    log.close()
+    WandbLog(tmp_path, {"pool": "dining"})
+    assert fake.rows[0] == (16, {"attempts": 16, "success": 0.5})
+    assert fake.rows[1] == (16, {"evaluation/attempts": 16, "evaluation/success": 0.25})
+    assert fake.is_finished
+    assert calls[0] == calls[1]
+    assert calls[0]["config"] == {"pool": "dining"}
+    assert calls[0]["resume"] == "allow"
+
+
+def test_missing_wandb_names_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    with pytest.raises(MissingExtraError, match=r"cluttergen_jax\[wandb\]"):
+        WandbLog(tmp_path, {})
+
+
+def test_first_interrupt_asks_and_the_second_strikes():
+    before = signal.getsignal(signal.SIGINT)
+    with Interrupt() as interrupt:
+        assert not interrupt.is_asked
+        os.kill(os.getpid(), signal.SIGINT)
+        assert interrupt.is_asked
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def evaluations():
+    """An evaluator that says a different success each time, and remembers what it was given."""
+    given = []
+
+    def evaluate(params):
+        given.append(params)
+        success = 0.1 * len(given)
+        interval = {"low95": success - 0.05, "high95": success + 0.05}
+        return {"success": success, **interval, "episodes": 256, "action": "sampled"}
+
+    return evaluate, given
+
+
+@pytest.mark.slow
+def test_evaluations_stand_beside_trainings_own_check(tmp_path):
+    evaluate, given = evaluations()
+    said = []
+    folder = tmp_path / "run"
+    run = make_run(folder, evaluate=evaluate, eval_every=PPO.batch_size)
+    run.train(show=said.append)
+    assert len(given) == 4
+    rows = read_rows(folder / "evaluations.csv")
+    assert [row["attempts"] for row in rows] == [16, 32, 48, 64]
+    np.testing.assert_allclose([row["success"] for row in rows], [0.1, 0.2, 0.3, 0.4])
+    record = read_record(folder / "policy")["evaluation"]
+    assert record["success"] == pytest.approx(0.4)
+    assert record["action"] == "sampled"
+    assert record["training_success"] == np.mean(
+        [row["success"] for row in read_rows(folder / "progress.csv")[-2:]]
+    )
+    spoken = [line for line in said if line.startswith("evaluation")]
+    assert len(spoken) == 4
+    own = f"training's check {record['training_success']:.3f}"
+    assert f"{own}, whole last check 0.400 [0.350, 0.450] (256 episodes" in spoken[-1]
+    assert said[1].startswith("memory")
+    # What is done is not done again.
+    make_run(folder, evaluate=evaluate).train(show=said.append)
+    assert len(given) == 4
+
+
+def test_evaluation_that_was_missed_is_made_up_for(tmp_path):
+    evaluate, given = evaluations()
+    folder = tmp_path / "run"
+    make_run(folder).train()
+    assert "evaluation" not in read_record(folder / "policy")
+    make_run(folder, evaluate=evaluate).train()
+    assert len(given) == 1
+    assert read_record(folder / "policy")["evaluation"]["episodes"] == 256
+
+
+def test_interrupted_run_is_not_evaluated(tmp_path):
+    evaluate, given = evaluations()
+    with pytest.raises(KeyboardInterrupt):
+        make_run(tmp_path / "run", evaluate=evaluate).train(interrupt=Stopping(1))
+    assert given == []
+    assert json.loads((tmp_path / "run" / "last" / "record.json").read_text())["num_updates"] == 1

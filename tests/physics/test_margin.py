@@ -1,0 +1,201 @@
+"""Support margins: against shapely and hand arithmetic, as a verdict, in a certificate, and in records."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from shapely.geometry import MultiPoint, Point
+
+from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.evaluation.measures.certificate import certificates
+from cluttergen_jax.evaluation.measures.scene_models import SceneModels
+from cluttergen_jax.evaluation.measures.tilt import TiltConfig, tilt
+from cluttergen_jax.evaluation.trial import Trial, key_of
+from cluttergen_jax.physics.margin import support_margin
+from cluttergen_jax.physics.mjx_margin import support_margins
+from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig, placement_record
+from cluttergen_jax.placement.scenes import scenes_of
+from cluttergen_jax.placement.types import Start
+from cluttergen_jax.placement.world import make_world
+from cluttergen_jax.types import Verdict
+from tests.helpers import banks
+from tests.helpers.problems import HalfTable, made_up_rules, trio_problem
+from tests.helpers.worlds import TOP, box
+
+GOOD = jnp.array([0.9, 0.5, 0.5, 0.2])
+EDGE = 0.3
+CUBE, TALL = range(2)
+
+
+def signed_distance(points):
+    """From the origin to the edge of the convex hull, positive within, as shapely has it."""
+    hull, origin = MultiPoint(points).convex_hull, Point(0, 0)
+    is_within = hull.geom_type == "Polygon" and hull.contains(origin)
+    return hull.exterior.distance(origin) if is_within else -hull.distance(origin)
+
+
+def some_points(number):
+    """Sets of points around, beside and on the origin, some of them on one line."""
+    draw = np.random.default_rng(0)
+    for turn in range(number):
+        points = draw.normal(size=(draw.integers(1, 20), 2)) * 0.05 + draw.normal(size=2) * draw.uniform(
+            0, 0.1
+        )
+        points[:, 1] = points[0, 1] if turn % 5 == 0 else points[:, 1]
+        yield points * (turn % 17 != 0)
+
+
+def test_the_margin_is_the_signed_distance_to_the_hull():
+    for points in some_points(500):
+        assert support_margin(points) == pytest.approx(signed_distance(points), abs=1e-12)
+    assert support_margin(np.zeros((0, 2))) == -math.inf
+
+
+def test_a_batch_in_jax_is_each_by_itself():
+    sets = [*some_points(40), np.zeros((0, 2))]
+    center = np.random.default_rng(1).normal(size=(len(sets), 2))
+    body = np.concatenate(
+        [np.repeat(np.arange(len(sets)), [len(points) for points in sets]), [len(sets)] * 9]
+    )
+    position = np.concatenate(
+        [points + at for points, at in zip(sets, center, strict=True)] + [np.ones((9, 2))]
+    )
+    order = np.random.default_rng(2).permutation(len(body))
+    found = jax.jit(support_margins)(
+        jnp.asarray(position[order], jnp.float32), jnp.asarray(body[order]), jnp.asarray(center, jnp.float32)
+    )
+    np.testing.assert_allclose(found, [support_margin(points) for points in sets], atol=1e-6)
+
+
+@dataclasses.dataclass(frozen=True)
+class Margins(HalfTable):
+    """What comes to rest has these margins, object by object."""
+
+    margin: tuple[float, ...] = (0.02,) * 6
+
+    def settle(self, poses, is_placed, focus, is_active):
+        return super().settle(poses, is_placed, focus, is_active).replace(margin=jnp.array(self.margin))
+
+
+def attempt(margin, **placement):
+    """The episode after one good attempt at the first object of six; margins that are not given are 2 cm."""
+    physics = Margins(margin=tuple(margin.get(k, 0.02) for k in range(6)))
+    rules = made_up_rules(physics=physics, order="fixed", **placement)
+    return rules.attempt(rules.begin(jax.random.key(0)), GOOD)[0]
+
+
+def test_too_small_a_margin_is_a_verdict_of_its_own():
+    after = attempt({0: 0.0029}, min_margin=0.003)
+    assert int(after.verdict) == Verdict.UNSUPPORTED
+    assert (int(after.slot), int(after.attempt)) == (0, 1)
+    assert int(after.counts.verdicts[Verdict.UNSUPPORTED]) == 1 == int(after.counts.verdicts.sum())
+    assert int(attempt({0: 0.0031}, min_margin=0.003).slot) == 1
+    # Others that the attempt took support from, but not those that were never placed.
+    assert int(attempt({3: -0.1}, min_margin=0.003).slot) == 1
+
+
+def test_a_neighbour_that_lost_its_support_counts_unless_it_stood_there_before():
+    rules = made_up_rules(physics=Margins(margin=(0.02, 0.001, 0.02, 0.02, 0.02, 0.02)), order="fixed")
+    rules = dataclasses.replace(
+        rules, config=dataclasses.replace(rules.config, min_margin=0.003), num_started=1
+    )
+    poses = jnp.zeros((6, 7)).at[:, 3].set(1.0)
+    around = rules.begin(jax.random.key(0), start=Start(poses, jnp.arange(6) == 1))
+    assert int(rules.attempt(around, GOOD)[0].verdict) == Verdict.STABLE
+    own = dataclasses.replace(around, first_slot=jnp.int32(0))
+    assert int(rules.attempt(own, GOOD)[0].verdict) == Verdict.UNSUPPORTED
+
+
+def test_a_narrow_object_is_asked_for_a_third_of_its_own():
+    rules = made_up_rules(physics=Margins(margin=(0.0006,) * 6), min_margin=0.003)
+    for own, verdict in ((0.001, Verdict.STABLE), (0.002, Verdict.UNSUPPORTED)):
+        geometry = rules.geometry.replace(own_margin=jnp.full(6, own))
+        narrow = dataclasses.replace(rules, geometry=geometry)
+        assert int(narrow.attempt(narrow.begin(jax.random.key(0)), GOOD)[0].verdict) == verdict
+
+
+def test_without_a_margin_nothing_is_unsupported_and_states_are_as_they_were():
+    after = attempt({0: -1.0})
+    assert int(after.verdict) == Verdict.STABLE
+    assert after.counts.verdicts.shape == (int(Verdict.NON_FINITE) + 1,)
+    assert "min_margin" not in placement_record(PlacementConfig())
+    assert placement_record(PlacementConfig(min_margin=0.002))["min_margin"] == 0.002
+    # A result that an earlier version kept is found again.
+    assert key_of(Trial(method="drop"), {"pool": "p"}) == "38c4d1a8ceb82b164ff9"
+    assert key_of(Trial(method="drop", min_margin=0.003), {"pool": "p"}) != "38c4d1a8ceb82b164ff9"
+
+
+def test_a_bank_from_before_margins_is_continued_without_one(tmp_path):
+    older = banks.RECIPE | {"placement": placement_record(PlacementConfig())}
+    with banks.writer(tmp_path / "bank", 3, older):
+        pass
+    asked = banks.RECIPE | {"placement": placement_record(PlacementConfig(min_margin=0.003))}
+    with pytest.raises(BankError, match=r"another placement\.min_margin"):
+        banks.writer(tmp_path / "bank", 3, asked)
+    banks.writer(tmp_path / "bank", 3, older).close()
+
+
+@pytest.mark.parametrize("wrong", [-0.001, 0.2, math.nan, "3 mm"])
+def test_a_margin_that_cannot_be_meant_is_refused(wrong):
+    with pytest.raises(ConfigError, match=r"min_margin.*Allowed: 0 to 0\.1 m"):
+        PlacementConfig(min_margin=wrong)
+
+
+@pytest.mark.slow
+def test_a_margin_changes_only_scenes_that_lack_it():
+    """Equal seeds: what had its margin all along is the same to the bit."""
+
+    def scenes(min_margin):
+        problem = trio_problem(min_margin=min_margin)
+        proposer = jax.random.uniform
+
+        def step(episode, key):
+            return problem.rules.attempt(episode, proposer(key, (4,)))[0], None
+
+        def play(key):
+            begun = problem.rules.begin(jax.random.fold_in(key, 1))
+            return scenes_of(jax.lax.scan(step, begun, jax.random.split(key, 15))[0])
+
+        return jax.device_get(jax.jit(jax.vmap(play))(jax.random.split(jax.random.key(0), 64)))
+
+    free, asked = scenes(0.0), scenes(MIN_MARGIN)
+    is_same = asked.counts.verdicts[:, Verdict.UNSUPPORTED] == 0
+    assert 0 < is_same.sum() < 64
+    np.testing.assert_array_equal(free.T_world_object[is_same], asked.T_world_object[is_same])
+
+
+@pytest.fixture(scope="module")
+def models():
+    objects = [box("cube", (0.03, 0.03, 0.03)), box("tall", (0.02, 0.04, 0.1))]
+    return SceneModels(make_world(objects, cuboid_table(), StabilityConfig(), ContactConfig()))
+
+
+@pytest.fixture(scope="module")
+def brink():
+    """The cube in the middle, and the tall box with its centre of mass 2.8 mm inside the table's edge."""
+    poses = np.tile(np.eye(7)[3], (1, 2, 1))
+    poses[0, :, :3] = [[0, 0, TOP + 0.03], [EDGE - 0.0028, 0, TOP + 0.1]]
+    return poses, np.ones((1, 2), bool)
+
+
+def test_tilted_gravity_topples_what_hand_arithmetic_says(models, brink):
+    # At height h, gravity tilted by a moves the load by h tan(a): 1.7, 3.5 and 8.7 mm; 45 degrees off the
+    # edge's normal by 0.7 of that.
+    np.testing.assert_allclose(tilt(models, *brink, num_threads=1), [[1.0, 7 / 8, 5 / 8]])
+    middle = tilt(models, brink[0] * [0.5, 1, 1, 1, 1, 1, 1], brink[1], TiltConfig((5.0,)), num_threads=1)
+    np.testing.assert_allclose(middle, 1.0)
+    with pytest.raises(ConfigError, match="ascend"):
+        TiltConfig((5.0, 1.0))
+
+
+@pytest.mark.slow
+def test_the_certificate_has_margins_and_tilts(models, brink):
+    (found,) = certificates(models, *brink, seconds=0.1, num_threads=1)
+    np.testing.assert_allclose(found["margins"], [0.03, 0.0028], atol=5e-5)
+    assert found["margin"] == min(found["margins"])
+    assert [found[f"tilt_{by}"] for by in (1, 2, 5)] == [1.0, 7 / 8, 5 / 8]

@@ -1,0 +1,283 @@
+"""The baselines against independent geometry: polygons, rays and MuJoCo's own contacts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from shapely import MultiPoint, unary_union
+from shapely.geometry import Polygon
+from shapely.geometry import box as rectangle
+
+from cluttergen_jax.assets.shape import Provenance
+from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.baselines import METHODS, make_proposer
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.heightmap import VOID, HeightMapper
+from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose, make_problem
+from cluttergen_jax.placement.region import KeepOut, is_kept_out, pose_of_action
+from cluttergen_jax.placement.rollout import BlockSampler
+from cluttergen_jax.types import Array
+from tests.helpers.problems import trio_problem
+from tests.helpers.worlds import trio
+
+TOP = 0.7
+CLEARANCE = 0.001
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """One proposal in a scene: what stood there, and where which object was to go."""
+
+    poses: np.ndarray
+    is_placed: np.ndarray
+    focus: int
+    proposed: np.ndarray
+
+
+def play(problem: Problem, method: str, num_scenes: int, num_steps: int) -> list[Proposal]:
+    """What a method proposes in dining-table scenes that it fills itself, on the real physics."""
+    rules, propose = problem.rules, make_proposer(method, problem.rules)
+    sampler = BlockSampler(rules, propose)
+    indices = jnp.arange(num_scenes)
+    episodes = jax.jit(sampler.begin)(jax.random.key(7), indices, indices >= 0)
+
+    @jax.jit
+    def step(episodes):
+        keys = jax.vmap(jax.random.split)(episodes.key)
+        actions = jax.vmap(propose)(keys[:, 0], episodes)
+        proposed = jax.vmap(pose_of_action)(actions, episodes.region, jax.vmap(rules.height_range)(episodes))
+        after = jax.vmap(rules.attempt)(episodes.replace(key=keys[:, 1]), actions)[0]
+        return after, (jax.vmap(rules.focus)(episodes), proposed)
+
+    proposals = []
+    for _ in range(num_steps):
+        before = jax.tree.map(np.asarray, (episodes.poses, episodes.is_placed, episodes.is_over))
+        episodes, (focus, proposed) = step(episodes)
+        for i in np.flatnonzero(~before[2]):
+            proposals.append(Proposal(before[0][i], before[1][i], int(focus[i]), np.asarray(proposed[i])))
+    return proposals
+
+
+@pytest.fixture(scope="module")
+def dining() -> Problem:
+    return dining_on("table")
+
+
+def dining_on(support: str) -> Problem:
+    return make_problem(
+        ProblemConfig(pool="dining", support=support, placement=PlacementConfig(history_stride=0))
+    )
+
+
+@pytest.fixture(scope="module")
+def crowded() -> tuple[Problem, list[Proposal]]:
+    """A small table that `drop` fills with ten things, on top of one another where it must."""
+    problem = dining_on("table-0.32x0.42")
+    return problem, play(problem, "drop", 12, 12)
+
+
+def footprint(problem: Problem, index: int, pose: np.ndarray) -> Polygon:
+    """The union of the parts' shadows, from their own vertices."""
+    turn = Rotation.from_quat(np.roll(pose[3:], -1)).as_matrix()
+    parts = problem.world.objects[index].parts
+    return unary_union([MultiPoint((part.vertices @ turn.T + pose[:3])[:, :2]).convex_hull for part in parts])
+
+
+def data_of(problem: Problem, poses: np.ndarray, is_placed: np.ndarray) -> mujoco.MjData:
+    """MuJoCo's own view of a scene."""
+    layout = problem.world.layout
+    data = mujoco.MjData(layout.model)
+    qpos = layout.parked
+    qpos[is_placed] = poses[is_placed]
+    data.qpos[:] = qpos.ravel()
+    mujoco.mj_forward(layout.model, data)
+    return data
+
+
+def test_clear_keeps_clear_of_every_footprint_and_of_the_edges(dining: Problem) -> None:
+    """Where a whole clear place is left, which is nearly always: the plate may come when there is none."""
+    table = rectangle(-0.3, -0.35, 0.3, 0.35).buffer(0.004)
+    proposals = play(dining, "clear", 8, 10)
+    assert len(proposals) > 70
+    overlaps = [overlap(dining, proposal) for proposal in proposals]
+    is_whole = [
+        table.contains(footprint(dining, proposal.focus, proposal.proposed)) for proposal in proposals
+    ]
+    is_clear = (np.array(overlaps) < 1e-9) & np.array(is_whole)
+    assert is_clear.mean() > 0.95
+    # A proposal that is not clear is one of the last resort, for the largest thing.
+    plate = dining.world.names.index("dinner_plate")
+    assert {proposal.focus for proposal, clear in zip(proposals, is_clear, strict=True) if not clear} <= {
+        plate
+    }
+
+
+def overlap(problem: Problem, proposal: Proposal) -> float:
+    """Square metres of the proposed footprint over placed ones."""
+    mine = footprint(problem, proposal.focus, proposal.proposed)
+    others = np.flatnonzero(proposal.is_placed)
+    return sum(mine.intersection(footprint(problem, k, proposal.poses[k])).area for k in others)
+
+
+def test_clear_stays_out_of_keep_out_boxes() -> None:
+    keep_out = KeepOut(jnp.array([[-0.05, 0.0]]), jnp.array([[0.15, 0.2]]), jnp.zeros(1))
+    problem, poses, focus = positions(table_with([]), "clear", keep_out)
+    half = problem.rules.geometry.half_extents[focus]
+    assert not jnp.any(jax.vmap(is_kept_out, (0, 0, None))(poses, half, keep_out))
+    assert poses[:, 0].min() > 0.1
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_on_an_empty_table_an_object_is_let_go_just_above_its_own_height(method: str) -> None:
+    problem, poses, focus = positions(cuboid_table(), method)
+    half = problem.rules.geometry.half_extents[focus]
+    np.testing.assert_allclose(poses[:, 2] - TOP, half[:, 2] + CLEARANCE, atol=2e-6)
+    assert np.all(np.abs(poses[:, :2]) <= [0.3 + 1e-6, 0.35 + 1e-6])
+    # Neither the place nor the turn follows from the order of the objects.
+    assert np.unique(np.round(poses, 4), axis=0).shape[0] == len(poses)
+    assert np.ptp(poses[focus == focus[0], :2], axis=0).min() > 0.1
+
+
+def test_the_map_covers_what_rays_hit_and_little_else(crowded: tuple[Problem, list[Proposal]]) -> None:
+    problem, proposals = crowded
+    fullest = max(proposals, key=lambda proposal: proposal.is_placed.sum())
+    assert fullest.is_placed.sum() >= 8
+    region = problem.rules.region
+    mapper = jax.jit(HeightMapper.of(problem.rules.geometry, region).__call__)
+    heights = mapper(region, fullest.poses, fullest.is_placed)
+    hits = ray_heights(problem, data_of(problem, fullest.poses, fullest.is_placed), heights)
+    mapped, middle = np.asarray(heights.height)[1:-1, 1:-1], hits[:, :, 1, 1]
+    # On a steep flank a cell's centre may lie uphill of the nearest point: rarely, and by less than a cell.
+    assert np.mean(mapped >= middle - 0.0015) > 0.998
+    assert np.all(mapped >= spread(np.min, middle, 1) - 0.0015)
+    # Grown by 4 mm and cut into cells of 7 mm, a surface reaches two cells at most; rays may miss a tip.
+    assert np.mean(mapped <= spread(np.max, hits.max((2, 3)), 2) + 0.004) > 0.998
+    assert 0.05 < np.mean(mapped == 0) < 0.9
+
+
+def spread(join, hits: np.ndarray, reach: int) -> np.ndarray:
+    """The lowest or highest of the hits up to `reach` cells away."""
+    padded, steps = np.pad(hits, reach, mode="edge"), range(-reach, reach + 1)
+    shifted = [np.roll(padded, (i, j), (0, 1)) for i in steps for j in steps]
+    return join(shifted, axis=0)[reach:-reach, reach:-reach]
+
+
+def ray_heights(problem: Problem, data: mujoco.MjData, heights) -> np.ndarray:
+    """f64[W, H, 3, 3]: what vertical rays hit, above the top: nine in each cell but those of the border."""
+    model = problem.world.layout.model
+    shape, corner, cell = heights.height.shape, np.asarray(heights.corner), heights.cell
+    hits = np.empty((shape[0] - 2, shape[1] - 2, 3, 3))
+    geom, start = np.zeros(1, np.int32), 3.0
+    for i, j, k, m in np.ndindex(hits.shape):
+        x, y = corner + (np.array([i, j]) + 1 + (np.array([k, m]) + 0.5) / 3) * cell
+        distance = mujoco.mj_ray(
+            model, data, np.array([x, y, start]), np.array([0.0, 0, -1]), None, 1, -1, geom
+        )
+        hits[i, j, k, m] = start - distance - TOP
+    return hits
+
+
+def test_drop_lets_things_down_onto_what_is_there(crowded: tuple[Problem, list[Proposal]]) -> None:
+    """At release hardly anything overlaps, and the first contact is close below, on flat things exactly."""
+    problem, proposals = crowded
+    assert all(proposal.is_placed.any() or on_top(problem, proposal) < 2e-6 for proposal in proposals)
+    stacked = [proposal for proposal in proposals if on_top(problem, proposal) > 0.002][:20]
+    assert len(stacked) >= 8
+    falls = []
+    for proposal in stacked:
+        fall = -0.001
+        while fall < 0.03 and not touches(problem, proposal, fall):
+            fall += 0.0005
+        falls.append(fall)
+    # Under-sides are known at points a few millimetres apart, so a slope may be met a little early.
+    assert min(falls) > -0.001
+    assert np.mean(np.array(falls) > 0) > 0.8
+    assert np.median(falls) < 0.004
+    assert max(falls) < 0.015
+
+
+def on_top(problem: Problem, proposal: Proposal) -> float:
+    """Metres by which a proposal is higher than on the bare top."""
+    half = problem.world.objects[proposal.focus].half_extents[2]
+    return float(proposal.proposed[2] - TOP - half - CLEARANCE)
+
+
+def touches(problem: Problem, proposal: Proposal, fall: float) -> bool:
+    """Whether the proposed object, lowered by `fall`, overlaps anything, says MuJoCo."""
+    poses, is_placed = proposal.poses.copy(), proposal.is_placed.copy()
+    poses[proposal.focus] = proposal.proposed
+    poses[proposal.focus, 2] -= fall
+    is_placed[proposal.focus] = True
+    data = data_of(problem, poses, is_placed)
+    owner = problem.world.layout.geom_object
+    return any(
+        proposal.focus in owner[contact.geom] and contact.dist < 0
+        for contact in (data.contact[i] for i in range(data.ncon))
+    )
+
+
+def table_with(holes: list[tuple[float, float]], riser: float = 0.0) -> SupportAsset:
+    """0.4 m square, made of planks along y with gaps in x, and at x < -0.05 a board `riser` metres higher."""
+    edges = np.array([-0.2, *np.ravel(holes), 0.2]).reshape(-1, 2)
+    boxes = [Box(((low + high) / 2, 0.0, TOP - 0.01), ((high - low) / 2, 0.2, 0.01)) for low, high in edges]
+    if riser:
+        boxes.append(Box((-0.125, 0.0, TOP + riser / 2), (0.075, 0.2, riser / 2)))
+    region = Rectangle((0.0, 0.0), (0.2, 0.2))
+    return SupportAsset("planks", "planks", tuple(boxes), TOP, region, Provenance("tests", "Apache-2.0"))
+
+
+def positions(
+    support: SupportAsset, method: str, keep_out: KeepOut | None = None
+) -> tuple[Problem, np.ndarray, np.ndarray]:
+    """48 proposals for one of the trio on an empty support: f32[48, 7] and the object in hand, i32[48]."""
+    problem = compose(trio(), support, ProblemConfig(placement=PlacementConfig(num_objects=3)))
+    rules, propose = problem.rules, make_proposer(method, problem.rules)
+
+    @jax.jit
+    @jax.vmap
+    def one(key: Array) -> tuple[Array, Array, Array]:
+        episode = rules.begin(key, keep_out=keep_out)
+        action = propose(episode.key, episode)
+        pose = pose_of_action(action, episode.region, rules.height_range(episode))
+        return action, pose, rules.focus(episode)
+
+    keys = jax.random.split(jax.random.key(3), 48)
+    actions, poses, focus = jax.tree.map(np.asarray, one(keys))
+    assert np.all((actions >= 0) & (actions <= 1))
+    np.testing.assert_array_equal(one(keys)[0], actions)
+    return problem, poses, focus
+
+
+@pytest.mark.parametrize(("method", "most_over_gap"), [("clear", 0.05), ("drop", 0.5)])
+def test_the_bare_top_is_found_between_gaps_and_a_riser(method: str, most_over_gap: float) -> None:
+    """A wide gap is avoided (what hangs over it is carried), a narrow one is not, a step is not climbed."""
+    problem, poses, focus = positions(table_with([(-0.05, 0.05), (0.12, 0.13)], riser=0.06), method)
+    half = np.array([asset.half_extents[2] for asset in problem.world.objects])
+    np.testing.assert_allclose(poses[:, 2], TOP + half[focus] + CLEARANCE, atol=2e-6)
+    shadows = [footprint(problem, k, pose) for k, pose in zip(focus, poses, strict=True)]
+    gap, narrow = rectangle(-0.2, -0.2, 0.05, 0.2), rectangle(0.12, -0.2, 0.13, 0.2)
+    assert max(shadow.intersection(gap).area / shadow.area for shadow in shadows) < most_over_gap
+    assert any(shadow.intersects(narrow) for shadow in shadows)
+
+
+def test_off_the_support_the_map_is_void() -> None:
+    problem = compose(trio(), table_with([(-0.1, 0.05)]), ProblemConfig(placement=PlacementConfig(3)))
+    region = problem.rules.region
+    mapper = jax.jit(HeightMapper.of(problem.rules.geometry, region).__call__)
+    heights = mapper(region, jnp.full((3, 7), jnp.nan), jnp.zeros(3, bool))
+    x = jnp.array([-0.15, -0.02, 0.1, 0.3, 0.1])
+    y = jnp.array([0.0, 0.0, 0.0, 0.0, -5.0])
+    found = heights.at(heights.index_of(x, y))
+    np.testing.assert_allclose(found, [0, VOID, 0, VOID, VOID], atol=1e-7)
+
+
+def test_a_method_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(ConfigError, match="clear"):
+        make_proposer("cleer", trio_problem().rules)

@@ -1,0 +1,187 @@
+"""The Brax environment: resets by itself, keeps figures, and everything stays in the region."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.envs.wrappers.training import AutoResetWrapper, EpisodeWrapper, VmapWrapper, wrap
+
+from cluttergen_jax.placement.baselines import make_proposer
+from cluttergen_jax.placement.clouds import scene_cloud
+from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.observation import ObservationConfig
+from cluttergen_jax.placement.region import from_pose
+from cluttergen_jax.types import Verdict
+from tests.helpers.problems import made_up_rules, trio_problem
+
+GOOD = jnp.array([0.9, 0.5, 0.5, 0.2])
+BAD = jnp.array([0.1, 0.5, 0.5, 0.2])
+
+
+def test_resets_itself_with_fresh_keys_and_keeps_figures():
+    env = PlacementEnv(made_up_rules(max_attempts=2))
+    state = jax.jit(env.reset)(jax.random.key(0))
+    step, orders = jax.jit(env.step), []
+    for _ in range(5):
+        orders.append(np.asarray(state.pipeline_state.episode.object_index))
+        for action in (GOOD, BAD):
+            state = step(state, action)
+            assert float(state.done) == 0
+        state = step(state, BAD)
+        assert float(state.done) == 1
+        assert int(state.metrics["num_placed"]) == 1
+        assert int(state.metrics["attempts_used"]) == 3
+        assert int(state.pipeline_state.episode.slot) == 0
+    assert int(state.metrics["num_finished"]) == 5
+    assert len({tuple(order) for order in orders}) > 1
+    assert float(state.info["truncation"]) == 0
+
+
+def test_regions_change_with_every_episode_and_orders_do_not():
+    plain, changing = (PlacementEnv(trio_problem(change=name).rules) for name in ("none", "all"))
+    keys = jax.random.split(jax.random.key(0), 64)
+    usual, changed = (jax.vmap(env.reset)(keys).pipeline_state.episode for env in (plain, changing))
+    np.testing.assert_array_equal(usual.object_index, changed.object_index)
+    half = np.asarray(changed.region.half_extents)
+    assert len(np.unique(half, axis=0)) == 64
+    assert (half <= np.asarray(changing.rules.region.half_extents) + 1e-6).all()
+    # The table's own region bounds what is drawn, and what may be drawn is what the world is made for.
+    assert half.max() > 0.3
+    assert np.ptp(np.asarray(usual.region.half_extents), axis=0).max() == 0
+    # A region that is asked for is the one that is taken.
+    asked = changing.rules.begin(keys[0], region=plain.rules.region)
+    np.testing.assert_array_equal(asked.region.half_extents, plain.rules.region.half_extents)
+
+
+def test_success_is_kept_after_the_reset():
+    env = PlacementEnv(made_up_rules())
+    state = env.reset(jax.random.key(0))
+    for _ in range(4):
+        state = jax.jit(env.step)(state, GOOD)
+    assert float(state.done) == 1
+    assert float(state.metrics["success"]) == 1
+    assert not bool(state.pipeline_state.episode.is_placed.any())
+
+
+def test_what_is_not_its_own_is_handed_on():
+    env = PlacementEnv(made_up_rules())
+    state = jax.eval_shape(env.reset, jax.random.key(0))
+    foreign = {"steps": state.reward, "nested": {"key": state.done}}
+    state = state.replace(info=state.info | foreign, metrics=state.metrics | {"extra": state.reward})
+    assert jax.tree.structure(jax.eval_shape(env.step, state, GOOD)) == jax.tree.structure(state)
+
+
+def test_an_episode_without_auto_reset_stays_over():
+    envs = [PlacementEnv(made_up_rules(max_attempts=1), auto_reset=each) for each in (False, True)]
+    reset, (plain, resetting) = jax.jit(envs[0].reset), (jax.jit(env.step) for env in envs)
+    state = other = reset(jax.random.key(0))
+    for action in (GOOD, GOOD, BAD):
+        state, other = plain(state, action), resetting(other, action)
+        np.testing.assert_array_equal(state.done, other.done)
+        np.testing.assert_array_equal(state.reward, other.reward)
+    # The same episode, but for what comes after it; and beginning again with its key is what the other did.
+    jax.tree.map(np.testing.assert_array_equal, state.metrics, other.metrics)
+    assert int(state.pipeline_state.episode.slot) == 2
+    begun = reset(state.pipeline_state.key).pipeline_state.episode
+    np.testing.assert_array_equal(begun.object_index, other.pipeline_state.episode.object_index)
+    for action in (GOOD, BAD):
+        state = plain(state, action)
+        assert (float(state.done), float(state.reward)) == (1, 0)
+    assert int(state.metrics["num_finished"]) == 1
+
+
+def test_both_kinds_of_keys_begin_the_same_episode():
+    reset = jax.jit(PlacementEnv(made_up_rules()).reset)
+    new, old = (reset(key).pipeline_state for key in (jax.random.key(4), jax.random.PRNGKey(4)))
+    np.testing.assert_array_equal(new.episode.object_index, old.episode.object_index)
+    np.testing.assert_array_equal(jax.random.key_data(new.key), old.key)
+
+
+@pytest.mark.parametrize("auto_reset", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_brax_wrappers_scan_over_it(auto_reset):
+    env = wrap(PlacementEnv(made_up_rules(max_attempts=2), auto_reset=auto_reset), episode_length=3)
+    first = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 2))
+
+    def step(state, action):
+        after = env.step(state, jnp.stack([GOOD, action]))
+        seen = (after.done, after.info["steps"], after.info["truncation"], after.obs["focus"])
+        return after, seen
+
+    _, (done, steps, truncation, focus) = jax.lax.scan(step, first, jnp.stack([BAD, BAD, GOOD, GOOD]))
+    # The first scene is cut short at its third attempt; the second one's object has two. Then all is anew.
+    np.testing.assert_array_equal(done, [[0, 0], [0, 1], [1, 0], [0, 0]])
+    np.testing.assert_array_equal(steps, [[1, 1], [2, 2], [3, 1], [1, 2]])
+    np.testing.assert_array_equal(truncation, [[0, 0], [0, 0], [1, 0], [0, 0]])
+    np.testing.assert_array_equal([focus[2, 0], focus[1, 1]], first.obs["focus"])
+
+
+@pytest.mark.slow
+def test_own_resets_draw_new_orders_and_those_of_brax_repeat_the_first():
+    rules = made_up_rules(max_attempts=1)
+
+    def orders(env):
+        state = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 4))
+        seen = jax.lax.scan(lambda s, _: (env.step(s, jnp.stack([BAD] * 4)),) * 2, state, length=8)[1]
+        return np.asarray(seen.pipeline_state.episode.object_index)
+
+    assert len(np.unique(orders(VmapWrapper(PlacementEnv(rules)))[:, 0], axis=0)) > 1
+    theirs = AutoResetWrapper(EpisodeWrapper(VmapWrapper(PlacementEnv(rules, auto_reset=False)), 9, 1))
+    assert len(np.unique(orders(theirs)[:, 0], axis=0)) == 1
+
+
+def test_observation_shapes_are_as_promised():
+    env = PlacementEnv(made_up_rules(), ObservationConfig(num_scene_points=64, num_object_points=8))
+    state = env.reset(jax.random.key(0))
+    shapes = jax.tree.map(lambda leaf: leaf.shape, state.obs)
+    assert shapes == env.observation_size
+    assert shapes["scene_cloud"] == (64, 3)
+    assert env.action_size == 4
+
+
+def test_history_is_seen_in_the_regions_frame():
+    env = PlacementEnv(made_up_rules())
+    state = jax.jit(env.step)(env.reset(jax.random.key(0)), BAD)
+    history = state.obs["history"]
+    np.testing.assert_allclose(history["trajectory"][0, 0, :2], [0.1 * 0.6 - 0.3, 0.0], atol=1e-6)
+    assert not np.any(np.asarray(history["trajectory"])[1:])
+    np.testing.assert_array_equal(history["is_tried"], [True, False, False, False, False])
+
+
+def test_scene_cloud_follows_the_poses():
+    problem = trio_problem()
+    geometry = problem.rules.geometry
+    geometry = geometry.replace(cloud=jax.random.normal(jax.random.key(1), geometry.cloud.shape) * 0.02)
+    pose = jnp.array([0.1, 0.05, 0.04, 0.6, 0.0, 0.0, 0.8])
+    poses = jnp.zeros((3, 7)).at[1].set(pose)
+    cloud, mask = scene_cloud(geometry.cloud, poses, jnp.arange(3) == 1, jnp.array([0.3, 0.35]), 400, 3)
+    points = jax.vmap(from_pose(pose).apply)(geometry.cloud[1, :100])
+    np.testing.assert_allclose(cloud[100:200], points, atol=1e-6)
+    np.testing.assert_array_equal(mask, np.arange(400) < 200)
+    assert bool(jnp.all(cloud[:100, 2] == 0))
+
+
+def test_invariants_on_the_real_physics():
+    problem = trio_problem()
+    rules, env = problem.rules, PlacementEnv(problem.rules)
+    propose = make_proposer("random", rules)
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 32))
+
+    def attempt(key, state):
+        action = propose(key, state.pipeline_state.episode)
+        return env.step(state, action)
+
+    step = jax.jit(jax.vmap(attempt))
+    stable = 0
+    for index in range(12):
+        before = state.pipeline_state.episode
+        state = step(jax.random.split(jax.random.key(index), 32), state)
+        after, done = state.pipeline_state.episode, np.asarray(state.done) > 0
+        kept = ~done & (np.asarray(after.slot) == np.asarray(before.slot))
+        np.testing.assert_array_equal(np.asarray(after.poses)[kept], np.asarray(before.poses)[kept])
+        moved_on = ~done & (np.asarray(after.slot) == np.asarray(before.slot) + 1)
+        assert (np.asarray(after.verdict)[moved_on] == Verdict.STABLE).all()
+        stable += moved_on.sum()
+        placed = np.asarray(after.poses)[np.asarray(after.is_placed)]
+        assert (np.abs(placed[:, :2]) <= [0.3 + 1e-4, 0.35 + 1e-4]).all()
+    assert stable > 50
+    assert float(state.metrics["num_finished"].min()) >= 1

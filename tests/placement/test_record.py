@@ -1,0 +1,124 @@
+"""Recordings: the same scene as the sampler makes, and every attempt as the rules counted it."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.physics.host import SwappablePhysics
+from cluttergen_jax.placement.baselines import make_proposer
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.problem import ProblemConfig, compose
+from cluttergen_jax.placement.region import pose_of_action
+from cluttergen_jax.placement.rollout import BlockSampler
+from cluttergen_jax.placement.rollout.record import Recorder, rectangle_of
+from cluttergen_jax.types import Verdict
+from tests.helpers.problems import region
+from tests.helpers.worlds import trio
+
+WIDTH = 6
+
+
+@pytest.fixture(scope="module")
+def problem():
+    # A table so small that much goes wrong.
+    placement = PlacementConfig(num_objects=3, max_attempts=3, history_stride=0)
+    return compose(trio(), cuboid_table(0.16, 0.2), ProblemConfig(placement=placement))
+
+
+@pytest.fixture(scope="module")
+def sampler(problem):
+    return BlockSampler(problem.rules, make_proposer("random", problem.rules))
+
+
+@pytest.fixture(scope="module")
+def scenes(sampler):
+    return jax.device_get(jax.jit(sampler.sample)(jax.random.key(7), np.arange(WIDTH), np.ones(WIDTH, bool)))
+
+
+@pytest.fixture(scope="module")
+def recordings(problem, sampler):
+    recorder = Recorder(sampler, problem.world, WIDTH)
+    return [recorder.record(7, index) for index in range(WIDTH)]
+
+
+def test_recordings_end_as_the_sampler_does(scenes, recordings):
+    assert scenes.is_success.any()
+    assert not scenes.is_success.all()
+    assert sum(len(each.failures) for each in recordings) > 3
+    for place, recording in enumerate(recordings):
+        placed = scenes.object_index[place][scenes.is_placed[place]]
+        assert set(recording.placed) == set(placed)
+        np.testing.assert_array_equal(
+            recording.poses[placed], scenes.T_world_object[place][scenes.is_placed[place]]
+        )
+        assert recording.is_success == scenes.is_success[place]
+        assert recording.verdict == Verdict(int(scenes.verdict[place])).label
+        assert recording.drift == scenes.drift[place]
+
+
+class Counted(SwappablePhysics):
+    """Counts the attempts that an engine settles."""
+
+    def __init__(self, engine):
+        super().__init__(engine.layout.num_objects, engine.config)
+        self.engine, self.number = engine, 0
+
+    def settle_batch(self, poses, is_placed, focus, is_active):
+        self.number += int(is_active.sum())
+        return super().settle_batch(poses, is_placed, focus, is_active)
+
+
+def test_nothing_is_settled_twice(problem, sampler):
+    physics = Counted(problem.rules.physics)
+    sampler = dataclasses.replace(sampler, rules=dataclasses.replace(problem.rules, physics=physics))
+    recording = Recorder(sampler, problem.world, WIDTH).record(7, 2)
+    assert physics.number == len(recording.attempts)
+
+
+def test_attempts_are_those_that_the_rules_counted(scenes, recordings):
+    for place, recording in enumerate(recordings):
+        counts = jax.tree.map(lambda leaf, place=place: leaf[place], scenes.counts)
+        verdicts = np.bincount([each.verdict for each in recording.attempts], minlength=len(counts.verdicts))
+        np.testing.assert_array_equal(verdicts, counts.verdicts)
+        for slot, index in enumerate(scenes.object_index[place]):
+            mine = recording.attempts_at(int(index))
+            assert [each.ordinal for each in mine] == list(range(1, len(mine) + 1))
+            assert len(mine) == counts.attempts[slot]
+            assert sum(each.num_steps for each in mine) == counts.steps[slot]
+
+
+def test_attempts_begin_where_proposed_and_hang_together(problem, recordings):
+    rules = problem.rules
+    for recording in recordings:
+        for number, attempt in enumerate(recording.attempts):
+            heights = 2 * rules.geometry.half_extents[:, 2]
+            reach = heights[attempt.object_index] + np.max(np.where(attempt.is_placed, heights, 0.0))
+            np.testing.assert_allclose(
+                attempt.trajectory[0, :7], pose_of_action(attempt.action, rules.region, reach), atol=1e-6
+            )
+            np.testing.assert_allclose(
+                attempt.trajectory[-1, :7], attempt.settled[attempt.object_index], atol=1e-6
+            )
+            assert not attempt.is_placed[attempt.object_index]
+            last = number + 1 == len(recording.attempts)
+            after = recording.poses if last else recording.attempts[number + 1].poses
+            there = attempt.is_placed | (attempt.is_stable & (np.arange(len(after)) == attempt.object_index))
+            expected = attempt.settled if attempt.is_stable else attempt.poses
+            np.testing.assert_array_equal(after[there], expected[there])
+
+
+def test_geometric_methods_do_not_depend_on_the_width(problem, sampler, recordings):
+    alone = Recorder(sampler, problem.world, width=1).record(7, 4)
+    assert [each.verdict for each in alone.attempts] == [each.verdict for each in recordings[4].attempts]
+    np.testing.assert_array_equal(alone.poses, recordings[4].poses)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5])
+def test_region_becomes_the_rectangle_that_it_was(yaw):
+    rectangle = rectangle_of(region(yaw))
+    assert rectangle.half_extents == pytest.approx((0.3, 0.2))
+    assert np.cos(rectangle.yaw) == pytest.approx(np.cos(yaw), abs=1e-6)
+    assert np.sin(rectangle.yaw) == pytest.approx(np.sin(yaw), abs=1e-6)

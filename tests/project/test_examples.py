@@ -1,0 +1,55 @@
+"""Every example runs, small, and says what it says."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+# What must be read in the output of each, and why it is slow if it is.
+EXPECTED = {
+    "01_five_lines": r"8 of 8 scenes stand(.|\n)*2 free objects",
+    "02_own_meshes": r"tin(.|\n)*nothing to remark",
+    "03_own_policy": r"scenes that stand: \d+% with the policy, \d+% at random",
+    "04_bank": r"6 of 6 scenes stand for 10 s(.|\n)*duplicates no two(.|\n)*median steps",
+    "05_reset_from_a_bank": r"32 steps: reward -?\d\.\d+, in the middle \d+%",
+    "06_export": r"urdf(.|\n)*read back by MuJoCo(.|\n)*moved 0\.\d\d mm",
+    "07_conditions": r"turned regions(.|\n)*kept free(.|\n)*around a plate(.|\n)*on a desk",
+    "08_other_trainers": r"Brax: reward .* an attempt, \d+ episodes(.|\n)*Gymnasium: reward .*\(32, \d+\)",
+}
+SLOW = set(EXPECTED) - {"01_five_lines"}
+
+
+def run(name, folder, home):
+    env = os.environ | {"CLUTTERGEN_SMALL": "1", "CLUTTERGEN_HOME": str(home)}
+    command = [sys.executable, str(ROOT / "examples" / f"{name}.py")]
+    done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stdout
+
+
+def test_there_are_eight_of_at_most_a_hundred_lines():
+    assert [path.stem for path in EXAMPLES] == sorted(EXPECTED)
+    for path in EXAMPLES:
+        text = path.read_text()
+        assert len(text.splitlines()) <= 100, path.name
+        assert text.startswith("# %% [markdown]\n# # ")
+        assert "# %%\n" in text
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in EXPECTED],
+)
+def test_example_runs(name, tmp_path):
+    if name == "03_own_policy":
+        # The second half of the guide: the first one makes its pool.
+        run("02_own_meshes", tmp_path, tmp_path / "home")
+    out = run(name, tmp_path, tmp_path / "home")
+    assert re.search(EXPECTED[name], out), out

@@ -1,0 +1,254 @@
+"""Films, figures and overlays: what is shown when, and that files hold what was put in."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cluttergen_jax.errors import ConfigError, MissingExtraError
+from cluttergen_jax.rendering import video
+from cluttergen_jax.rendering.assets import close_points
+from cluttergen_jax.rendering.config import FilmConfig
+from cluttergen_jax.rendering.figure import GREEN as GREEN_RING
+from cluttergen_jax.rendering.figure import closed_loop_figure, closed_loop_slot
+from cluttergen_jax.rendering.film import replay, replay_frames, turntable
+from cluttergen_jax.rendering.overlay import Ring, ring_around, with_caption, with_rings
+from cluttergen_jax.rendering.renderer import Trail, thresholds
+from cluttergen_jax.rendering.scene_renderer import RED, PictureConfig, RenderStyle, scene_renderer, swept
+from cluttergen_jax.rendering.video import save_film
+from tests.helpers.recordings import cubes
+from tests.rendering.test_render import needs_gl
+
+SMALL = PictureConfig(width=160, height=120, samples=2)
+
+
+def is_reddish(image):
+    image = image.astype(int)
+    return (
+        (image[..., 0] > 1.8 * image[..., 1]) & (image[..., 0] > 1.8 * image[..., 2]) & (image[..., 0] > 90)
+    )
+
+
+def is_greenish(image):
+    image = image.astype(int)
+    return (
+        (image[..., 1] > 1.6 * image[..., 0]) & (image[..., 1] > 1.6 * image[..., 2]) & (image[..., 1] > 60)
+    )
+
+
+@pytest.mark.parametrize("samples", [1, 2, 7, 8, 32, 33])
+def test_a_share_alpha_of_the_pictures_shows_it(samples):
+    limits = thresholds(samples)
+    for alpha in (0.0, 0.1, 0.5, 0.73, 1.0):
+        assert abs((limits < alpha).mean() - alpha) <= 0.5 / samples + 1e-12
+    assert (limits < 1).all()
+    assert not (limits < 0).any()
+
+
+@pytest.mark.parametrize(("fps", "seconds"), [(20, 12), (10, 4), (25, 2), (12.5, 60)])
+def test_replay_keeps_its_time(fps, seconds):
+    config = FilmConfig(fps=fps, seconds=seconds)
+    frames = replay_frames(cubes(), config)
+    assert len(frames) <= fps * seconds + 1
+    natural = 2 * (0.3 + 4 * 24 / 240 + 0.15) + 2 * (0.3 + 4 * 60 / 240 + 0.65)
+    hold = min(1.5, 0.2 * seconds)
+    expected = min(natural + hold, seconds) * fps
+    assert len(frames) == pytest.approx(expected, abs=2)
+
+
+def test_replay_shows_the_trajectory_and_only_what_stood():
+    recording = cubes()
+    frames = replay_frames(recording, FilmConfig(fps=40, seconds=60))
+    for frame in frames:
+        current = [k for k, style in enumerate(frame.styles) if style is not None and style.strength > 0]
+        assert len(current) <= 1
+        # What is tinted is the current object, and red itself is never tinted: it failed at nothing.
+        assert current in ([], [1])
+    tinted = [f.styles[1] for f in frames if f.styles[1] is not None and f.styles[1].strength > 0]
+    starts = [t.points[0] for f in frames for t in f.trails]
+    for attempt in recording.failures:
+        ends = np.array([style.pose[:3] for style in tinted])
+        assert np.linalg.norm(ends - attempt.trajectory[-1, :3], axis=1).min() < 1e-6
+        assert np.linalg.norm(np.array(starts) - attempt.trajectory[0, :3], axis=1).min() < 1e-6
+    # Green is not there before red stands.
+    first_green = next(k for k, f in enumerate(frames) if f.styles[1] is not None)
+    np.testing.assert_array_equal(frames[first_green].styles[0].pose, recording.poses[0])
+    last = frames[-1]
+    for style, pose in zip(last.styles, recording.poses, strict=True):
+        np.testing.assert_array_equal(style.pose, pose)
+        assert (style.alpha, style.strength) == (1.0, 0.0)
+    assert last.caption == "2 objects, 4 attempts: the scene stands"
+    assert any("fell below" in f.caption for f in frames)
+
+
+def test_replay_without_attempts_and_bad_paces_are_refused():
+    with pytest.raises(ConfigError, match="not known"):
+        replay_frames(replace(cubes(), attempts=()))
+    with pytest.raises(ConfigError, match="fps"):
+        FilmConfig(fps=0)
+    with pytest.raises(ConfigError, match="frames"):
+        FilmConfig(fps=50, seconds=1000)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_rings_hold_all_points_and_not_much_more(seed):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(20, 2)) * rng.uniform(5, 80, 2) + 200
+    ring = ring_around(points, RED, "1", room=0.0)
+    radius = np.linalg.norm((points - ring.center) / ring.radii, axis=1)
+    assert radius.max() == pytest.approx(1.0)
+    assert max(ring.radii) <= 1.5 * np.ptp(points, axis=0).max()
+
+
+def test_rings_and_captions_are_drawn_where_they_belong():
+    blank = np.full((120, 160, 3), 255, np.uint8)
+    image = with_rings(blank, [Ring((80, 60), (40, 30), RED, "2")])
+    assert is_reddish(image)[58:63, 38:43].any()
+    assert not is_reddish(image)[40:80, 60:100].any()
+    assert is_reddish(image).any(axis=1).nonzero()[0].min() >= 20
+    grey = np.full((120, 160, 3), 60, np.uint8)
+    titled = with_caption(grey, "words", RED)
+    assert (titled[:80] == 60).all()
+    assert is_reddish(titled)[90:].any()
+    np.testing.assert_array_equal(with_caption(grey, ""), grey)
+
+
+def test_closed_loop_takes_the_object_that_failed_and_stood():
+    recording = cubes()
+    assert closed_loop_slot(recording) == 1
+    with pytest.raises(ConfigError, match="no object failed 3 times"):
+        closed_loop_slot(recording, min_failures=3)
+    with pytest.raises(ConfigError, match="no object"):
+        closed_loop_slot(
+            replace(recording, attempts=recording.attempts[:3], is_placed=np.array([True, False]))
+        )
+
+
+@needs_gl
+def test_closed_loop_figure_rings_failures_red_and_the_end_green():
+    image = closed_loop_figure(cubes(), picture=PictureConfig(width=320, height=240, samples=4))
+    assert image.shape == (240, 320, 3)
+    green = np.round(255 * np.array(GREEN_RING)).astype(int)
+    assert (np.abs(image.astype(int) - green).max(-1) < 12).sum() > 20
+    red = np.round(255 * np.array(RED)).astype(int)
+    assert (np.abs(image.astype(int) - red).max(-1) < 12).sum() > 60
+
+
+@needs_gl
+def test_one_picture_is_lit_as_many_are():
+    recording = cubes()
+    points = close_points(recording.objects, recording.poses, recording.support)
+    styles = [RenderStyle(pose) for pose in recording.poses]
+
+    def brightness(samples):
+        picture = replace(SMALL, samples=samples)
+        with scene_renderer(recording.objects, recording.support, points, picture) as renderer:
+            return renderer.picture(styles).mean()
+
+    assert brightness(1) == pytest.approx(brightness(8), rel=0.2)
+
+
+@needs_gl
+def test_looks_fade_tint_and_hide():
+    recording = cubes()
+    points = close_points(recording.objects, recording.poses, recording.support)
+    red, green = (RenderStyle(pose) for pose in recording.poses)
+    with scene_renderer(recording.objects, recording.support, points, replace(SMALL, samples=8)) as renderer:
+        whole = renderer.picture([red, green])
+        hidden = renderer.picture([None, green])
+        half = renderer.picture([replace(red, alpha=0.5), green])
+        tinted = renderer.picture([red, replace(green, strength=0.9)])
+        trail = renderer.picture(
+            [red, green], [Trail(np.array([[-0.1, -0.1, 0.6], [0.1, -0.1, 0.6]]), (0, 0, 1))]
+        )
+        again = renderer.picture([red, green])
+        pixel = renderer.project(recording.poses[:1, :3])[0].astype(int)
+        with pytest.raises(ConfigError, match="styles"):
+            renderer.picture([red])
+    np.testing.assert_array_equal(whole, again)
+    at = (pixel[1], pixel[0])
+    assert is_reddish(whole)[at]
+    assert not is_reddish(hidden).any()
+    expected = (whole[at].astype(int) + hidden[at]) / 2
+    np.testing.assert_allclose(half[at], expected, atol=12)
+    assert is_greenish(whole).any()
+    assert not is_greenish(tinted).any()
+    assert (trail[..., 2].astype(int) - trail[..., 0] > 60).sum() > 10
+
+
+@needs_gl
+def test_turntable_turns_the_scene_under_the_same_light():
+    recording = replace(cubes(), objects=cubes().objects[:1] * 2, poses=cubes().poses)
+    images = list(turntable(recording, FilmConfig(fps=2, seconds=2), SMALL))
+    assert len(images) == 4
+    assert all(image.shape == (120, 160, 3) for image in images)
+    # Half a turn later the left of the two cubes is on the right.
+    assert np.abs(images[0].astype(int) - images[2]).max() > 60
+    means = [image.mean() for image in images]
+    assert max(means) - min(means) < 12
+
+
+@needs_gl
+def test_replay_draws_failures_red():
+    images = list(replay(cubes(), FilmConfig(fps=4, seconds=6, captions=False), SMALL))
+    counts = [is_greenish(image).sum() for image in images]
+    # Green is not there, then tinted, then stands.
+    assert counts[0] == 0
+    assert counts[-1] > 20
+    assert max(is_reddish(image).sum() for image in images) > 1.2 * is_reddish(images[-1]).sum()
+
+
+def test_swept_points_are_the_same_from_all_sides():
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    around = swept(points, 36)
+    center = (points.min(0) + points.max(0))[:2] / 2
+    radius = np.linalg.norm(around[:, :2] - center, axis=1)
+    np.testing.assert_allclose(radius, radius[0])
+    assert np.linalg.norm(points[:, :2] - center, axis=1).max() <= radius[0] + 1e-12
+    assert (around[:, 2].min(), around[:, 2].max()) == (points[:, 2].min(), points[:, 2].max())
+
+
+def moving_square(count=6, size=(48, 64)):
+    for k in range(count):
+        image = np.full((*size, 3), 230, np.uint8)
+        image[10:20, 5 + 8 * k : 15 + 8 * k] = (200, 30, 30)
+        yield image
+
+
+def test_gif_holds_every_frame_at_its_pace(tmp_path):
+    path = save_film(moving_square(), tmp_path / "new" / "a.gif", 20)
+    with Image.open(path) as film:
+        assert (film.n_frames, film.size, film.info["loop"]) == (6, (64, 48), 0)
+        for k, expected in enumerate(moving_square()):
+            film.seek(k)
+            assert film.info["duration"] == 50
+            np.testing.assert_allclose(np.asarray(film.convert("RGB")).astype(int), expected, atol=8)
+    assert [each.name for each in path.parent.iterdir()] == ["a.gif"]
+
+
+def test_mp4_holds_every_frame(tmp_path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra video is not installed")
+    path = save_film(moving_square(size=(49, 65)), tmp_path / "a.mp4", 10)
+    reader = ffmpeg.read_frames(str(path))
+    meta = next(reader)
+    frames = [np.frombuffer(frame, np.uint8).reshape(48, 64, 3) for frame in reader]
+    assert meta["size"] == (64, 48)
+    assert meta["fps"] == pytest.approx(10)
+    assert len(frames) == 6
+    for frame, expected in zip(frames, moving_square(size=(49, 65)), strict=True):
+        np.testing.assert_allclose(frame[12:18].mean((0, 1)), expected[12:18, :64].mean((0, 1)), atol=12)
+
+
+def test_films_that_cannot_be_are_refused_and_leave_nothing(tmp_path, monkeypatch):
+    with pytest.raises(ConfigError, match="avi"):
+        save_film(moving_square(), tmp_path / "a.avi", 20)
+    with pytest.raises(ConfigError, match="without frames"):
+        save_film([], tmp_path / "a.gif", 20)
+    with pytest.raises(ConfigError, match="frames per second"):
+        save_film(moving_square(), tmp_path / "a.gif", 120)
+    monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
+    monkeypatch.setattr(video.shutil, "which", lambda name: None)
+    with pytest.raises(MissingExtraError, match="cluttergen_jax\\[video\\]"):
+        save_film(moving_square(), tmp_path / "a.mp4", 20)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,138 @@
+"""Depth, segmentation and clouds against geometry: what is measured lies on the surfaces that were drawn."""
+
+import io
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.scene_cloud import cloud_colours, ply_of, scene_points, top_points
+from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import transformed
+from cluttergen_jax.rendering.config import View
+from cluttergen_jax.rendering.scene_renderer import PictureConfig
+from cluttergen_jax.rendering.sensors import (
+    FIRST_OBJECT,
+    FLOOR,
+    SUPPORT,
+    depth_png,
+    npz_of,
+    palette,
+    segmentation_png,
+    sense,
+)
+from tests.helpers.recordings import cubes
+from tests.rendering.test_render import needs_gl
+
+
+@pytest.fixture(scope="module")
+def sensed():
+    recording = cubes()
+    view = View(azimuth=70, elevation=-50)
+    picture = PictureConfig(width=200, height=150, samples=1, view=view)
+    return sense(recording.objects, recording.names, recording.poses, recording.support, picture)
+
+
+def back_projected(sensed):
+    """f64[H, W, 3]: where each pixel's middle meets a surface, world frame."""
+    height, width = sensed.depth.shape
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(sensed.intrinsics).T
+    seen = rays * np.where(np.isfinite(sensed.depth), sensed.depth, 0)[..., None]
+    return seen @ sensed.T_world_camera[:3, :3].T + sensed.T_world_camera[:3, 3]
+
+
+@needs_gl
+def test_pixels_lie_on_the_surfaces_that_their_labels_name(sensed):
+    recording = cubes()
+    points = back_projected(sensed)
+    for index, half in ((0, 0.05), (1, 0.04)):
+        mine = points[sensed.segmentation == FIRST_OBJECT + index] - recording.poses[index, :3]
+        assert len(mine) > 300
+        # On a cube's surface the largest coordinate is the half side.
+        np.testing.assert_allclose(np.abs(mine).max(-1), half, atol=0.0006)
+    floor = points[(sensed.segmentation == FLOOR) & np.isfinite(sensed.depth)]
+    assert len(floor) > 300
+    np.testing.assert_allclose(floor[:, 2], 0.0, atol=0.002)
+    table = points[sensed.segmentation == SUPPORT]
+    on_top = np.abs(table[:, 2] - 0.4) < 0.001
+    on_side = (np.abs(np.abs(table[:, 0]) - 0.16) < 0.001) | (np.abs(np.abs(table[:, 1]) - 0.12) < 0.001)
+    assert (on_top | on_side).all()
+    assert on_top.sum() > 300
+
+
+@needs_gl
+def test_camera_is_a_rotation_that_looks_along_its_z(sensed):
+    turn = sensed.T_world_camera[:3, :3]
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(turn) == pytest.approx(1.0)
+    assert turn[2, 2] == pytest.approx(-np.sin(np.radians(50)))
+    assert turn[2, 0] == pytest.approx(0.0, abs=1e-12)
+
+
+@needs_gl
+def test_files_hold_what_was_measured(sensed):
+    depth = np.asarray(Image.open(io.BytesIO(depth_png(sensed.depth))))
+    assert depth.dtype == np.uint16
+    is_seen = np.isfinite(sensed.depth) & (sensed.depth < 65)
+    np.testing.assert_allclose(depth[is_seen] / 1000, sensed.depth[is_seen], atol=0.00051)
+    assert (depth[~is_seen] == 0).all()
+    image = Image.open(io.BytesIO(segmentation_png(sensed.segmentation)))
+    np.testing.assert_array_equal(np.asarray(image), sensed.segmentation)
+    np.testing.assert_array_equal(np.asarray(image.convert("RGB")), palette()[sensed.segmentation])
+    with np.load(io.BytesIO(npz_of(sensed)), allow_pickle=False) as stored:
+        assert stored["names"].tolist() == ["red", "green"]
+        for name in ("rgb", "depth", "segmentation", "intrinsics", "T_world_camera", "poses"):
+            np.testing.assert_array_equal(stored[name], getattr(sensed, name))
+
+
+def test_depth_that_is_nothing_or_too_far_is_zero():
+    stored = np.asarray(Image.open(io.BytesIO(depth_png(np.array([[np.inf, 70.0, 65.535, 0.0014]])))))
+    assert stored.tolist() == [[0, 0, 65535, 1]]
+    with pytest.raises(ConfigError, match="256"):
+        segmentation_png(np.array([[300]], np.uint16))
+    assert len(np.unique(palette()[:40], axis=0)) == 40
+
+
+def test_cloud_points_lie_on_objects_and_table():
+    mug, plate = find_pool("dining")["mug"], find_pool("dining")["dinner_plate"]
+    turned = np.array([0.1, -0.2, 0.8, np.cos(0.4), 0, 0, np.sin(0.4)])
+    poses = np.stack([turned, [-0.1, 0.1, 0.71, 1, 0, 0, 0]])
+    cloud = scene_points([mug, plate], poses, cuboid_table())
+    counts = np.bincount(cloud.labels)
+    assert counts[2:].tolist() == [1024, 1024]
+    assert counts[1] == pytest.approx(0.6 * 0.7 * 4000, rel=0.1)
+    table = cloud.points[cloud.labels == 1]
+    np.testing.assert_allclose(table[:, 2], 0.7, atol=1e-6)
+    np.testing.assert_allclose(np.abs(table).max(0)[:2], [0.3, 0.35], atol=1e-6)
+    spun = trimesh.transformations.quaternion_matrix(turned[3:])
+    expected = mug.cloud @ spun[:3, :3].T + turned[:3]
+    np.testing.assert_allclose(cloud.points[cloud.labels == 2], expected, atol=1e-6)
+    np.testing.assert_allclose(transformed(turned, mug.cloud), expected, atol=1e-9)
+
+
+def test_cloud_colours_are_those_of_the_surfaces():
+    plate = find_pool("dining")["dinner_plate"]
+    allowed = {tuple(np.round(255 * np.array(piece.rgba[:3])).astype(int)) for piece in plate.pieces}
+    found = {tuple(row) for row in cloud_colours(plate).astype(int)}
+    assert found <= allowed
+    assert len(found) == len(allowed) > 1
+
+
+def test_ply_is_read_back_by_another_program(tmp_path):
+    cloud = scene_points(cubes().objects, cubes().poses, cubes().support)
+    path = tmp_path / "scene.ply"
+    path.write_bytes(ply_of(cloud))
+    read = trimesh.load(path)
+    np.testing.assert_allclose(read.vertices, cloud.points, atol=1e-7)
+    np.testing.assert_array_equal(read.colors[:, :3], cloud.colours)
+    np.testing.assert_array_equal(read.metadata["_ply_raw"]["vertex"]["data"]["label"].ravel(), cloud.labels)
+
+
+def test_top_points_turn_with_the_region():
+    table = cuboid_table(0.4, 0.2, 0.5)
+    flat = top_points(table)
+    assert np.ptp(flat, axis=0) == pytest.approx([0.4, 0.2, 0.0])

@@ -1,0 +1,123 @@
+"""The web viewer's state for each browser; real connections, without a browser that draws."""
+
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+
+import pytest
+
+from cluttergen_jax.rendering.viewer.server import open_server
+from cluttergen_jax.rendering.viewer.viewer import Viewer
+from tests.helpers.recordings import cubes
+
+PATIENCE = 60
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": [1.0, 0.0, 0.0, 0.0],
+    "position": [0.0, 0.0, 3.0],
+    "fov": 0.7,
+    "near": 0.1,
+    "far": 100.0,
+    "image_height": 60,
+    "image_width": 80,
+    "look_at": [0.0, 0.0, 0.0],
+    "up_direction": [0.0, 0.0, 1.0],
+}
+
+
+class Scenes:
+    """Three scenes that differ by their titles; each is held back until `go` is set."""
+
+    name, numbers, methods = "test", (0, 1, 2), ("random",)
+
+    def __init__(self):
+        self.go = threading.Event()
+        self.go.set()
+
+    def notice(self, method=None):
+        return "" if self.go.is_set() else "compiling, which takes about a minute"
+
+    def still(self, number):
+        assert self.go.wait(PATIENCE)
+        return replace(cubes(), title=f"scene {number}")
+
+    recorded = still
+
+    def sample(self, method, seed):
+        return replace(cubes(), title=f"{method}, seed {seed}")
+
+
+@pytest.fixture
+def viewer(tmp_path):
+    pytest.importorskip("viser", reason="the extra viewer is not installed")
+    viewer = Viewer(Scenes(), open_server("127.0.0.1", 0, "test"), 0, tmp_path)
+    yield viewer
+    viewer.source.go.set()
+    viewer.close()
+
+
+def until(condition):
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+@contextmanager
+def browser(viewer):
+    """A connection as a browser makes one, and its session."""
+    import msgspec
+    import viser
+    from websockets.sync.client import connect
+
+    known = set(viewer.sessions)
+    address = f"ws://127.0.0.1:{viewer.server.get_port()}"
+    with connect(address, subprotocols=[f"viser-v{viser.__version__}"], max_size=None) as line:
+        line.send(msgspec.msgpack.encode(CAMERA))
+        # What the server sends is taken and thrown away.
+        threading.Thread(target=lambda: all(True for _ in line), daemon=True).start()
+        until(lambda: set(viewer.sessions) - known)
+        (own,) = set(viewer.sessions) - known
+        yield viewer.sessions[own]
+
+
+def said(session):
+    return session._status.content
+
+
+def test_two_browsers_look_at_different_scenes_and_leave_alone(viewer):
+    with browser(viewer) as one:
+        until(lambda: "**scene 0** stands" in said(one))
+        with browser(viewer) as other:
+            until(lambda: "**scene 0** stands" in said(other))
+            other.step(1)
+            other._seed_entry.value = 7
+            other.nodes.shown.hulls = True
+            until(lambda: "**scene 1** stands" in said(other))
+            assert (one.number, other.number) == (0, 1)
+            assert "**scene 0** stands" in said(one)
+            assert (one._scene.value, one._seed_entry.value) == (0, 1)
+            assert not one.nodes.shown.hulls
+            one.sample()
+            until(lambda: "**random, seed 1** stands" in said(one))
+            assert "**scene 1** stands" in said(other)
+        until(lambda: list(viewer.sessions.values()) == [one])
+        with pytest.raises(KeyError):
+            viewer.sessions[other.client.client_id]
+    until(lambda: not viewer.sessions)
+
+
+def test_the_page_says_that_it_compiles_and_then_shows_the_scene(viewer):
+    viewer.source.go.clear()
+    # As of a source whose numbers are seeds: looking through all of them would take minutes.
+    viewer.source.numbers = range(2**31 - 1)
+    with browser(viewer) as one, browser(viewer) as other:
+        for session in (one, other):
+            assert said(session) == "scene 0: compiling, which takes about a minute ..."
+            assert session.recording is None
+        viewer.source.go.set()
+        for session in (one, other):
+            until(lambda own=session: "**scene 0** stands" in said(own))
+            # Now that there is something to see, the camera looks at it.
+            assert session.client.camera.look_at[2] > 0.4

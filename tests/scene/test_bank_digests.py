@@ -1,0 +1,138 @@
+"""A bank knows its files: a changed part, mass or friction is named, does not count, and is mended."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.errors import BankError, UnsafePathError
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.bank import index_bytes
+from cluttergen_jax.scene.bank.digests import changes_of
+from tests.helpers import banks
+
+PART, SCENE = "assets/objects/prism/part-00.obj", "scenes/000000.xml"
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    path = tmp_path_factory.mktemp("banks") / "bank"
+    banks.with_files(path)
+    return path
+
+
+@pytest.fixture
+def bank(whole, tmp_path):
+    return Path(shutil.copytree(whole, tmp_path / "bank"))
+
+
+def all_bytes(path):
+    files = [each for each in path.rglob("*") if each.is_file() and each.name != "verification.json"]
+    return {each.relative_to(path): each.read_bytes() for each in files}
+
+
+def scaled(text):
+    grown = re.compile(r"^v (\S+) (\S+) (\S+)$", re.M)
+    return grown.sub(lambda v: "v " + " ".join(f"{1.3 * float(x):.6g}" for x in v.groups()), text)
+
+
+def heavier(text):
+    return re.sub(r'mass="([\d.]+)" ful', lambda mass: f'mass="{100 * float(mass[1])}" ful', text)
+
+
+def rougher(text):
+    return text.replace('friction="0.5 ', 'friction="5 ')
+
+
+def verify(path):
+    return main(["verify", str(path), "--seconds", "0.1"])
+
+
+def test_every_file_of_a_sound_bank_has_a_digest(whole, capsys):
+    assert changes_of(read_bank(whole)) == []
+    named = {Path(name) for name in read_bank(whole).files}
+    assert named == {name for name in all_bytes(whole) if name.parts[0] in ("assets", "scenes")}
+    assert verify(whole) == 0
+    assert "2 of 2 scenes stand" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "stand"),
+    # The prism stands in the first scene alone, and a part of it is of no other.
+    [
+        (PART, scaled, 1),
+        (SCENE, heavier, 1),
+        (SCENE, rougher, 1),
+        ("assets/support/support.json", str.upper, 0),
+    ],
+)
+def test_what_was_changed_is_named_does_not_count_and_is_mended(bank, whole, capsys, name, change, stand):
+    text = (bank / name).read_text()
+    (bank / name).write_text(change(text))
+    assert (bank / name).read_text() != text
+    assert verify(bank) == 1
+    out = capsys.readouterr().out
+    assert f"  {name}: changed\n" in out
+    assert f"{stand} of 2 scenes stand" in out
+    records = json.loads((bank / "verification.json").read_text())
+    assert [each["stands"] for each in records] == [False, stand == 1]
+    assert records[0]["changed_files"] == [name]
+    banks.with_files(bank)
+    assert all_bytes(bank) == all_bytes(whole)
+    assert verify(bank) == 0
+
+
+def test_what_is_missing_or_was_added_is_named(bank, whole, capsys):
+    (bank / "assets/objects/tall/visual-9.obj").write_text("v 0 0 0\n")
+    shutil.copy(bank / SCENE, bank / "scenes/000077.xml")
+    (bank / "assets/objects/tall/object.xml").unlink()
+    found = {(change.name, change.what) for change in changes_of(read_bank(bank))}
+    assert found == {
+        ("assets/objects/tall/visual-9.obj", "not in bank.json"),
+        ("scenes/000077.xml", "not in bank.json"),
+        ("assets/objects/tall/object.xml", "missing"),
+    }
+    assert verify(bank) == 1
+    assert "1 of 3 scenes stand" in capsys.readouterr().out
+
+
+def test_a_bank_older_than_digests_opens_and_gets_them(bank, whole, capsys):
+    record = {name: value for name, value in read_bank(bank).record.items() if name != "files"}
+    (bank / "bank.json").write_bytes(index_bytes(record))
+    (bank / PART).write_text((bank / PART).read_text() + "# changed\n")
+    (bank / SCENE).write_text(heavier((bank / SCENE).read_text()))
+    assert verify(bank) == 0
+    assert "has no digests of its files" in capsys.readouterr().out
+    banks.with_files(bank)
+    assert all_bytes(bank) == all_bytes(whole)
+
+
+def test_digests_survive_a_run_without_files(bank, whole):
+    with banks.writer(bank, 3):
+        pass
+    assert all_bytes(bank) == all_bytes(whole)
+
+
+@pytest.mark.parametrize(
+    "name", ["../outside.txt", "/etc/hostname", "scenes/../../outside.txt", "assets/link"]
+)
+def test_a_list_that_leads_out_of_the_bank_is_refused(bank, name, capsys):
+    (bank.parent / "outside.txt").write_text("not the bank's")
+    (bank / "assets" / "link").symlink_to(bank.parent / "outside.txt")
+    record = read_bank(bank).record
+    record["files"][name] = "0" * 64
+    (bank / "bank.json").write_bytes(index_bytes(record))
+    with pytest.raises(UnsafePathError):
+        changes_of(read_bank(bank))
+    assert verify(bank) == 2
+    assert "error: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("files", [None, [], {"a": 1}])
+def test_a_list_that_is_none_is_damage(bank, files):
+    (bank / "bank.json").write_bytes(index_bytes(read_bank(bank).record | {"files": files}))
+    with pytest.raises(BankError, match="digests of files"):
+        read_bank(bank)

@@ -1,0 +1,365 @@
+"""Exports: what goes out comes back in the program that reads it, and stands where that program simulates."""
+
+import json
+import runpy
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.shading import linear, shaded
+from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.cli.parse import parse_numbers
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import rotate
+from cluttergen_jax.scene import Origin, Scene
+from cluttergen_jax.scene.bank.reference import parse_reference
+from cluttergen_jax.scene.bank.verify import verify_scene
+from cluttergen_jax.scene.export import FORMATS, export_scenes
+from cluttergen_jax.scene.export.frames import euler_of, principal_of
+from cluttergen_jax.scene.export.scene_json import scene_bounds
+from tests.helpers.shapes import slab
+from tests.helpers.worlds import trio
+
+NAMES = ("mug", "fork", "soup_can", "mug#2")
+CLOSE = 1e-5
+
+
+def spread(objects, support, names=None, index=0, turn=0.7):
+    """A scene of objects that stand apart on a support, each turned by another angle."""
+    names = names or tuple(asset.name for asset in objects)
+    poses = np.zeros((len(objects), 7))
+    x, y = support.region.center
+    for place, asset in enumerate(objects):
+        angle = turn * (place + 1) / 2
+        poses[place] = (
+            x + 0.14 * (place % 2 - 0.5) * 2,
+            y + 0.15 * (place // 2 - 0.5) * 2,
+            support.top + asset.resting[0].height,
+            np.cos(angle),
+            0,
+            0,
+            np.sin(angle),
+        )
+    origin = Origin(bank="bank", index=index, method="clear", seed=3, verdict="stable", is_success=True)
+    return Scene(names, tuple(objects), poses, support, origin=origin)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Four objects, one of them twice, on a table with surfaces of its own."""
+    pool = find_pool("dining")
+    objects = [pool[name.split("#")[0]] for name in NAMES]
+    return spread(objects, find_support("round_table"), NAMES)
+
+
+@pytest.fixture(scope="module")
+def folder_of(scene, tmp_path_factory):
+    """The scene exported in a format, each made once."""
+    made = {}
+
+    def make(format):
+        if format not in made:
+            made[format] = export_scenes([scene], tmp_path_factory.mktemp("out") / format, format)
+        return made[format]
+
+    return make
+
+
+def matrix(pose):
+    """f64[4, 4]: T_world_object of a pose."""
+    result = np.eye(4)
+    result[:3, :3] = rotate(np, pose[3:], np.eye(3)).T
+    result[:3, 3] = pose[:3]
+    return result
+
+
+def assert_same_pose(position, quaternion, pose):
+    """Equal position and equal turn; the quaternion's sign is nobody's business."""
+    np.testing.assert_allclose(position, pose[:3], atol=CLOSE)
+    sign = np.sign(np.dot(quaternion, pose[3:]))
+    np.testing.assert_allclose(sign * np.asarray(quaternion), pose[3:], atol=CLOSE)
+
+
+@pytest.mark.parametrize("format", sorted(set(FORMATS) - {"usd"}))
+def test_folders_stand_by_themselves(folder_of, scene, format):
+    folder = folder_of(format)
+    record = json.loads((folder / "MANIFEST.json").read_text())
+    assert record["export_format"] == format
+    assert {each["name"] for each in record["assets"]} == {"mug", "fork", "soup_can"}
+    for asset in record["assets"]:
+        assert asset["licence"]
+        assert len(asset["hash"]) == 64
+    (own,) = record["scenes"]
+    assert (own["seed"], own["method"], own["verdict"]) == (3, "clear", "stable")
+    assert (folder / own["file"]).is_file()
+    for entry, pose in zip(own["objects"], scene.poses, strict=True):
+        assert_same_pose(entry["position"], entry["quaternion_wxyz"], pose)
+    licences = (folder / "LICENSES.txt").read_text()
+    assert all(f"object {name}" in licences for name in ("mug", "fork", "soup_can"))
+    assert "support round_table" in licences
+    # Nothing may point out of the folder.
+    for path in folder.rglob("*"):
+        if path.suffix in {".xml", ".urdf", ".sdf", ".json", ".py"}:
+            assert str(folder) not in path.read_text()
+            assert str(Path.home()) not in path.read_text()
+
+
+def test_mjcf_comes_back_and_stands(folder_of, scene):
+    path = folder_of("mjcf") / "scenes" / "000000.xml"
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert model.opt.timestep == scene.stability.timestep
+    np.testing.assert_allclose(model.key("scene").qpos, scene.poses.ravel(), atol=CLOSE)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
+        body = model.body(name)
+        assert_same_pose(data.body(name).xpos, data.body(name).xquat, pose)
+        assert body.mass[0] == pytest.approx(asset.mass, rel=1e-6)
+        moments = np.sort(np.linalg.eigvalsh(asset.inertia))
+        np.testing.assert_allclose(np.sort(body.inertia), moments, rtol=1e-5)
+        np.testing.assert_allclose(body.ipos, asset.center_of_mass, atol=1e-7)
+    friction = model.geom_friction[model.geom_contype > 0]
+    np.testing.assert_allclose(friction, np.tile(scene.contact.friction, (len(friction), 1)))
+    assert verify_scene(path).stands
+
+
+def test_pybullet_reads_masses_and_poses_and_the_scene_stands(folder_of, scene):
+    pybullet = pytest.importorskip("pybullet", reason="needs the extra peers")
+    folder = folder_of("urdf")
+    loader = runpy.run_path(str(folder / "load_pybullet.py"))
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        bodies = loader["load_scene"](folder / "scenes" / "000000.json", client)
+        for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
+            position, (x, y, z, w) = loader["object_pose"](bodies[name], client)
+            assert_same_pose(position, (w, x, y, z), pose)
+            info = pybullet.getDynamicsInfo(bodies[name], -1, physicsClientId=client)
+            assert info[0] == pytest.approx(asset.mass, rel=1e-6)
+            moments = np.linalg.eigvalsh(asset.inertia)
+            np.testing.assert_allclose(np.sort(info[2]), moments, rtol=1e-4)
+        for _ in range(480):
+            pybullet.stepSimulation(physicsClientId=client)
+        for name, pose in zip(scene.names, scene.poses, strict=True):
+            position, _ = loader["object_pose"](bodies[name], client)
+            # Bullet makes every hull a millimetre thicker, so that objects rise by as much.
+            assert np.linalg.norm(np.array(position) - pose[:3]) < 0.003, name
+    finally:
+        pybullet.disconnect(client)
+
+
+def test_urdf_inertia_is_the_assets_own(folder_of, scene):
+    for name, asset in scene.assets.items():
+        path = folder_of("urdf") / "assets" / "objects" / name / f"{name}.urdf"
+        inertial = ET.parse(path).find("link/inertial")
+        roll, pitch, yaw = map(float, inertial.find("origin").get("rpy").split())
+        turn = trimesh.transformations.euler_matrix(roll, pitch, yaw, "sxyz")[:3, :3]
+        moments = np.diag([float(inertial.find("inertia").get(key)) for key in ("ixx", "iyy", "izz")])
+        np.testing.assert_allclose(turn @ moments @ turn.T, asset.inertia, atol=1e-8, rtol=1e-5)
+        for mesh in ET.parse(path).iter("mesh"):
+            assert (path.parent / mesh.get("filename")).is_file()
+
+
+def test_sdf_is_well_formed_and_complete(folder_of, scene):
+    path = folder_of("sdf") / "scenes" / "000000.sdf"
+    root = ET.parse(path).getroot()
+    assert (root.tag, root.get("version")) == ("sdf", "1.9")
+    models = {model.get("name"): model for model in root.findall("world/model")}
+    assert models.pop("support").findtext("static") == "true"
+    assert tuple(models) == scene.names
+    for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
+        model = models[name]
+        assert model.find("pose").get("rotation_format") == "quat_xyzw"
+        values = np.array(model.findtext("pose").split(), float)
+        assert_same_pose(values[:3], values[[6, 3, 4, 5]], pose)
+        inertial = model.find("link/inertial")
+        assert float(inertial.findtext("mass")) == pytest.approx(asset.mass, rel=1e-8)
+        for row, column in np.ndindex(3, 3):
+            key = "i" + "xyz"[min(row, column)] + "xyz"[max(row, column)]
+            value = float(inertial.findtext(f"inertia/{key}"))
+            assert value == pytest.approx(asset.inertia[row][column], abs=1e-12, rel=1e-6)
+        assert len(model.findall("link/collision")) == len(asset.parts)
+        assert all(float(each.text) == 0.5 for each in model.iter("mu"))
+    # What Drake is told of every part and box; others skip what has its prefix.
+    drake = "{http://drake.mit.edu}"
+    for collision in root.iter("collision"):
+        told = collision.find(f"{drake}proximity_properties")
+        assert told.find(f"{drake}compliant_hydroelastic") is not None
+        assert float(told.findtext(f"{drake}hydroelastic_modulus")) == 1e9
+        assert float(told.findtext(f"{drake}mu_dynamic")) == 0.5
+    for uri in root.iter("uri"):
+        assert (path.parent / uri.text).is_file()
+    names = [each.get("name") for each in root.find("world/model/link")]
+    assert len(names) == len(set(names))
+
+
+def test_glb_comes_back_with_y_up(folder_of, scene):
+    data = (folder_of("glb") / "scenes" / "000000.glb").read_bytes()
+    assert data[:4] == b"glTF"
+    assert int.from_bytes(data[8:12], "little") == len(data)
+    read = trimesh.load(folder_of("glb") / "scenes" / "000000.glb")
+    y_up = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
+    frames = {node: read.graph[node][0] for node in read.graph.nodes}
+    for name, pose in zip(scene.names, scene.poses, strict=True):
+        np.testing.assert_allclose(frames[name], y_up @ matrix(pose), atol=CLOSE)
+    # The lowest point of the whole scene is the floor, and up is y.
+    assert read.bounds[0][1] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_glb_holds_masses_parts_and_linear_colours(folder_of, scene):
+    data = (folder_of("glb") / "scenes" / "000000.glb").read_bytes()
+    size = int.from_bytes(data[12:16], "little")
+    document = json.loads(data[20 : 20 + size])
+    nodes = {node["name"]: node for node in document["nodes"]}
+    for name, asset in zip(scene.names, scene.objects, strict=True):
+        assert nodes[name]["extras"]["mass"] == pytest.approx(asset.mass)
+        np.testing.assert_allclose(nodes[name]["extras"]["inertia"], asset.inertia)
+        parts = document["meshes"][nodes[f"{name}/collision"]["mesh"]]["primitives"]
+        assert len(parts) == len(asset.parts)
+    assert [each["name"] for each in document["scenes"]] == ["scene", "collision"]
+    # Both mugs are one mesh.
+    assert nodes["mug"]["mesh"] == nodes["mug#2"]["mesh"]
+    colours = {tuple(each["pbrMetallicRoughness"]["baseColorFactor"]) for each in document["materials"]}
+    assert tuple(linear(scene.objects[0].pieces[0].rgba)) in colours
+
+
+@pytest.mark.parametrize("format", ["maniskill", "robosuite", "libero"])
+def test_adapters_carry_poses_and_files(folder_of, scene, format):
+    folder = folder_of(format)
+    record = json.loads((folder / "scenes" / "000000.json").read_text())
+    assert (folder / FORMATS[format].script).is_file()
+    for entry, pose in zip(record["objects"], scene.poses, strict=True):
+        assert_same_pose(entry["position"], entry["quaternion_wxyz"], pose)
+    for name, own in record["assets"].items():
+        asset = scene.assets[name]
+        if format in ("robosuite", "libero"):
+            spec = mujoco.MjSpec.from_file(str(folder / own["file"]))
+            body = spec.compile().body("object")
+            assert body.mass[0] == pytest.approx(asset.mass, rel=1e-6)
+            np.testing.assert_allclose(
+                np.sort(body.inertia), np.sort(np.linalg.eigvalsh(asset.inertia)), rtol=1e-5
+            )
+        else:
+            assert len(own["parts"]) == len(asset.parts)
+            assert all((folder / own["folder"] / part).is_file() for part in own["parts"])
+    if format == "maniskill":
+        for name, row in record["env_state"]["actors"].items():
+            np.testing.assert_allclose(row[:7], scene.poses[scene.names.index(name)])
+            assert row[7:] == [0.0] * 6
+
+
+def test_bounds_hold_the_support_and_what_overhangs():
+    # The table is so small that objects hang over its edges.
+    scene = spread(trio(), cuboid_table(0.2, 0.2))
+    points = [
+        trimesh.transform_points(part.vertices, matrix(pose))
+        for asset, pose in zip(scene.objects, scene.poses, strict=True)
+        for part in asset.parts
+    ]
+    points = np.concatenate([*points, [[-0.1, -0.1, 0.0], [0.1, 0.1, scene.support.top]]])
+    assert points[:, 0].min() < -0.1
+    np.testing.assert_allclose(scene_bounds(scene), [points.min(0), points.max(0)], atol=CLOSE)
+
+
+def test_boxes_without_surfaces_are_exported_too(tmp_path):
+    bare = spread(trio(), cuboid_table(), turn=1.0)
+    for format in sorted(set(FORMATS) - {"usd"}):
+        folder = export_scenes([bare], tmp_path / format, format)
+        assert json.loads((folder / "MANIFEST.json").read_text())["support"]["name"] == "table"
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "mjcf" / "scenes" / "000000.xml"))
+    np.testing.assert_allclose(model.qpos0, bare.poses.ravel(), atol=CLOSE)
+
+
+def test_many_scenes_share_assets(tmp_path):
+    one, two = (spread(trio(), cuboid_table(), index=index, turn=0.3 + index) for index in (4, 9))
+    folder = export_scenes([one, two], tmp_path / "out", "urdf")
+    assert sorted(path.name for path in (folder / "scenes").iterdir()) == ["000004.json", "000009.json"]
+    assert len(list((folder / "assets" / "objects").iterdir())) == 3
+
+
+def test_scenes_that_do_not_go_together_are_refused_and_leave_nothing(tmp_path):
+    one = spread(trio(), cuboid_table())
+    with pytest.raises(ConfigError, match="supports"):
+        export_scenes([one, spread(trio(), cuboid_table(0.5, 0.5))], tmp_path / "out", "mjcf")
+    with pytest.raises(ConfigError, match="no scenes"):
+        export_scenes([], tmp_path / "out", "mjcf")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_existing_folders_are_left_alone(tmp_path):
+    scene = spread(trio(), cuboid_table())
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "thesis.txt").write_text("important")
+    for overwrite in (False, True):
+        with pytest.raises(ConfigError, match="exists"):
+            export_scenes([scene], out, "mjcf", overwrite=overwrite)
+    assert (out / "thesis.txt").read_text() == "important"
+    export_scenes([scene], tmp_path / "new", "mjcf")
+    with pytest.raises(ConfigError, match="exists"):
+        export_scenes([scene], tmp_path / "new", "sdf")
+    export_scenes([scene], tmp_path / "new", "sdf", overwrite=True)
+    assert (tmp_path / "new" / "scenes" / "000000.sdf").is_file()
+    assert not (tmp_path / "new" / "scenes" / "000000.xml").exists()
+
+
+def test_unknown_format_names_the_others(tmp_path):
+    with pytest.raises(ConfigError, match="mjcf, urdf, sdf, usd, glb"):
+        export_scenes([spread(trio(), cuboid_table())], tmp_path / "out", "blend")
+
+
+def test_numbers_and_sources_are_parsed(tmp_path, capsys):
+    assert parse_numbers(None) is parse_numbers("all") is None
+    assert parse_numbers("0,3, 7-9,3") == [0, 3, 7, 8, 9]
+    for text in ("", "a", "3-1", "-1", "1.5", "0-9999999999"):
+        with pytest.raises(ConfigError, match="numbers"):
+            parse_numbers(text)
+    bank = tmp_path / "bank"
+    (bank / "scenes").mkdir(parents=True)
+    (bank / "bank.json").write_text("{}")
+    (bank / "scenes" / "000012.xml").write_text("")
+    assert parse_reference(str(bank)) == (bank, None)
+    assert parse_reference(f"{bank}:12") == parse_reference(str(bank / "scenes" / "000012.xml")) == (bank, 12)
+    for elsewhere in (f"{bank}:", f"{bank}:-1", f"{bank}:\u00b2", ":3"):
+        assert parse_reference(elsewhere) == (Path(elsewhere), None)
+    assert parse_reference(str(bank / "bank.json")) is None
+    assert main(["export", str(bank / "bank.json"), "--out", str(tmp_path / "out")]) != 0
+    assert "no scene of a bank" in capsys.readouterr().err
+
+
+def test_principal_frames_and_angles_turn_back():
+    rng = np.random.default_rng(0)
+    for asset in find_pool("dining").objects:
+        principal = principal_of(asset)
+        turn = rotate(np, principal.turn, np.eye(3)).T
+        np.testing.assert_allclose(
+            turn @ np.diag(principal.moments) @ turn.T, asset.inertia, atol=1e-12, rtol=1e-9
+        )
+        assert np.linalg.det(turn) == pytest.approx(1)
+    for _ in range(50):
+        quaternion = rng.normal(size=4)
+        quaternion /= np.linalg.norm(quaternion)
+        turn = trimesh.transformations.euler_matrix(*euler_of(quaternion), "sxyz")[:3, :3]
+        np.testing.assert_allclose(turn, rotate(np, quaternion, np.eye(3)).T, atol=1e-12)
+
+
+def test_shading_keeps_the_surface_and_its_edges():
+    box = slab((0.1, 0.2, 0.3))
+    vertices, normals, faces, _ = shaded(box)
+    # A box has a normal for each face at each corner, and the normals are the faces' own.
+    assert len(vertices) == 24
+    np.testing.assert_allclose(np.abs(normals).max(1), 1.0, atol=1e-6)
+    corners = vertices[faces].astype(float)
+    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (np.einsum("fi,fci->fc", facing, normals[faces]) > 0).all()
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
+    points, smooth, triangles, _ = shaded(Mesh(ball.vertices, ball.faces))
+    assert (len(points), len(triangles)) == (len(ball.vertices), len(ball.faces))
+    np.testing.assert_allclose(smooth, points / 0.1, atol=0.02)

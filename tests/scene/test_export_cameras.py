@@ -1,0 +1,210 @@
+"""Cameras of an export: read back from each format, they look at the middle of the region."""
+
+import json
+from xml.etree import ElementTree as ET
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.support import Rectangle, cuboid_table
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.rendering.gl import gl_context
+from cluttergen_jax.scene import CAMERAS, scene_cameras
+from cluttergen_jax.scene.export import FORMATS, export_scenes
+from tests.rendering.test_render import needs_gl
+from tests.scene.test_export import spread
+from tests.scene.test_export_cli import bank  # noqa: F401
+
+NAMES = ("mug", "bottle", "soup_can", "bowl")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    pool = find_pool("dining")
+    return spread([pool[name] for name in NAMES], cuboid_table(), NAMES)
+
+
+@pytest.fixture(scope="module")
+def folder_of(scene, tmp_path_factory):
+    made = {}
+
+    def make(format):
+        if format not in made:
+            out = tmp_path_factory.mktemp("cameras") / format
+            made[format] = export_scenes([scene], out, format, cameras=CAMERAS)
+        return made[format]
+
+    return make
+
+
+def turn_of(w, x, y, z):
+    return Rotation.from_quat([x, y, z, w]).as_matrix()
+
+
+def seen_at(point, position, turn, fovx, fovy):
+    """f64[2]: where a point is seen, -1 to 1 from edge to edge, +y up; the camera looks along -z."""
+    x, y, z = turn.T @ (np.asarray(point) - position)
+    assert z < 0, "it lies behind the camera"
+    return np.array([x, y]) / -z / np.tan(np.array([fovx, fovy]) / 2)
+
+
+def check(cameras, scene):
+    """Cameras by name, each (position, rotation, fovx, fovy): all look at the middle, from where they are."""
+    assert tuple(cameras) == CAMERAS
+    region, top = scene.support.region, scene.support.top
+    middle = np.array([*region.center, top])
+    for name, (position, turn, fovx, fovy) in cameras.items():
+        np.testing.assert_allclose(seen_at(middle, position, turn, fovx, fovy), 0, atol=1e-4, err_msg=name)
+        # What stands up in the world stands up in the picture.
+        assert turn[2, 1] >= -1e-6
+        assert np.linalg.det(turn) == pytest.approx(1)
+        assert fovx > fovy > 0.5
+    positions = {name: each[0] - middle for name, each in cameras.items()}
+    np.testing.assert_allclose(positions["overhead"][:2], 0, atol=1e-6)
+    np.testing.assert_allclose(cameras["overhead"][1], np.eye(3), atol=1e-6)
+    assert positions["front"][1] < 0 < positions["side"][0]
+    assert positions["wrist"][2] == pytest.approx(0.3, abs=1e-6)
+
+
+def test_mjcf_cameras(folder_of, scene):
+    model = mujoco.MjModel.from_xml_path(str(folder_of("mjcf") / "scenes" / "000000.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    cameras = {}
+    for k in range(model.ncam):
+        fovy = np.radians(model.cam_fovy[k])
+        fovx = 2 * np.arctan(np.tan(fovy / 2) * 4 / 3)
+        cameras[model.camera(k).name] = (data.cam_xpos[k], data.cam_xmat[k].reshape(3, 3), fovx, fovy)
+    check(cameras, scene)
+
+
+def test_sdf_cameras(folder_of, scene):
+    root = ET.parse(folder_of("sdf") / "scenes" / "000000.sdf").getroot()
+    cameras = {}
+    for model in root.findall("world/model"):
+        sensor = model.find("link/sensor")
+        if sensor is None:
+            continue
+        assert model.findtext("static") == "true"
+        values = np.array(model.findtext("pose").split(), float)
+        ahead, left, up = turn_of(*values[[6, 3, 4, 5]]).T
+        fovx = float(sensor.findtext("camera/horizontal_fov"))
+        width, height = (int(sensor.findtext(f"camera/image/{side}")) for side in ("width", "height"))
+        fovy = 2 * np.arctan(np.tan(fovx / 2) * height / width)
+        turn = np.stack([-left, up, -ahead], axis=1)
+        cameras[sensor.get("name")] = (values[:3], turn, fovx, fovy)
+    check(cameras, scene)
+
+
+def test_usd_cameras(folder_of, scene):
+    pxr = pytest.importorskip("pxr", reason="needs the extra usd")
+    from pxr import Usd, UsdGeom
+
+    assert pxr
+    stage = Usd.Stage.Open(str(folder_of("usd") / "scenes" / "000000.usda"))
+    cameras = {}
+    for prim in stage.GetPrimAtPath("/World/cameras").GetChildren():
+        camera = UsdGeom.Camera(prim).GetCamera(Usd.TimeCode.Default())
+        frame = np.array(camera.transform).T
+        fovs = (camera.GetFieldOfView(side) for side in (camera.FOVHorizontal, camera.FOVVertical))
+        cameras[prim.GetName()] = (frame[:3, 3], frame[:3, :3], *np.radians(list(fovs)))
+    check(cameras, scene)
+
+
+def test_glb_cameras(folder_of, scene):
+    data = (folder_of("glb") / "scenes" / "000000.glb").read_bytes()
+    document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    nodes, cameras = document["nodes"], {}
+    (world,) = (nodes[k] for k in document["scenes"][0]["nodes"])
+    (other,) = (nodes[k] for k in document["scenes"][1]["nodes"])
+    assert not any("camera" in nodes[k] for k in other["children"])
+    for node in (nodes[k] for k in world["children"]):
+        if "camera" in node:
+            lens = document["cameras"][node["camera"]]["perspective"]
+            fovx = 2 * np.arctan(np.tan(lens["yfov"] / 2) * lens["aspectRatio"])
+            x, y, z, w = node["rotation"]
+            position = np.array(node["translation"])
+            cameras[node["name"].split("/")[1]] = (position, turn_of(w, x, y, z), fovx, lens["yfov"])
+    check(cameras, scene)
+
+
+@pytest.mark.parametrize("format", ["urdf", "maniskill", "robosuite", "libero"])
+def test_cameras_in_the_loaders_files(folder_of, scene, format):
+    folder = folder_of(format)
+    record = json.loads((folder / "scenes" / "000000.json").read_text())
+    assert record["cameras"] == json.loads((folder / "MANIFEST.json").read_text())["cameras"]
+    cameras = {}
+    for each in record["cameras"]:
+        fovy = np.radians(each["fovy"])
+        fovx = 2 * np.arctan(np.tan(fovy / 2) * each["width"] / each["height"])
+        cameras[each["name"]] = (np.array(each["position"]), turn_of(*each["quaternion_wxyz"]), fovx, fovy)
+    check(cameras, scene)
+    assert "Cameras: overhead, front, side, wrist." in (folder / "README.txt").read_text()
+
+
+def bodies_seen(model, name, width=160, height=120):
+    """[height, width] of the names of bodies that a camera of the model sees; "" for none."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    camera = mujoco.MjvCamera()
+    camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, model.camera(name).id
+    drawn, pixels = mujoco.MjvScene(model, 5000), np.zeros((height, width, 3), np.uint8)
+    with gl_context(width, height):
+        context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
+        shown = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, shown, drawn)
+        for flag in (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR):
+            drawn.flags[flag] = 1
+        view = mujoco.MjrRect(0, 0, width, height)
+        mujoco.mjr_render(view, drawn, context)
+        mujoco.mjr_readPixels(pixels, None, view, context)
+        context.free()
+    names = {0: ""}
+    for geom in drawn.geoms[: drawn.ngeom]:
+        is_geom = geom.objtype == mujoco.mjtObj.mjOBJ_GEOM
+        names[geom.segid + 1] = model.body(model.geom_bodyid[geom.objid]).name if is_geom else ""
+    ids = pixels.astype(int) @ [1, 256, 65536]
+    return np.vectorize(lambda k: names[k])(ids)
+
+
+@needs_gl
+def test_overhead_front_and_side_see_every_object_whole(folder_of):
+    model = mujoco.MjModel.from_xml_path(str(folder_of("mjcf") / "scenes" / "000000.xml"))
+    for name in CAMERAS:
+        seen = bodies_seen(model, name)
+        assert "support" in seen, name
+        if name != "wrist":
+            assert set(NAMES) <= set(seen.ravel()), name
+            edges = {*seen[0], *seen[-1], *seen[:, 0], *seen[:, -1]}
+            assert not edges & set(NAMES), name
+
+
+def test_cameras_go_with_the_region_and_with_an_attached_scene(scene):
+    turned = cuboid_table(1.0, 0.5)
+    object.__setattr__(turned, "region", Rectangle((0.2, 0.1), (0.1, 0.15), 0.6))
+    for camera in scene_cameras(turned):
+        middle = [0.2, 0.1, turned.top]
+        fovs = np.radians([camera.fovx, camera.fovy])
+        np.testing.assert_allclose(seen_at(middle, camera.position, camera.rotation, *fovs), 0, atol=1e-9)
+    with pytest.raises(ConfigError, match="overhead, front, side, wrist"):
+        scene_cameras(turned, ("overhead", "above"))
+    assert scene.to_mjspec().compile().ncam == 0
+
+
+@pytest.mark.parametrize("format", sorted(set(FORMATS) - {"usd"}))
+def test_without_being_asked_for_there_are_none(scene, tmp_path, format):
+    folder = export_scenes([scene], tmp_path / "out", format)
+    for path in (*folder.glob("scenes/*"), folder / "MANIFEST.json", folder / "README.txt"):
+        assert b"camera" not in path.read_bytes().lower()
+
+
+def test_command_line(bank, tmp_path, capsys):  # noqa: F811
+    out = str(tmp_path / "out")
+    assert main(["export", f"{bank}:0", "--cameras", "wrist", "overhead", "--out", out]) == 0
+    model = mujoco.MjModel.from_xml_path(f"{out}/scenes/000000.xml")
+    assert [model.camera(k).name for k in range(model.ncam)] == ["wrist", "overhead"]

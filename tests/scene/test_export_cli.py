@@ -1,0 +1,161 @@
+"""`cluttergen export`, as a user would call it."""
+
+import json
+from dataclasses import asdict
+
+import mujoco
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.scene import collect
+from cluttergen_jax.scene.bank import BankWriter, read_bank
+from cluttergen_jax.scene.bank.reference import numbers_text
+from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.scene.bank.table import SCHEMA
+from cluttergen_jax.scene.bank.verify import verify_scene
+from cluttergen_jax.scene.xml import scene_xml
+from tests.helpers.worlds import trio
+from tests.scene.test_export import spread
+
+
+def row_of(scene, index, is_success):
+    """A bank's row of a scene."""
+    num = len(scene.names)
+    # What an export does not look at is filled so that the row is complete.
+    rest = {field.name: [0] * num if pa.types.is_list(field.type) else 0 for field in SCHEMA}
+    return rest | {
+        "index": index,
+        "is_success": is_success,
+        "is_filled": True,
+        "verdict": "stable" if is_success else "crept",
+        "drift": 0.0001 if is_success else 0.02,
+        "num_placed": num,
+        "object_index": list(range(num)),
+        "objects": list(scene.names),
+        "is_placed": [True] * num,
+        "poses": scene.poses.tolist(),
+        "attempts": [1] * num,
+        "steps": [30] * num,
+        "rest_steps": [30] * num,
+        "simulated_steps": 90,
+    }
+
+
+@pytest.fixture(scope="module")
+def bank(tmp_path_factory):
+    """Fourteen scenes, of which every fifth failed; what made them is made up, the scenes stand."""
+    path = tmp_path_factory.mktemp("export") / "bank"
+    scenes = [spread(trio(), cuboid_table(), turn=0.2 * index) for index in range(14)]
+    recipe = {
+        "pool": "somewhere/trio",
+        "method": "random",
+        "seed": 5,
+        "checkpoint": None,
+        "stability": asdict(StabilityConfig()),
+        "contact": asdict(ContactConfig()),
+        "versions": {"mujoco": mujoco.__version__},
+    }
+    rows = [row_of(scene, index, index % 5 != 4) for index, scene in enumerate(scenes)]
+    assets = {asset.name: asset for asset in trio()}
+    with BankWriter(path, recipe, len(rows), assets, cuboid_table()) as writer:
+        writer.write_block(0, pa.Table.from_pylist(rows, schema=SCHEMA))
+    (path / "scenes").mkdir(exist_ok=True)
+    for index, scene in enumerate(scenes):
+        text = scene_xml(scene.objects, scene.poses, scene.support, scene.stability, scene.contact)
+        (path / "scenes" / f"{index:06d}.xml").write_bytes(text)
+    return path
+
+
+@pytest.fixture(scope="module")
+def numbers(bank):
+    """Numbers of the scenes that succeeded and of those that failed."""
+    scenes = list(read_bank(bank).scenes())
+    good = [int(scene.index) for scene in scenes if scene.is_success]
+    bad = [int(scene.index) for scene in scenes if not scene.is_success]
+    assert len(good) > 2
+    assert bad
+    return good, bad
+
+
+def test_all_successful_scenes_by_default(bank, numbers, tmp_path, capsys):
+    good, _ = numbers
+    assert main(["export", str(bank), "--out", str(tmp_path / "out")]) == 0
+    assert f"{len(good)} scenes" in capsys.readouterr().out
+    assert len(good) == 12
+    files = sorted((tmp_path / "out" / "scenes").iterdir())
+    assert [int(path.stem) for path in files] == good
+    scenes = {int(scene.index): scene for scene in read_bank(bank).scenes()}
+    for path in files:
+        model = mujoco.MjModel.from_xml_path(str(path))
+        np.testing.assert_allclose(model.qpos0, scenes[int(path.stem)].poses.ravel(), atol=1e-5)
+    assert verify_scene(files[0]).stands
+
+
+def test_chosen_scenes_carry_where_they_come_from(bank, numbers, tmp_path):
+    good, _ = numbers
+    wanted = f"{good[2]},{good[0]}"
+    assert (
+        main(["export", str(bank), "--scenes", wanted, "--format", "glb", "--out", str(tmp_path / "out")])
+        == 0
+    )
+    record = json.loads((tmp_path / "out" / "MANIFEST.json").read_text())
+    assert [each["index"] for each in record["scenes"]] == [good[2], good[0]]
+    for each in record["scenes"]:
+        assert (each["method"], each["pool"], each["seed"]) == ("random", "trio", 5)
+        assert each["versions"]["mujoco"] == mujoco.__version__
+        assert each["verdict"] == "stable"
+        assert each["drift"] < 0.005
+
+
+def test_one_scene_by_number_or_file(bank, numbers, tmp_path):
+    good, _ = numbers
+    sources = [f"{bank}:{good[1]}", str(bank / "scenes" / f"{good[1]:06d}.xml")]
+    for place, source in enumerate(sources):
+        out = tmp_path / str(place)
+        assert main(["export", source, "--format", "urdf", "--out", str(out)]) == 0
+        assert [path.name for path in (out / "scenes").iterdir()] == [f"{good[1]:06d}.json"]
+
+
+def test_what_cannot_be_done_is_explained_and_leaves_nothing(bank, numbers, tmp_path, capsys):
+    good, bad = numbers
+    cases = [
+        ([str(tmp_path / "nowhere")], "is not a bank"),
+        ([str(bank), "--format", "blend"], "mjcf"),
+        ([str(bank), "--scenes", f"{good[0]},{bad[0]},999"], f"scene {bad[0]} failed"),
+        ([str(bank), "--scenes", "999"], "no scene 999"),
+        ([str(bank), "--scenes", "a"], "numbers and ranges"),
+        ([f"{bank}:{good[0]}", "--scenes", "1"], "one of the two"),
+        ([f"{bank}:{bad[0]}"], "failed"),
+    ]
+    for more, says in cases:
+        assert main(["export", *more, "--out", str(tmp_path / "out")]) == 2
+        assert says in capsys.readouterr().err
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_many_scenes_that_are_not_there_are_one_sentence(bank, tmp_path, capsys):
+    assert main(["export", str(bank), "--scenes", "0-99", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "86 of the 100 scenes asked for (14-99) are not in it, which holds 0-13" in said
+    assert "2 scenes failed: 4, 9 (crept)" in said
+    assert len(said) < 350
+    assert numbers_text([7, 3, 0, 1, 2, 9, 8]) == "0-3, 7-9"
+    assert numbers_text(range(0, 40, 2)) == "0, 2, 4, 6, 8, 10, 12, 14, ..."
+
+
+def test_a_whole_bank_is_one_model(bank, numbers):
+    good, _ = numbers
+    scenes = list(read_scenes(read_bank(bank)))
+    assert [scene.origin.index for scene in scenes] == good
+    many = collect(scenes)
+    assert many.qpos.shape == (len(good), 7 * 3)
+    data = mujoco.MjData(many.model)
+    for row in range(3):
+        many.reset(data, row)
+        start = data.qpos.reshape(-1, 7)[:, :3].copy()
+        mujoco.mj_step(many.model, data, nstep=240)
+        assert np.linalg.norm(data.qpos.reshape(-1, 7)[:, :3] - start, axis=1).max() < 5e-4

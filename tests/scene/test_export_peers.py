@@ -1,0 +1,108 @@
+"""Exports in programs that cannot be installed beside this one: each is asked in an interpreter of its own.
+
+CLUTTERGEN_MANISKILL_PYTHON, CLUTTERGEN_ROBOSUITE_PYTHON and CLUTTERGEN_LIBERO_PYTHON name the interpreters of
+environments that have mani_skill, robosuite 1.5 with h5py and MuJoCo 3.3, and libero as its script says;
+without them the tests are skipped. Drake, which comes with the extra peers, is asked in this interpreter.
+`tests/peers` holds what is run; it prints JSON.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.scene.export import export_scenes
+from tests.scene.test_export import NAMES, assert_same_pose, spread
+
+PEERS = Path(__file__).parents[1] / "peers"
+SECONDS = 2.0
+WITH_TALL = ("mug", "bottle", "dinner_plate", "mug#2")
+"""One stands as high as the hand of a robot beside the table."""
+
+
+def asked(peer, format, names, tmp_path):
+    """Two scenes of the same objects, and what a peer reports of their export, chiefly of the first."""
+    python = os.environ.get(f"CLUTTERGEN_{peer.upper()}_PYTHON")
+    if peer == "drake":
+        pytest.importorskip("pydrake", reason="needs the extra peers")
+        python = sys.executable
+    if not python:
+        pytest.skip(f"CLUTTERGEN_{peer.upper()}_PYTHON names no interpreter that has {peer}")
+    pool = find_pool("dining")
+    scenes = [
+        spread([pool[name.split("#")[0]] for name in own], find_support("round_table"), own, index, turn)
+        for index, (own, turn) in enumerate([(names, 0.7), (names[1:] + names[:1], 0.2)])
+    ]
+    folder = export_scenes(scenes, tmp_path / "out", format)
+    return scenes, read_by(peer, python, folder)
+
+
+def read_by(peer, python, folder):
+    """What a peer reports of an export."""
+    command = [python, str(PEERS / f"read_in_{peer}.py"), str(folder), str(SECONDS)]
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    ran = subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=280)
+    assert ran.returncode == 0, ran.stderr[-3000:]
+    return json.loads(ran.stdout.splitlines()[-1])
+
+
+@pytest.mark.parametrize(
+    ("peer", "format", "names"),
+    [
+        ("drake", "sdf", NAMES),
+        ("maniskill", "maniskill", NAMES),
+        ("robosuite", "robosuite", NAMES),
+        ("libero", "libero", WITH_TALL),
+    ],
+)
+def test_peers_read_poses_and_masses_and_the_scene_stands(peer, format, names, tmp_path):
+    scenes, report = asked(peer, format, names, tmp_path)
+    scene = scenes[0]
+    for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
+        for moment in ("before", "restored"):
+            if moment in report:
+                assert_same_pose(report[moment][name][:3], report[moment][name][3:], pose)
+        assert report["mass"][name] == pytest.approx(asset.mass, rel=1e-5)
+        if "inertia" in report:
+            np.testing.assert_allclose(report["inertia"][name], asset.inertia, rtol=1e-5, atol=1e-9)
+        shift = np.linalg.norm(np.array(report["after"][name][:3]) - pose[:3])
+        assert shift < 0.002, (name, shift)
+    if peer == "libero":
+        check_task(scenes, report)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["drop", "clear"])
+def test_crowded_scenes_stand_in_drake_from_the_file_alone(method, tmp_path):
+    pytest.importorskip("pydrake", reason="needs the extra peers")
+    made = ["generate", "--method", method, "--num-objects", "10", "-n", "2", "--max-files", "0"]
+    assert main([*made, "--no-render", "--out", str(tmp_path / "bank")]) == 0
+    scenes = list(read_scenes(read_bank(tmp_path / "bank")))
+    for index, scene in enumerate(scenes):
+        report = read_by("drake", sys.executable, export_scenes([scene], tmp_path / str(index), "sdf"))
+        for name, pose in zip(scene.names, scene.poses, strict=True):
+            after = np.array(report["after"][name])
+            assert np.linalg.norm(after[:3] - pose[:3]) < 0.0015, name
+            assert 2 * np.arccos(min(1.0, abs(after[3:] @ pose[3:]))) < np.radians(1.5), name
+
+
+def check_task(scenes, report):
+    """Both scenes are states of one task, the robot is clear of them, and goals are judged."""
+    scene, other = scenes
+    for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
+        # Without several contact points for a pair the plate creeps by more.
+        assert np.linalg.norm(np.array(report["after"][name][:3]) - pose[:3]) < 0.0003, name
+        assert report["hand"] > pose[2] + asset.half_extents[2]
+    for name, pose in zip(other.names, other.poses, strict=True):
+        assert_same_pose(report["other"][name][:3], report["other"][name][3:], pose)
+    assert report["touched"] == []
+    assert [report[key] for key in ("done", "restored_success", "other_success")] == [False, True, False]

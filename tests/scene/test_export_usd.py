@@ -1,0 +1,119 @@
+"""USD exports, read back by USD itself: poses, masses, colliders, units, and its own validators."""
+
+import numpy as np
+import pytest
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.shading import linear
+from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.scene.export import export_scenes
+from tests.helpers.worlds import trio
+from tests.scene.test_export import CLOSE, NAMES, matrix, spread
+
+pytest.importorskip("pxr", reason="needs the extra usd")
+
+from pxr import Usd, UsdGeom, UsdPhysics, UsdShade, UsdValidation
+
+
+@pytest.fixture(scope="module")
+def scene():
+    pool = find_pool("dining")
+    return spread([pool[name.split("#")[0]] for name in NAMES], find_support("round_table"), NAMES)
+
+
+@pytest.fixture(scope="module")
+def stage(scene, tmp_path_factory):
+    # Opened where it was moved to: nothing may point to where it was made.
+    folder = export_scenes([scene], tmp_path_factory.mktemp("usd") / "made", "usd")
+    folder.rename(folder.with_name("moved"))
+    return Usd.Stage.Open(str(folder.with_name("moved") / "scenes" / "000000.usda"))
+
+
+def bodies_of(stage) -> dict:
+    """The rigid bodies of a stage by display name of the placed prim."""
+    prims = stage.GetPrimAtPath("/World/objects").GetChildren()
+    return {prim.GetDisplayName(): prim for prim in prims}
+
+
+def test_units_and_gravity_are_said(stage, scene):
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
+    assert UsdPhysics.GetStageKilogramsPerUnit(stage) == 1.0
+    assert UsdGeom.GetStageUpAxis(stage) == "Z"
+    physics = UsdPhysics.Scene(stage.GetPrimAtPath("/World/physics"))
+    assert physics.GetGravityMagnitudeAttr().Get() == pytest.approx(scene.contact.gravity)
+    assert tuple(physics.GetGravityDirectionAttr().Get()) == (0, 0, -1)
+
+
+def test_poses_and_masses_come_back(stage, scene):
+    bodies = bodies_of(stage)
+    assert set(bodies) == set(scene.names)
+    cache = UsdGeom.XformCache()
+    for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
+        frame = np.array(cache.GetLocalToWorldTransform(bodies[name])).T
+        np.testing.assert_allclose(frame, matrix(pose), atol=CLOSE)
+        assert_mass(bodies[name], asset)
+
+
+def assert_mass(prim, asset: ObjectAsset):
+    """What USD computes of a body from all that is authored, colliders included, is the asset's own."""
+    assert prim.HasAPI(UsdPhysics.RigidBodyAPI)
+    mass = UsdPhysics.MassAPI(prim)
+    assert mass.GetMassAttr().Get() == pytest.approx(asset.mass, rel=1e-6)
+    np.testing.assert_allclose(mass.GetCenterOfMassAttr().Get(), asset.center_of_mass, atol=1e-7)
+    axes = mass.GetPrincipalAxesAttr().Get()
+    x, y, z = axes.GetImaginary()
+    turn = matrix(np.array([0, 0, 0, axes.GetReal(), x, y, z]))[:3, :3]
+    moments = np.diag(mass.GetDiagonalInertiaAttr().Get())
+    np.testing.assert_allclose(turn @ moments @ turn.T, asset.inertia, rtol=1e-4, atol=1e-9)
+
+
+def test_colliders_are_convex_hulls_with_friction(stage, scene):
+    bodies = bodies_of(stage)
+    for name, asset in zip(scene.names, scene.objects, strict=True):
+        colliders = [p for p in Usd.PrimRange(bodies[name]) if p.HasAPI(UsdPhysics.CollisionAPI)]
+        assert len(colliders) == len(asset.parts)
+        for prim, part in zip(colliders, asset.parts, strict=True):
+            assert UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get() == "convexHull"
+            assert UsdGeom.Imageable(prim).ComputePurpose() == "guide"
+            points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get())
+            np.testing.assert_allclose(points.min(0), part.vertices.min(0), atol=1e-6)
+            np.testing.assert_allclose(points.max(0), part.vertices.max(0), atol=1e-6)
+            material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
+            physics = UsdPhysics.MaterialAPI(material.GetPrim())
+            assert physics.GetStaticFrictionAttr().Get() == pytest.approx(scene.contact.friction[0])
+    support = stage.GetPrimAtPath("/World/support")
+    boxes = [p for p in Usd.PrimRange(support) if p.HasAPI(UsdPhysics.CollisionAPI)]
+    assert len(boxes) == len(scene.support.boxes)
+    assert not any(p.HasAPI(UsdPhysics.RigidBodyAPI) for p in Usd.PrimRange(support))
+
+
+def test_usds_own_validators_find_nothing(stage):
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert validators
+    errors = UsdValidation.ValidationContext(validators).Validate(stage)
+    assert [error.GetMessage() for error in errors] == []
+
+
+def test_colours_and_support_are_where_they_belong(stage, scene):
+    mug = bodies_of(stage)["mug"]
+    shown = [p for p in Usd.PrimRange(mug) if p.IsA(UsdGeom.Mesh) and p.GetParent().GetName() == "visuals"]
+    assert len(shown) == len(scene.objects[0].pieces)
+    material, _ = UsdShade.MaterialBindingAPI(shown[0]).ComputeBoundMaterial()
+    colour = UsdShade.Shader(material.GetPrim().GetChild("surface")).GetInput("diffuseColor").Get()
+    np.testing.assert_allclose(colour, linear(scene.objects[0].pieces[0].rgba)[:3], atol=1e-6)
+    box = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "guide"])
+    bound = box.ComputeWorldBound(stage.GetPrimAtPath("/World/support")).ComputeAlignedRange()
+    assert bound.GetMin()[2] == pytest.approx(0, abs=1e-3)
+    assert bound.GetMax()[2] == pytest.approx(scene.support.top, abs=1e-3)
+
+
+def test_a_table_of_boxes_is_drawn_and_collides(tmp_path):
+    bare = spread(trio(), cuboid_table())
+    folder = export_scenes([bare], tmp_path / "bare", "usd")
+    stage = Usd.Stage.Open(str(folder / "scenes" / "000000.usda"))
+    (cube,) = [p for p in Usd.PrimRange(stage.GetPrimAtPath("/World/support")) if p.IsA(UsdGeom.Cube)]
+    assert UsdGeom.Imageable(cube).ComputePurpose() == "default"
+    extent = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default"]).ComputeWorldBound(cube)
+    np.testing.assert_allclose(extent.ComputeAlignedRange().GetMax(), (0.3, 0.35, 0.7), atol=1e-6)

@@ -1,0 +1,307 @@
+"""Banks on a hub: what is pushed is pulled to the bit, is looked at first, and errors say what to do.
+
+The Hugging Face library is the real one; the server that it speaks to is `tests.helpers.hub_server`.
+"""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+import cluttergen_jax as cg
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.errors import BankError, UnsafePathError
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.bank import index_bytes
+from cluttergen_jax.scene.bank.card import write_card
+from cluttergen_jax.scene.bank.hub import find_bank, hub_of, local_paths, pulled_path
+from cluttergen_jax.scene.bank.hubs import FolderHub
+from tests.helpers import banks
+from tests.helpers.hub_server import TOKEN, hub_server, sha_of
+
+NAME = "me/few-scenes"
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    path = tmp_path_factory.mktemp("banks") / "bank"
+    banks.with_files(path)
+    return path
+
+
+@pytest.fixture
+def bank(whole, tmp_path):
+    return Path(shutil.copytree(whole, tmp_path / "bank"))
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path, monkeypatch):
+    """Nobody's own folders, token or hub."""
+    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("HF_TOKEN", TOKEN)
+    monkeypatch.delenv("CLUTTERGEN_HUB", raising=False)
+    return tmp_path / "home"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder that acts as the hub."""
+    (tmp_path / "hub").mkdir()
+    return tmp_path / "hub"
+
+
+@pytest.fixture
+def server(monkeypatch):
+    """A server that acts as the Hugging Face Hub."""
+    constants = pytest.importorskip("huggingface_hub.constants")
+    # Its own protocol for large files needs a server of its own; without it Git LFS is spoken.
+    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
+    with hub_server() as server:
+        yield server
+
+
+@pytest.fixture(params=["folder", "server"])
+def hub(request):
+    """Each kind of hub, by its address."""
+    value = request.getfixturevalue(request.param)
+    return f"file://{value}" if request.param == "folder" else value.url
+
+
+def contents(path):
+    return {str(each.relative_to(path)): each.read_bytes() for each in path.rglob("*") if each.is_file()}
+
+
+def test_what_is_pushed_is_pulled_to_the_bit(bank, tmp_path, hub, capsys):
+    (bank / "notes.txt").write_text("mine")
+    assert main(["push", str(bank), NAME, "--hub", hub]) == 0
+    assert "pushed     " in capsys.readouterr().out
+    assert main(["pull", NAME, "--out", str(tmp_path / "here"), "--hub", hub]) == 0
+    assert "3 scenes" in capsys.readouterr().out
+    sent = contents(bank)
+    # The card is made when it is pushed; what is no part of a bank stays at home.
+    assert sent.pop("notes.txt")
+    assert sent["README.md"].startswith(b"---\nlicense: apache-2.0\n")
+    assert contents(tmp_path / "here") == sent
+    assert [each.name for each in tmp_path.glob(".*")] == []
+
+
+def test_the_card_says_what_a_hub_wants_to_know(bank):
+    card = pytest.importorskip("huggingface_hub").DatasetCard.load(write_card(read_bank(bank)))
+    assert card.data.license == "apache-2.0"
+    assert "robotics" in card.data.tags
+    (config,) = card.data.to_dict()["configs"]
+    assert [path.name for path in bank.glob(config["data_files"])] == ["scenes-000000.parquet"]
+
+
+def test_a_bank_is_loaded_by_its_name_and_pulled_once(bank, folder, monkeypatch):
+    cg.push_bank(bank, NAME, hub=str(folder))
+    monkeypatch.setenv("CLUTTERGEN_HUB", str(folder))
+    assert len(cg.load_bank(NAME)) == 2
+    # It is kept where one's own things are: the hub may be gone.
+    shutil.rmtree(folder)
+    assert find_bank(NAME) == pulled_path(NAME)
+    assert read_bank(find_bank(NAME)).num_scenes == 3
+
+
+def test_a_folder_goes_before_a_name(bank, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "me").mkdir()
+    bank.rename(tmp_path / NAME)
+    assert find_bank(NAME) == Path(NAME)
+
+
+def test_an_interrupted_pull_goes_on(bank, tmp_path, server):
+    cg.push_bank(bank, NAME, hub=server.url)
+    server.fails_after = 9
+    with pytest.raises(BankError, match="out of order"):
+        cg.pull_bank(NAME, tmp_path / "here", hub=server.url)
+    assert not (tmp_path / "here").exists()
+    server.fails_after = None
+    cg.pull_bank(NAME, tmp_path / "here", hub=server.url)
+    assert contents(tmp_path / "here") == contents(bank)
+    assert set(server.served.values()) == {1}
+
+
+def test_large_files_that_are_there_are_not_sent_again_and_a_push_is_one_commit(bank, server):
+    cg.push_bank(bank, NAME, hub=server.url)
+    (bank / "README.md").write_text("my own words")
+    (bank / "overview.png").write_bytes(b"a picture")
+    cg.push_bank(bank, NAME, hub=server.url)
+    (bank / "overview.png").unlink()
+    cg.push_bank(bank, NAME, hub=server.url)
+    assert [("overview.png" in files, len(files) > 10) for files in server.commits[NAME]] == [
+        (False, False),
+        (False, True),
+        (True, True),
+        (False, True),
+    ]
+    assert list(server.put.values()) == [1]
+    assert server.files(NAME)["README.md"] == b"my own words"
+
+
+def test_an_earlier_revision_can_be_had(bank, tmp_path, server):
+    cg.push_bank(bank, NAME, hub=server.url)
+    first = server.files(NAME)["README.md"]
+    (bank / "README.md").write_text("my own words")
+    cg.push_bank(bank, NAME, hub=server.url)
+    cg.pull_bank(NAME, tmp_path / "here", hub=server.url, revision=sha_of(NAME, 1))
+    assert (tmp_path / "here" / "README.md").read_bytes() == first
+    with pytest.raises(BankError, match="no such revision"):
+        cg.pull_bank(NAME, tmp_path / "there", hub=server.url, revision="v9")
+
+
+def test_a_private_bank_needs_a_token(bank, tmp_path, server, monkeypatch):
+    cg.push_bank(bank, NAME, hub=server.url, is_private=True)
+    cg.pull_bank(NAME, tmp_path / "mine", hub=server.url)
+    monkeypatch.delenv("HF_TOKEN")
+    with pytest.raises(BankError, match="may not see it") as caught:
+        cg.pull_bank(NAME, tmp_path / "theirs", hub=server.url)
+    assert "HF_TOKEN" in str(caught.value)
+
+
+def test_who_may_not_push_is_told(bank, server, monkeypatch):
+    with pytest.raises(BankError, match="rights") as caught:
+        cg.push_bank(bank, "other/bank", hub=server.url)
+    assert "hf auth login" in str(caught.value)
+    monkeypatch.setenv("HF_TOKEN", "hf_wrong")
+    with pytest.raises(BankError, match="hf auth login"):
+        cg.push_bank(bank, NAME, hub=server.url)
+    monkeypatch.delenv("HF_TOKEN")
+    with pytest.raises(BankError, match="without a token"):
+        cg.push_bank(bank, NAME, hub=server.url)
+    assert server.commits == {}
+
+
+def test_without_a_network_it_is_said(bank, tmp_path, monkeypatch):
+    pytest.importorskip("huggingface_hub")
+    with hub_server() as gone:
+        url = gone.url
+    for call in (
+        lambda: cg.pull_bank(NAME, tmp_path / "x", hub=url),
+        lambda: cg.push_bank(bank, NAME, hub=url),
+    ):
+        with pytest.raises(BankError, match="does not answer") as caught:
+            call()
+        assert "goes on where it stopped" in str(caught.value)
+    monkeypatch.setenv("CLUTTERGEN_HUB", url)
+    with pytest.raises(BankError, match=r"no such folder, and as a name on a hub: .*does not answer"):
+        cg.load_bank("runs/bank")
+
+
+def test_without_the_extra_it_is_named(bank, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "huggingface_hub", None)
+    assert main(["pull", NAME, "--out", str(tmp_path / "x")]) == 2
+    assert "cluttergen_jax[hub]" in capsys.readouterr().err
+    with pytest.raises(BankError, match=r"no such folder.*optional extra 'hub'"):
+        cg.load_bank(NAME)
+
+
+def test_only_what_is_whole_is_pushed(bank, folder):
+    part = bank / "assets/objects/box/part-00.obj"
+    data = part.read_bytes()
+    part.write_bytes(data + b"# more\n")
+    with pytest.raises(BankError, match="part-00"):
+        cg.push_bank(bank, NAME, hub=str(folder))
+    part.write_bytes(data)
+    record = read_bank(bank).record
+    (bank / "bank.json").write_bytes(index_bytes(record | {"num_scenes": 9}))
+    with pytest.raises(BankError, match="3 of 9 scenes"):
+        cg.push_bank(bank, NAME, hub=str(folder))
+    with pytest.raises(BankError, match="not a bank"):
+        cg.push_bank(folder, NAME, hub=str(folder))
+    assert not any(folder.iterdir())
+
+
+def harm_part(files):
+    files["assets/objects/box/part-00.obj"] += b"# more\n"
+
+
+def harm_block(files):
+    files["scenes-000000.parquet"] = files["scenes-000000.parquet"][:-9]
+
+
+def lose_support(files):
+    del files["assets/support/support.json"]
+
+
+def lose_index(files):
+    del files["bank.json"]
+
+
+def add_path(files):
+    files["assets/../../outside.txt"] = b"gotcha"
+
+
+def name_path(files):
+    record = json.loads(files["bank.json"])
+    record.pop("hash")
+    record["files"]["../outside.txt"] = "0" * 64
+    files["bank.json"] = index_bytes(record)
+
+
+@pytest.mark.parametrize(
+    ("harm", "says"),
+    [
+        (harm_part, "part-00.obj"),
+        (harm_block, "scenes-000000.parquet"),
+        (lose_support, "support"),
+        (lose_index, "not a bank"),
+        (add_path, "outside.txt"),
+        (name_path, "outside.txt"),
+    ],
+)
+def test_what_is_pulled_is_looked_at_first(bank, tmp_path, server, harm, says):
+    cg.push_bank(bank, NAME, hub=server.url)
+    harm(server.files(NAME))
+    before = contents(tmp_path)
+    with pytest.raises((BankError, UnsafePathError), match=says):
+        cg.pull_bank(NAME, tmp_path / "here", hub=server.url)
+    assert contents(tmp_path) == before
+
+
+def test_nothing_else_is_overwritten(bank, tmp_path, server, folder):
+    server.commits[NAME] = [{"thesis.tex": b"important"}]
+    with pytest.raises(BankError, match="not a bank"):
+        cg.push_bank(bank, NAME, hub=server.url)
+    assert server.commits[NAME] == [{"thesis.tex": b"important"}]
+    cg.push_bank(bank, NAME, hub=str(folder))
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "thesis.tex").write_text("important")
+    with pytest.raises(BankError, match="exists and is not a bank"):
+        cg.pull_bank(NAME, tmp_path / "here", hub=str(folder), overwrite=True)
+    with pytest.raises(BankError, match="`overwrite`"):
+        cg.pull_bank(NAME, bank, hub=str(folder))
+    (bank / "overview.png").write_bytes(b"old")
+    cg.pull_bank(NAME, bank, hub=str(folder), overwrite=True)
+    assert not (bank / "overview.png").exists()
+
+
+@pytest.mark.parametrize(
+    "name", ["bank", "a/b/c", "../bank", "me/..", "/me/bank", "me/ba nk", "me/a..b", "", "me/-x"]
+)
+def test_names_are_plain(bank, tmp_path, folder, name):
+    with pytest.raises(BankError, match="OWNER/NAME"):
+        cg.push_bank(bank, name, hub=str(folder))
+    with pytest.raises(BankError, match="OWNER/NAME"):
+        cg.pull_bank(name, tmp_path / "x", hub=str(folder))
+
+
+def test_a_hub_is_named_by_argument_or_variable(folder, tmp_path, monkeypatch):
+    assert isinstance(hub_of(str(folder)), FolderHub)
+    monkeypatch.setenv("CLUTTERGEN_HUB", f"file://{folder}")
+    assert isinstance(hub_of(None), FolderHub)
+    with pytest.raises(BankError, match="no hub in"):
+        hub_of(str(tmp_path / "nowhere"))
+    with pytest.raises(BankError, match="none yet"):
+        cg.pull_bank(NAME, tmp_path / "x")
+
+
+def test_paths_of_this_machine_are_told_before_they_are_shown(bank, folder, capsys):
+    record = read_bank(bank).record
+    record["recipe"] |= {"pool": "/home/me/pools/mugs", "checkpoint": None, "support": "table"}
+    (bank / "bank.json").write_bytes(index_bytes(record))
+    assert local_paths(read_bank(bank)) == ["/home/me/pools/mugs"]
+    assert main(["push", str(bank), NAME, "--hub", str(folder)]) == 0
+    assert "will show it: /home/me/pools/mugs" in capsys.readouterr().out

@@ -1,0 +1,210 @@
+"""Each exported image in a program that reads the format: the slab's four quarters show their own colours."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.rendering.assets import render_scene
+from cluttergen_jax.rendering.camera import View
+from cluttergen_jax.rendering.gl import gl_context
+from cluttergen_jax.scene.export import export_scenes
+from tests.assets.test_textures import assert_upright
+from tests.helpers import textured
+from tests.rendering.test_render import needs_gl
+
+PEERS = Path(__file__).parents[1] / "peers"
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Two slabs that share an image."""
+    return textured.scene(textured.asset("one"), textured.asset("two"))
+
+
+@pytest.fixture(scope="module")
+def folder_of(scene, tmp_path_factory):
+    """The scene exported in a format, each made once."""
+    made = {}
+
+    def make(format):
+        if format not in made:
+            made[format] = export_scenes([scene], tmp_path_factory.mktemp("out") / format, format)
+        return made[format]
+
+    return make
+
+
+def assert_colours(pixels, center, step):
+    """A picture taken from above shows the quarters around `center` (x, y in pixels), each `step` away."""
+    for (x, y), colour in textured.QUADRANTS.items():
+        seen = pixels[round(center[1] - step * y), round(center[0] + step * x), :3].astype(float)
+        # Lights differ: what counts is which colour it is.
+        likeness = {
+            other: np.dot(seen, other) / (np.linalg.norm(seen) * np.linalg.norm(other) + 1e-9)
+            for other in textured.QUADRANTS.values()
+        }
+        assert max(likeness, key=likeness.get) == colour, (seen, colour)
+        assert likeness[colour] > 0.95
+
+
+def seen_from_above(model, height):
+    """A picture of 200 x 200 pixels, 40 degrees wide, from a metre above the point (0, 0, height)."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    camera = mujoco.MjvCamera()
+    camera.lookat[:], camera.distance, camera.elevation, camera.azimuth = (0, 0, height), 0.3, -90, 90
+    model.vis.global_.fovy, model.vis.global_.offwidth, model.vis.global_.offheight = 40, 200, 200
+    pixels = np.empty((200, 200, 3), np.uint8)
+    with gl_context(200, 200):
+        view, context = mujoco.MjvScene(model, 200), mujoco.MjrContext(model, 100)
+        option, rectangle = mujoco.MjvOption(), mujoco.MjrRect(0, 0, 200, 200)
+        option.geomgroup[:] = [0, 1, 1, 0, 0, 0]
+        mujoco.mjv_updateScene(model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, view)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
+        mujoco.mjr_render(rectangle, view, context)
+        mujoco.mjr_readPixels(pixels, None, rectangle, context)
+        context.free()
+    return np.flipud(pixels)
+
+
+def as_piece(geometry, image):
+    """A trimesh geometry with an image as a piece."""
+    return Piece(
+        Mesh(geometry.vertices, geometry.faces), (1.0, 1.0, 1.0, 1.0), geometry.visual.uv, Texture.of(image)
+    )
+
+
+@pytest.mark.parametrize("format", ["mjcf", "urdf", "sdf", "usd", "maniskill", "robosuite", "libero"])
+def test_an_image_is_stored_once(format, folder_of):
+    if format == "usd":
+        pytest.importorskip("pxr", reason="needs the extra usd")
+    assert len(list(folder_of(format).rglob("*.png"))) == 1
+
+
+def test_mujoco_reads_a_scene(folder_of, scene):
+    model = mujoco.MjModel.from_xml_path(str(folder_of("mjcf") / "scenes" / "000000.xml"))
+    assert model.ntex == 2  # The sky is the other.
+    spec = scene.to_mjspec("mine/")
+    assert spec.compile().ntex == 1
+    # A spec with images is written as XML that names them.
+    assert textured.asset().textures[0].file_name in spec.to_xml()
+
+
+@needs_gl
+def test_mujoco_shows_the_image_upright(folder_of, scene):
+    top = scene.support.top
+    seen = seen_from_above(
+        mujoco.MjModel.from_xml_path(str(folder_of("mjcf") / "scenes" / "000000.xml")), top
+    )
+    assert_colours(seen, (100, 100), 20)
+    assert_colours(seen_from_above(scene.to_mjspec().compile(), top), (100, 100), 20)
+
+
+@needs_gl
+@pytest.mark.parametrize("format", ["robosuite", "libero"])
+def test_robosuites_models_show_the_image_upright(format, folder_of):
+    model = mujoco.MjModel.from_xml_path(str(folder_of(format) / "assets" / "objects" / "one" / "one.xml"))
+    assert_colours(seen_from_above(model, 0.0), (100, 100), 20)
+
+
+@needs_gl
+def test_own_pictures_show_the_image_upright():
+    asset = textured.asset()
+    pose = np.array([[0, 0, 0.015, 1, 0, 0, 0]])
+    view = View(azimuth=90, elevation=-90)
+    picture = render_scene([asset], pose, None, camera=view, close=True, width=200, height=200, samples=1)
+    assert_colours(picture, (100, 100), 30)
+
+
+def test_gltf_holds_the_image(folder_of):
+    data = trimesh.load_scene(str(folder_of("glb") / "scenes" / "000000.glb"), process=False)
+    shown = [each for name, each in data.geometry.items() if name in ("one", "two")]
+    assert len(shown) == 2
+    for geometry in shown:
+        assert_upright(as_piece(geometry, geometry.visual.material.baseColorTexture))
+    raw = (folder_of("glb") / "scenes" / "000000.glb").read_bytes()
+    assert raw.count(b"\x89PNG") == 1
+
+
+@pytest.mark.parametrize("format", ["urdf", "sdf", "maniskill", "robosuite"])
+def test_exported_surfaces_name_their_image(format, folder_of):
+    folder = folder_of(format) / "assets" / "objects" / "one"
+    own = trimesh.resolvers.FilePathResolver(str(folder / "visual-0.obj"), allow_anywhere=True)
+    geometry = trimesh.load_mesh(
+        io.BytesIO((folder / "visual-0.obj").read_bytes()), file_type="obj", resolver=own, process=False
+    )
+    assert_upright(as_piece(geometry, geometry.visual.material.image))
+
+
+def test_maniskill_is_told_of_the_image(folder_of):
+    root = folder_of("maniskill")
+    record = json.loads((root / "scenes" / "000000.json").read_text())
+    asset = record["assets"]["one"]
+    image = root / asset["folder"] / asset["visuals"][0]["image"]
+    assert Image.open(image).size == (64, 64)
+
+
+def test_pybullet_shows_the_image_upright(folder_of):
+    pybullet = pytest.importorskip("pybullet", reason="needs the extra peers")
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.loadURDF(str(folder_of("urdf") / "assets" / "objects" / "one" / "one.urdf"))
+    view = pybullet.computeViewMatrix([0, 0, 0.3], [0, 0, 0], [0, 1, 0])
+    lens = pybullet.computeProjectionMatrixFOV(40, 1, 0.01, 2)
+    picture = pybullet.getCameraImage(200, 200, view, lens, renderer=pybullet.ER_TINY_RENDERER)[2]
+    pybullet.disconnect(client)
+    assert_colours(np.reshape(picture, (200, 200, 4)), (100, 100), 20)
+
+
+def test_urdf_names_its_image(folder_of):
+    path = folder_of("urdf") / "assets" / "objects" / "one" / "one.urdf"
+    (texture,) = ET.parse(path).getroot().iter("texture")
+    assert (path.parent / texture.get("filename")).is_file()
+
+
+def test_usd_holds_the_image(folder_of):
+    pytest.importorskip("pxr", reason="needs the extra usd")
+    from pxr import Usd, UsdGeom, UsdShade
+
+    stage = Usd.Stage.Open(str(folder_of("usd") / "scenes" / "000000.usda"))
+    prim = stage.GetPrimAtPath("/World/objects/two/visuals/piece_00")
+    mesh = UsdGeom.Mesh(prim)
+    uv = UsdGeom.PrimvarsAPI(prim).GetPrimvar("st")
+    assert uv.GetInterpolation() == "vertex"
+    surface = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0].ComputeSurfaceSource()[0]
+    sampler = UsdShade.Shader(surface.GetInput("diffuseColor").GetConnectedSources()[0][0].source)
+    assert sampler.GetIdAttr().Get() == "UsdUVTexture"
+    reader = UsdShade.Shader(sampler.GetInput("st").GetConnectedSources()[0][0].source)
+    assert reader.GetInput("varname").Get() == "st"
+    image = Image.open(sampler.GetInput("file").Get().resolvedPath)
+    faces = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+    points = Mesh(np.array(mesh.GetPointsAttr().Get()), faces)
+    assert_upright(Piece(points, (1.0, 1.0, 1.0, 1.0), np.array(uv.Get()), Texture.of(image)))
+
+
+@needs_gl
+@pytest.mark.slow
+def test_drake_shows_the_image_upright(folder_of, tmp_path):
+    pytest.importorskip("pydrake", reason="needs the extra peers")
+    command = [
+        sys.executable,
+        str(PEERS / "draw_in_drake.py"),
+        str(folder_of("sdf")),
+        str(tmp_path / "a.png"),
+    ]
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    ran = subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=280)
+    assert ran.returncode == 0, ran.stderr[-3000:]
+    assert_colours(np.asarray(Image.open(tmp_path / "a.png")), (100, 100), 20)
