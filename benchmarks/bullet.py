@@ -1,4 +1,4 @@
-"""PyBullet behind the same waist, for comparison: plain, or made as fast as its interface allows.
+"""PyBullet behind the same interface, for comparison: plain, or made as fast as its interface allows.
 
 One compound body per object of the same hulls, the true mass and inertia, the same friction, early stop by
 the same rule on plain floats, PyBullet's defaults elsewhere. One client per scene stays as it is between

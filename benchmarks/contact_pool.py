@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.host import TimedPhysics
-from benchmarks.sampled import make_sampler, placed_poses
+from benchmarks.sampled import make_block_sampler, placed_poses
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
@@ -92,7 +92,7 @@ class SceneMaker:
             geometry_of(world),
             region_of(support.region, support),
         )
-        self._sample = make_sampler(rules, method, block_size=64)
+        self._sample = make_block_sampler(rules, method, block_size=64)
 
     def creep(self, contact: ContactConfig, num_scenes: int) -> Creep:
         """Makes scenes under `contact` and watches those that were filled."""

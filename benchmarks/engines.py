@@ -19,7 +19,7 @@ import tyro
 from benchmarks import bullet
 from benchmarks.host import TimedPhysics
 from benchmarks.recorded import Replay, record, replay, small_attempts
-from benchmarks.sampled import Sampler, make_sampler, placed_poses
+from benchmarks.sampled import Sampler, make_block_sampler, placed_poses
 from benchmarks.section import prose, report, table
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
@@ -94,7 +94,7 @@ class Contender:
     """An engine in the comparison, and its turns.
 
     Attributes:
-      engine: behind the waist.
+      engine: behind the physics interface.
       sample: makes scenes with whatever engine is in use, as many side by side as suit this one.
       awake_steps: steps per CPU-second of whole scenes, everything awake.
       success: share of scenes that were finished, over all turns.
@@ -120,13 +120,13 @@ _PACKAGES = ("mujoco", "mujoco-mjx", "jax", "warp-lang", "pybullet")
 def make_contenders(world: World, rules: Rules, args: Engines) -> dict[str, Contender]:
     """Native with one thread comes first: the others are compared with it."""
     stability, contact = rules.physics.config, ContactConfig()
-    sample = make_sampler(rules, "clear", block_size=args.num_scenes)
+    sample = make_block_sampler(rules, "clear", block_size=args.num_scenes)
     contenders = {
         "native, 1 thread": Contender(NativePhysics(world.layout, stability, num_threads=1), sample),
         "native, all threads": Contender(NativePhysics(world.layout, stability), sample),
     }
     if bullet.pybullet is not None:
-        sample = make_sampler(rules, "clear", block_size=min(args.num_clients, args.num_scenes))
+        sample = make_block_sampler(rules, "clear", block_size=min(args.num_clients, args.num_scenes))
         for tuned in (True, False):
             name = f"PyBullet, {'tuned' if tuned else 'plain'}"
             contenders[name] = Contender(bullet.BulletPhysics(world, stability, contact, tuned), sample)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import tyro
 
-from benchmarks.sampled import make_sampler, placed_poses
+from benchmarks.sampled import make_block_sampler, placed_poses
 from benchmarks.section import prose, report, table
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.config import StabilityConfig
@@ -91,7 +91,7 @@ def _measure_case(args: LastCheck, support: str, method: str, num_verified: int)
     placement = PlacementConfig(num_objects=min(10, len(pool)), history_stride=0)
     config = ProblemConfig(pool=args.pool, support=support, engine="native", placement=placement)
     problem = make_problem(config)
-    scenes = make_sampler(problem.rules, method)(args.num_scenes, 0)
+    scenes = make_block_sampler(problem.rules, method)(args.num_scenes, 0)
     rows = np.flatnonzero(scenes.is_filled)
     poses, is_placed = placed_poses(scenes, rows, problem.world.num_objects)
     layout, staged = problem.world.layout, config.stability

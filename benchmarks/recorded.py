@@ -1,4 +1,4 @@
-"""Attempts recorded once and given to any engine behind the waist, host or MJX."""
+"""Attempts recorded once and given to any engine behind the physics interface, host or MJX."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.bodies import box
 from benchmarks.host import TimedPhysics
-from benchmarks.sampled import make_sampler
+from benchmarks.sampled import make_block_sampler
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.assets.support_file import find_support
@@ -29,7 +29,7 @@ from cluttergen_jax.types import Settling
 
 @dataclass(frozen=True)
 class Attempts:
-    """N attempts as the waist takes them: poses f32[N, K, 7], is_placed bool[N, K], focus i32[N]."""
+    """N attempts as `Physics.settle` takes them: poses f32[N, K, 7], is_placed bool[N, K], focus i32[N]."""
 
     poses: np.ndarray
     is_placed: np.ndarray
@@ -84,7 +84,7 @@ def record(
     placement = PlacementConfig(num_objects=min(10, world.num_objects), history_stride=0)
     rules = Rules(placement, physics, geometry_of(world), region_of(support.region, support))
     num_scenes = -(-number // placement.num_objects)
-    make_sampler(rules, "clear", block_size=num_scenes)(num_scenes, 0)
+    make_block_sampler(rules, "clear", block_size=num_scenes)(num_scenes, 0)
     parts = recorder.attempts
     return world, Attempts(
         np.concatenate([each.poses for each in parts])[:number],

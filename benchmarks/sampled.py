@@ -1,4 +1,4 @@
-"""Scenes to measure on: made by a method under the rules, and handed back as the waist wants them."""
+"""Scenes to measure on: made by a method under the rules, as `Physics` takes them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Sampler = Callable[[int, int], Scenes]
 """Makes scenes 0 .. N - 1 from a seed, on the host, failures included: `sample(num_scenes, seed)`."""
 
 
-def make_sampler(rules: Rules, method: str, block_size: int = BLOCK_SIZE) -> Sampler:
+def make_block_sampler(rules: Rules, method: str, block_size: int = BLOCK_SIZE) -> Sampler:
     """A sampler that is compiled at its first call."""
     compiled = jax.jit(BlockSampler(rules, make_proposer(method, rules)).sample)
 
@@ -36,7 +36,7 @@ def make_sampler(rules: Rules, method: str, block_size: int = BLOCK_SIZE) -> Sam
 
 
 def placed_poses(scenes: Scenes, rows: np.ndarray, num_objects: int) -> tuple[np.ndarray, np.ndarray]:
-    """The scenes `rows` at the waist: poses f32[N, K, 7] and is_placed bool[N, K]."""
+    """The scenes `rows` as the physics interface takes them: poses f32[N, K, 7] and is_placed bool[N, K]."""
     poses = np.zeros((len(rows), num_objects, 7), np.float32)
     poses[..., 3] = 1.0
     is_placed = np.zeros((len(rows), num_objects), bool)

@@ -18,7 +18,7 @@ num_attempts = 2048 if SMALL else 40_000
 
 # %% [markdown]
 # A run leaves `runs/my_pool/policy` (the weights), `curve.png` and everything that is needed to go on after
-# Ctrl-C. The policy reads the failed attempts of the object in hand: it may be allowed fewer than it was
+# Ctrl-C. The policy reads the failed attempts of the current object: it may be allowed fewer than it was
 # trained with (5), but not more.
 
 # %%

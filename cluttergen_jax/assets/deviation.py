@@ -35,7 +35,7 @@ def surface_of(parts: Sequence[np.ndarray]) -> Mesh:
     return joined([Mesh(hull.points, hull.simplices) for hull in hulls])
 
 
-def is_inside(points: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
+def is_within_parts(points: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
     """bool[N]: whether points lie in one of the convex parts."""
     inside = np.zeros(len(points), bool)
     for hull in map(hull_of, parts):

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.deviation import is_inside
+from cluttergen_jax.assets.deviation import is_within_parts
 from cluttergen_jax.assets.mjcf import add_part, new_spec
 from cluttergen_jax.assets.shape import Cavity
 from cluttergen_jax.assets.solid import Solid
@@ -45,7 +45,7 @@ class Hollow:
 
     def fill(self, parts: Sequence[np.ndarray]) -> float:
         """The share of the cavity that convex parts cover."""
-        return float(is_inside(self.points, parts).mean())
+        return float(is_within_parts(self.points, parts).mean())
 
 
 def known_hollow(cavity: Cavity) -> Hollow:

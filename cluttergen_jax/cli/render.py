@@ -13,7 +13,7 @@ from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.cli.parse import keywords, parse_numbers, parse_size
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.rendering.config import FilmConfig, View
+from cluttergen_jax.rendering.config import CameraView, FilmConfig
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Render:
     segmentation: bool = False
     points: bool = False
     size: str | None = None
-    view: View = field(default_factory=View)
+    view: CameraView = field(default_factory=CameraView)
     whole: bool = False
     hulls: bool = False
     samples: int | None = None

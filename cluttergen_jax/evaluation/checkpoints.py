@@ -11,7 +11,7 @@ from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.methods import METHODS, checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.training.suite import DEFAULT_ATTEMPTS, DEFAULT_OBJECTS
-from cluttergen_jax.placement.baselines import METHODS as BASELINES
+from cluttergen_jax.placement.baselines import BASELINES
 
 
 class MissingCheckpointError(PoolError):

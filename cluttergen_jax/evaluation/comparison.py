@@ -19,7 +19,7 @@ from cluttergen_jax.evaluation.store import Store, json_bytes
 from cluttergen_jax.evaluation.studies.study import grid
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.placement.baselines import METHODS as BASELINES
+from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.tables import Table
 
 DEFAULT_TRIALS = 1000

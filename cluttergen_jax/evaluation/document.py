@@ -17,7 +17,7 @@ _INTRODUCTION = """# Results
 Every number here was written by `python docs/make_results.py` from the JSON files in `docs/results`; a test
 checks that the two agree. Each section names the command that made it, its trials and its machine. What
 success means: *strict* is this project's `is_success` (nothing else is disturbed, and the finished scene
-stands); *the paper's count* judges only the object in hand and puts the others back.
+stands); *the paper's count* judges only the current object and puts the others back.
 """
 
 

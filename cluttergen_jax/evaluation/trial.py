@@ -26,7 +26,7 @@ class Trial:
       trials: scenes.
       seed: of the scenes; training_seed: of the checkpoint, for learned methods.
       region: the sides of the queried region in metres, at the middle of the support's own; None takes that.
-      change: how the region is changed at random in every episode (`changes.CHANGES`).
+      change: how the region is changed at random in every episode (`changes.REGION_CHANGES`).
       repeat: let objects stand there more than once.
       whole_attempts: run attempts to step 240 even when they can no longer succeed, so that stable steps are
         counted as the paper counts them. Verdicts are the same.

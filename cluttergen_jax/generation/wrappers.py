@@ -22,7 +22,7 @@ class FlatObservation(Wrapper):
     in `placement.observation.observe` and raveled (the last axis runs fastest):
 
         region                3    half extents and height range, metres
-        focus                 K    1 for the object in hand, else 0
+        focus                 K    1 for the current object, else 0
         is_placed             K    1 or 0
         T_region_object       7 K  positions in metres, quaternions wxyz; zero where not placed
         history: is_tried     A    1 or 0; the rows that follow are zero where it is 0

@@ -15,7 +15,7 @@ from typing import Any
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.importing.readers import Source
+from cluttergen_jax.importing.readers import ObjectFile
 from cluttergen_jax.importing.readers.companions import companions
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 
@@ -37,7 +37,7 @@ def cache_root() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cluttergen_jax" / "objects"
 
 
-def source_digest(source: Source) -> str:
+def source_digest(source: ObjectFile) -> str:
     """Hex digest of every byte that reading the source may touch: files, materials and textures beside them.
 
     Raises:
@@ -57,7 +57,7 @@ def source_digest(source: Source) -> str:
     return digest.hexdigest()
 
 
-def cache_key(source: Source, config: Any) -> str:
+def cache_key(source: ObjectFile, config: Any) -> str:
     """Hex digest that names the body of a source under a config (a dataclass)."""
     provenance = None if source.provenance is None else asdict(source.provenance)
     parts = [

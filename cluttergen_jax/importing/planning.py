@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cluttergen_jax.errors import AssetError, ConfigError
-from cluttergen_jax.importing.readers import Found, ReadOptions, Skipped, Source, survey, ycb_sources
+from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped, survey, ycb_sources
 from cluttergen_jax.importing.readers.axes import AUTO, UpAxis, own_up
 from cluttergen_jax.importing.readers.source import named_apart
 from cluttergen_jax.importing.settings import OF_READING, Settings, read_settings, settings_for
@@ -24,7 +24,7 @@ class Planned:
       is_named: its name was chosen by the user, and stays.
     """
 
-    source: Source
+    source: ObjectFile
     options: ReadOptions
     up: UpAxis
     is_named: bool = False
@@ -100,7 +100,7 @@ def _group(given: str | Path, settings: Settings | None) -> _Group:
     return _Group(root, found, settings)
 
 
-def _planned(source: Source, group: _Group, options: ReadOptions) -> Planned:
+def _planned(source: ObjectFile, group: _Group, options: ReadOptions) -> Planned:
     """A source with the options of the command line, but for what the settings say."""
     values = {} if group.settings is None else group.settings.of(source, group.root)
     reading = {key: value for key, value in values.items() if key in OF_READING}

@@ -26,7 +26,7 @@ from typing import Any
 
 from cluttergen_jax.assets.object_files import NAME_PATTERN
 from cluttergen_jax.errors import ClutterGenError, ConfigError
-from cluttergen_jax.importing.readers import Found, ReadOptions, Source
+from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions
 from cluttergen_jax.importing.readers.tree import SETTINGS
 
 DEFAULT = "default"
@@ -48,7 +48,7 @@ class Settings:
     path: Path
     tables: dict[str, dict[str, Any]]
 
-    def of(self, source: Source, root: Path) -> dict[str, Any]:
+    def of(self, source: ObjectFile, root: Path) -> dict[str, Any]:
         """The keys and values for one source, found below the folder `root`."""
         values = dict(self.tables.get(DEFAULT, {}))
         for pattern, table in self.tables.items():
@@ -126,7 +126,7 @@ def settings_for(folder: Path) -> Settings | None:
     return read_settings(file) if file.is_file() else None
 
 
-def _names(source: Source, root: Path) -> list[str]:
+def _names(source: ObjectFile, root: Path) -> list[str]:
     """What a pattern may fit: path from the folder on and plain name, with and without the body."""
     path = source.path.relative_to(root).as_posix() if source.path.is_relative_to(root) else source.path.name
     names = [path, source.path.name]

@@ -8,7 +8,7 @@ from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.importing import cache
-from cluttergen_jax.importing.readers import ReadOptions, Source, read_shape
+from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, read_shape
 from cluttergen_jax.importing.solo import NUM_TRIALS, measured_object
 from cluttergen_jax.physics.log import silent_log
 
@@ -35,7 +35,7 @@ class ObjectConfig:
 class Job:
     """One object to be made and stored in the cache under `key`."""
 
-    source: Source
+    source: ObjectFile
     key: str
     config: ObjectConfig
 

@@ -14,8 +14,7 @@ from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
 from cluttergen_jax.learning.policies.filtered import FilteredPolicy
 from cluttergen_jax.learning.policies.policy import TrainedPolicy, load_policy
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.placement.baselines import METHODS as BASELINES
-from cluttergen_jax.placement.baselines import Clear, make_proposer
+from cluttergen_jax.placement.baselines import BASELINES, Clear, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.placement.search import SearchConfig

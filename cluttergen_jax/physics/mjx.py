@@ -1,7 +1,7 @@
 """The MJX engines: MuJoCo in JAX, on Warp kernels or in pure XLA.
 
 One `while_loop` steps the whole batch until every scene is decided; a decided scene is carried along unmoved.
-Contacts are those of the poses from which a step starts, so the loop makes one step more at its end: all
+ContactRows are those of the poses from which a step starts, so the loop makes one step more at its end: all
 scenes stand still then, and the contacts are those of the final poses.
 """
 

@@ -35,7 +35,7 @@ _MAX_STATE = 1e10
 _LOST = 0b11 | 1 << 2 | 1 << 3 | 1 << 4 | 1 << 7 | 1 << 8
 
 
-class Contacts(struct.PyTreeNode):
+class ContactRows(struct.PyTreeNode):
     """All contacts of a batch as one list.
 
     Attributes:
@@ -143,13 +143,13 @@ class MjxScenes:
             return jnp.zeros(len(data.qpos), bool)
         return (data._impl.overflow & _LOST) != 0
 
-    def contacts(self, data: mjx.Data) -> Contacts:
+    def contacts(self, data: mjx.Data) -> ContactRows:
         """The contacts at the poses from which the last step started."""
         impl = data._impl
         if self._is_warp:
             is_used = jnp.arange(impl.naconmax) < impl.nacon[0]
             depth = jnp.where(is_used, -impl.contact__dist, 0.0)
-            return Contacts(
+            return ContactRows(
                 scene=impl.contact__worldid,
                 geom=impl.contact__geom,
                 depth=jnp.maximum(depth, 0.0),
@@ -157,7 +157,7 @@ class MjxScenes:
                 lift=impl.contact__frame[:, 0, 2],
             )
         num_scenes, num_contacts = impl.contact.dist.shape
-        return Contacts(
+        return ContactRows(
             scene=jnp.repeat(jnp.arange(num_scenes), num_contacts),
             geom=impl.contact.geom.reshape(-1, 2),
             depth=jnp.maximum(-impl.contact.dist, 0.0).ravel(),

@@ -36,7 +36,7 @@ class RegionChange:
     expansion: float = 0.0
 
 
-CHANGES = {
+REGION_CHANGES = {
     "none": RegionChange(),
     "translation": RegionChange(translation=0.15),
     "rotation": RegionChange(rotation=math.pi),
@@ -53,9 +53,11 @@ def find_change(name: str) -> RegionChange:
     Raises:
       ConfigError: there is none.
     """
-    if name not in CHANGES:
-        raise ConfigError(f"region change {name!r}", ", ".join(CHANGES), meant=closest(name, CHANGES))
-    return CHANGES[name]
+    if name not in REGION_CHANGES:
+        raise ConfigError(
+            f"region change {name!r}", ", ".join(REGION_CHANGES), meant=closest(name, REGION_CHANGES)
+        )
+    return REGION_CHANGES[name]
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ class ProblemConfig:
       repeat: let objects stand there more than once when there are fewer than `placement.num_objects`.
       support: a support's name or folder; "table" is the paper's, "table-0.40x0.50" one of that size.
       region: the queried region; None takes the support's own.
-      change: how it is changed at random in every episode, a name of `placement.changes.CHANGES`; what is
+      change: how it is changed at random in every episode, a name of `changes.REGION_CHANGES`; what is
         drawn stays within the support's own.
       engine: "auto", "native", "warp" or "jax".
       num_threads: of the native engine; 0 takes every core.

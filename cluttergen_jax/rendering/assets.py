@@ -22,7 +22,7 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import transformed
 from cluttergen_jax.rendering.camera import axes
-from cluttergen_jax.rendering.config import View
+from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.lighting import add_lighting
 from cluttergen_jax.rendering.picture import distinct_colour, render_model
 from cluttergen_jax.rendering.sheet import contact_sheet
@@ -55,7 +55,7 @@ def render_object(
     """uint8[height, width, 3]: the object's surfaces, and right of them its parts in distinct colours."""
     spec = new_spec(StabilityConfig().timestep, ContactConfig())
     half = asset.half_extents
-    view = View(azimuth=115.0, elevation=-24.0, field_of_view=18.0)
+    view = CameraView(azimuth=115.0, elevation=-24.0, field_of_view=18.0)
     right = axes(view.azimuth, view.elevation)[0]
     # Half the object's width as it is seen, and a little room.
     shift = right * 1.12 * float(np.abs(right) @ half)
@@ -106,7 +106,7 @@ def render_scene(
     poses: np.ndarray,
     support: SupportAsset | None,
     *,
-    camera: View | None = None,
+    camera: CameraView | None = None,
     close: bool = False,
     width: int = 640,
     height: int = 480,
@@ -128,7 +128,7 @@ def render_scene(
     return render_model(
         spec.compile(),
         qpos,
-        camera=camera or View(),
+        camera=camera or CameraView(),
         width=width,
         height=height,
         hulls=hulls,

@@ -7,7 +7,7 @@ import math
 import mujoco
 import numpy as np
 
-from cluttergen_jax.rendering.config import View
+from cluttergen_jax.rendering.config import CameraView
 
 
 def corners(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -38,7 +38,7 @@ def axes(azimuth: float, elevation: float) -> np.ndarray:
     return np.stack([right, np.cross(right, forward), forward])
 
 
-def fitted_eye(points: np.ndarray, view: View, aspect: float) -> np.ndarray:
+def fitted_eye(points: np.ndarray, view: CameraView, aspect: float) -> np.ndarray:
     """The nearest place from which all `points` lie inside the picture, centred.
 
     Seen from (ex, ez), a point (x, z) lies right of the left edge and left of the right edge if
@@ -80,7 +80,7 @@ def _centred(side: np.ndarray, ahead: np.ndarray, least: float, most: float) -> 
     return (least + most) / 2
 
 
-def placed_camera(points: np.ndarray, view: View, aspect: float) -> mujoco.MjvCamera:
+def placed_camera(points: np.ndarray, view: CameraView, aspect: float) -> mujoco.MjvCamera:
     """MuJoCo's camera at the place that `fitted_eye` finds, looking at the middle of the content's depth."""
     eye = fitted_eye(points, view, aspect)
     forward = axes(view.azimuth, view.elevation)[2]

@@ -12,7 +12,7 @@ _MOST_AZIMUTH = 3600
 
 
 @dataclass(frozen=True)
-class View:
+class CameraView:
     """From which side a scene is seen.
 
     Attributes:
@@ -30,14 +30,14 @@ class View:
     def __post_init__(self) -> None:
         if not abs(self.azimuth) <= _MOST_AZIMUTH:
             raise ConfigError(
-                f"View.azimuth = {self.azimuth}", f"-{_MOST_AZIMUTH} to {_MOST_AZIMUTH} degrees"
+                f"CameraView.azimuth = {self.azimuth}", f"-{_MOST_AZIMUTH} to {_MOST_AZIMUTH} degrees"
             )
         if not -90.0 <= self.elevation <= 90.0:
-            raise ConfigError(f"View.elevation = {self.elevation}", "-90 to 90 degrees")
+            raise ConfigError(f"CameraView.elevation = {self.elevation}", "-90 to 90 degrees")
         if not 1.0 <= self.field_of_view <= 120.0:
-            raise ConfigError(f"View.field_of_view = {self.field_of_view}", "1 to 120 degrees")
+            raise ConfigError(f"CameraView.field_of_view = {self.field_of_view}", "1 to 120 degrees")
         if not 0.0 <= self.margin <= 0.45:
-            raise ConfigError(f"View.margin = {self.margin}", "0 to 0.45")
+            raise ConfigError(f"CameraView.margin = {self.margin}", "0 to 0.45")
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ import numpy as np
 from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.camera import drawn_points, placed_camera
-from cluttergen_jax.rendering.config import View
+from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.renderer import HIDDEN_GROUP, check_size, open_renderer, set_range
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 
 __all__ = ["contact_sheet", "distinct_colour", "render_model", "save_png"]
 
-DEFAULT_VIEW = View()
+DEFAULT_VIEW = CameraView()
 
 
 def distinct_colour(index: int) -> tuple[float, float, float, float]:
@@ -56,7 +56,7 @@ def _named_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)
     if index < 0:
         names = [model.camera(i).name for i in range(model.ncam)]
-        raise ConfigError(f"camera={name!r}", f"a View, or one of {names}")
+        raise ConfigError(f"camera={name!r}", f"a CameraView, or one of {names}")
     camera = mujoco.MjvCamera()
     camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, index
     return camera
@@ -66,7 +66,7 @@ def render_model(
     model: mujoco.MjModel,
     qpos: np.ndarray | None = None,
     *,
-    camera: View | str = DEFAULT_VIEW,
+    camera: CameraView | str = DEFAULT_VIEW,
     width: int = 640,
     height: int = 480,
     hulls: bool = False,
@@ -103,12 +103,12 @@ def render_model(
     if qpos is not None:
         data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
-    view = camera if isinstance(camera, View) else DEFAULT_VIEW
+    view = camera if isinstance(camera, CameraView) else DEFAULT_VIEW
     content = drawn_points(model, data, is_drawn)
     if len(content) == 0:
         raise ConfigError("a model with nothing to draw", "geoms of group 2, or of group 3 with hulls=True")
     reach = set_range(model, content, view, width, height)
-    if isinstance(camera, View):
+    if isinstance(camera, CameraView):
         eye = placed_camera(content if focus is None else focus, view, width / height)
     else:
         eye = _named_camera(model, camera)

@@ -12,7 +12,7 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.config import View
+from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import gl_context
 from cluttergen_jax.rendering.sampling import low_discrepancy, shift_lights, shift_pixel
 
@@ -182,7 +182,7 @@ def open_renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[Re
             context.free()
 
 
-def set_range(model: mujoco.MjModel, points: np.ndarray, view: View, width: int, height: int) -> float:
+def set_range(model: mujoco.MjModel, points: np.ndarray, view: CameraView, width: int, height: int) -> float:
     """Fits clipping planes, shadow map and buffer to what is drawn; returns the content's radius, metres.
 
     Args:

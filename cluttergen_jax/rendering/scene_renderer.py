@@ -14,7 +14,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.assets import scene_spec
 from cluttergen_jax.rendering.camera import axes, corners, drawn_points, placed_camera
-from cluttergen_jax.rendering.config import View
+from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.picture import DEFAULT_VIEW, prepared
 from cluttergen_jax.rendering.renderer import (
     HIDDEN_GROUP,
@@ -60,7 +60,7 @@ class PictureConfig:
     width: int = 640
     height: int = 480
     samples: int = 32
-    view: View = DEFAULT_VIEW
+    view: CameraView = DEFAULT_VIEW
     whole: bool = False
     hulls: bool = False
 
@@ -87,7 +87,7 @@ class SceneRenderer:
         self._joint_body = model.jnt_bodyid.copy()
         self._home = model.qpos0.reshape(-1, 7).copy()
 
-    def aim(self, points: np.ndarray, view: View | None = None) -> mujoco.MjvCamera:
+    def aim(self, points: np.ndarray, view: CameraView | None = None) -> mujoco.MjvCamera:
         """Puts the camera as near as `points` f64[P, 3] allow."""
         aspect = self.config.width / self.config.height
         self.camera = placed_camera(points, view or self.config.view, aspect)

@@ -16,7 +16,7 @@ from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.errors import ClutterGenError, ConfigError, MissingExtraError
 from cluttergen_jax.files import file_whole
 
-FORMATS = get_args(FilmFormat)
+FILM_FORMATS = get_args(FilmFormat)
 
 
 def check_format(name: str) -> None:
@@ -26,8 +26,8 @@ def check_format(name: str) -> None:
       ConfigError: there is no such format.
       MissingExtraError: "mp4" without an encoder.
     """
-    if name not in FORMATS:
-        raise ConfigError(f"film format {name!r}", ", ".join(FORMATS), "gif")
+    if name not in FILM_FORMATS:
+        raise ConfigError(f"film format {name!r}", ", ".join(FILM_FORMATS), "gif")
     if name == "mp4":
         find_ffmpeg()
 

@@ -10,7 +10,7 @@ import trimesh
 from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.cloud import farthest_first, sample_surface
 from cluttergen_jax.assets.config import DecompositionConfig
-from cluttergen_jax.assets.deviation import deviation, is_inside
+from cluttergen_jax.assets.deviation import deviation, is_within_parts
 from cluttergen_jax.assets.inertia import mass_properties
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.object import CLOUD_SIZE, MAX_PART_VERTICES
@@ -126,7 +126,7 @@ def test_reduced_hulls_lie_inside_and_lose_little(seed):
     assert len(few) <= MAX_PART_VERTICES
     whole, small = hull_of(points * [1, 0.6, 1.5]), hull_of(few)
     assert len(small.vertices) == len(few)
-    assert is_inside(few * 0.999, [whole.points]).all()
+    assert is_within_parts(few * 0.999, [whole.points]).all()
     assert small.volume > 0.8 * whole.volume
 
 

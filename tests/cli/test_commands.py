@@ -21,7 +21,7 @@ from cluttergen_jax.generation import generate, make_sampler
 from cluttergen_jax.learning.methods import METHODS
 from cluttergen_jax.learning.training.presets import PRESETS
 from cluttergen_jax.physics.log import silent_import
-from cluttergen_jax.placement.changes import CHANGES
+from cluttergen_jax.placement.changes import REGION_CHANGES
 from cluttergen_jax.placement.problem import ProblemConfig, crowding, make_problem
 from cluttergen_jax.scene.export.formats import FORMATS
 from tests.helpers.banks import two_scenes
@@ -78,7 +78,7 @@ def test_the_table_of_commands_says_what_their_docstrings_say():
     [
         (config.Method, METHODS),
         (config.Preset, PRESETS),
-        (config.Change, CHANGES),
+        (config.Change, REGION_CHANGES),
         (config.Suite, (*SUITES, *FORMER_NAMES)),
         (config.ExportFormat, FORMATS),
     ],
@@ -91,7 +91,7 @@ def test_completion_knows_commands_and_choices(tmp_path):
     script = tmp_path / "completion"
     assert main(["--tyro-write-completion", "bash", str(script)]) == 0
     text = script.read_text()
-    for word in (*COMMANDS, *METHODS, *FORMATS, *PRESETS, *CHANGES, "native", "fixed"):
+    for word in (*COMMANDS, *METHODS, *FORMATS, *PRESETS, *REGION_CHANGES, "native", "fixed"):
         assert re.search(rf"['\" ]{word}['\" ]", text), word
 
 

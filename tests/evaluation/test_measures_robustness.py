@@ -11,7 +11,7 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.certificate import certificates
 from cluttergen_jax.evaluation.measures.robustness import (
-    CHANGES,
+    PHYSICS_CHANGES,
     Change,
     ShakeConfig,
     changed,
@@ -122,9 +122,9 @@ def test_a_ladder_stands_as_friction_lets_it(models):
         critical = np.arctan((1 - mu**2) / (2 * mu))
         assert (critical < PLANK_ANGLE) == (mu == FRICTION)
     poses, is_placed = scenes(ladder(PLANK_ANGLE), STANDING[0])
-    result = survives(models, poses, is_placed, CHANGES, seconds=1.5, num_threads=1)
+    result = survives(models, poses, is_placed, PHYSICS_CHANGES, seconds=1.5, num_threads=1)
     assert {name: stands.tolist() for name, stands in result.items()} == {
-        change.name: [change.friction >= 1, True] for change in CHANGES
+        change.name: [change.friction >= 1, True] for change in PHYSICS_CHANGES
     }
 
 

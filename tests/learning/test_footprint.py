@@ -21,7 +21,7 @@ def cloud_of(half, middle=(0.0, 0.0)) -> np.ndarray:
 
 
 def observation(at=(0.1, -0.05, 0.02), turn=0.0, half=(0.24, 0.24)):
-    """The plate is in hand; the block stands at `at`, turned."""
+    """The plate is the current object; the block stands at `at`, turned."""
     pose = jnp.array([*at, np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)])
     return {
         "region": jnp.array([*half, 0.3]),
@@ -69,7 +69,7 @@ def test_both_ways_round_a_paddle_takes_both_sides():
 
 @pytest.mark.parametrize(("height", "is_in_the_way"), [(0.02, False), (0.07, True)])
 def test_what_is_lower_than_an_underside_is_not_in_its_way(height, is_in_the_way):
-    """A pan is in hand, its handle 5 cm up; the block's top is at `height`, in the middle of the region."""
+    """The pan's handle is 5 cm up; the block's top is at `height`, in the middle of the region."""
     pan, handle = cloud_of((0.03, 0.03), (-0.1, 0.0)), cloud_of((0.08, 0.01), (0.05, 0.0))
     handle[:, 2] += 0.05
     held = np.concatenate([pan, handle])

@@ -16,10 +16,10 @@ from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy, save_state
 from cluttergen_jax.learning.training import suite_run
 from cluttergen_jax.learning.training.run import Run, RunConfig
-from cluttergen_jax.learning.training.suite import ATTEMPTS, POOLS, PlannedRun, plan
+from cluttergen_jax.learning.training.suite import POOLS, TABLE_ATTEMPTS, PlannedRun, plan
 from cluttergen_jax.learning.training.suite_run import config_of
 from cluttergen_jax.learning.training.train import TrainConfig, recipe_of
-from cluttergen_jax.placement.baselines import METHODS as BASELINES
+from cluttergen_jax.placement.baselines import BASELINES
 from tests.helpers.problems import made_up_rules
 
 
@@ -38,7 +38,7 @@ def test_tables_are_covered_and_the_first_seed_comes_first():
     assert len(asked) > 3 * len(POOLS)
     assert asked <= set(names)
     dining = {run.attempts for run in runs if run.pool == "dining" and run.variant == "policy"}
-    assert dining == set(ATTEMPTS)
+    assert dining == set(TABLE_ATTEMPTS)
     assert {run.attempts for run in runs if run.pool != "dining"} == {5}
 
 
@@ -126,7 +126,7 @@ def test_suite_stops_as_a_whole_and_goes_on_where_it_stopped(trains, tmp_path, c
     budgets = {read_record(tmp_path / name / "last")["ppo"]["num_attempts"] for name in names}
     assert len(budgets) == 1
     assert {read_record(tmp_path / name / "last")["placement"]["max_attempts"] for name in names} == set(
-        ATTEMPTS
+        TABLE_ATTEMPTS
     )
 
 
@@ -160,7 +160,7 @@ def test_evaluation_finds_the_runs_by_their_names(tmp_path):
         args = replace(args, out=str(tmp_path / run.name))
         finish_run(args, 1)
     found = Checkpoints(tmp_path)
-    for attempts in ATTEMPTS:
+    for attempts in TABLE_ATTEMPTS:
         trial = Trial(method="policy", pool="dining", attempts=attempts)
         extra = "" if attempts == 5 else f"-attempts{attempts}"
         assert found.find(trial) == tmp_path / f"dining-policy{extra}-0" / "policy"

@@ -215,7 +215,7 @@ def test_a_neighbour_asleep_wakes_when_it_is_hit(layout):
         focus=2,
     )
     assert report.shift[0, 0] > 1e-4
-    assert report.turn[0, 2] == 0  # the object in hand is no neighbour
+    assert report.turn[0, 2] == 0  # the current object is no neighbour
 
 
 def test_a_slow_topple_is_seen_awake_to_the_end(layout, engine):

@@ -1,4 +1,4 @@
-"""The waist on every engine: what happens to one object, and every way in which JAX may call it."""
+"""`Physics` on every engine: what happens to one object, and every way in which JAX may call it."""
 
 import dataclasses
 import functools
@@ -334,7 +334,7 @@ def agreement(name):
         for k in range(3):
             if k == index or rng.uniform() < 0.7:
                 at = rng.uniform(-0.12, 0.12, 2) if rng.uniform() < 0.8 else rng.uniform(-0.35, 0.35, 2)
-                # Neighbours are at rest, so they do not overlap one another; the object in hand may.
+                # Neighbours are at rest, so they do not overlap one another; the current object may.
                 while k != index and any(np.hypot(*(at - other)) < 0.12 for other in standing):
                     at = rng.uniform(-0.3, 0.3, 2)
                 standing += [at] * (k != index)

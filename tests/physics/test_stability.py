@@ -40,7 +40,7 @@ def follow(velocities, config=CONFIG, xp=np, shift=None):
 
 
 def judge(track, **changes):
-    """The verdict over an object in hand (0) and a neighbour (1), nothing else having gone wrong."""
+    """The verdict over a current object (0) and a neighbour (1), nothing else having gone wrong."""
     facts = {
         "is_focus": np.array([True, False]),
         "is_neighbour": np.array([False, True]),

@@ -17,7 +17,7 @@ from shapely.geometry import box as rectangle
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.baselines import METHODS, make_proposer
+from cluttergen_jax.placement.baselines import BASELINES, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose, make_problem
@@ -134,7 +134,7 @@ def test_clear_stays_out_of_keep_out_boxes() -> None:
     assert poses[:, 0].min() > 0.1
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", BASELINES)
 def test_on_an_empty_table_an_object_is_let_go_just_above_its_own_height(method: str) -> None:
     problem, poses, focus = positions(cuboid_table(), method)
     half = problem.rules.geometry.half_extents[focus]
@@ -236,7 +236,7 @@ def table_with(holes: list[tuple[float, float]], riser: float = 0.0) -> SupportA
 def positions(
     support: SupportAsset, method: str, keep_out: KeepOut | None = None
 ) -> tuple[Problem, np.ndarray, np.ndarray]:
-    """48 proposals for one of the trio on an empty support: f32[48, 7] and the object in hand, i32[48]."""
+    """48 proposals for one of the trio on an empty support: f32[48, 7] and the current object, i32[48]."""
     problem = compose(trio(), support, ProblemConfig(placement=PlacementConfig(num_objects=3)))
     rules, propose = problem.rules, make_proposer(method, problem.rules)
 

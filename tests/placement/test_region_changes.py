@@ -7,7 +7,7 @@ import pytest
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.placement.changes import CHANGES, draw_region, find_change
+from cluttergen_jax.placement.changes import REGION_CHANGES, draw_region, find_change
 
 
 def draws(name, base, bounds, number=400):
@@ -26,9 +26,9 @@ def corners_of(center, half, yaw):
 BASE, LARGE = Rectangle(half_extents=(0.30, 0.35)), Rectangle(half_extents=(0.70, 0.70))
 
 
-@pytest.mark.parametrize("name", CHANGES)
+@pytest.mark.parametrize("name", REGION_CHANGES)
 def test_changed_regions_stay_in_their_ranges(name):
-    change, far = CHANGES[name], Rectangle(half_extents=(9.0, 9.0))
+    change, far = REGION_CHANGES[name], Rectangle(half_extents=(9.0, 9.0))
     center, half, yaw = draws(name, BASE, far)
     yaw = np.mod(yaw + np.pi, 2 * np.pi) - np.pi
     growth = half - np.array(BASE.half_extents)

@@ -16,7 +16,7 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.assets import object_sheet, render_scene, scene_spec
 from cluttergen_jax.rendering.camera import axes, corners, fitted_eye
-from cluttergen_jax.rendering.config import View
+from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.rendering.lighting import add_lighting
 from cluttergen_jax.rendering.picture import contact_sheet, render_model, save_png
@@ -114,7 +114,7 @@ def test_fitted_eye_sees_all_points_and_stands_as_near_as_it_can(seed):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(30, 3)) * rng.uniform(0.1, 2.0, 3) + rng.normal(size=3)
     margin = rng.uniform(0, 0.3)
-    view = View(rng.uniform(0, 360), rng.uniform(-85, 30), rng.uniform(10, 80), margin)
+    view = CameraView(rng.uniform(0, 360), rng.uniform(-85, 30), rng.uniform(10, 80), margin)
     aspect = rng.uniform(0.5, 2.0)
     seen = (points - fitted_eye(points, view, aspect)) @ axes(view.azimuth, view.elevation).T
     assert seen[:, 2].min() > 0
@@ -127,14 +127,14 @@ def test_fitted_eye_sees_all_points_and_stands_as_near_as_it_can(seed):
 @pytest.mark.parametrize("wrong", [{"azimuth": np.nan}, {"elevation": np.nan}, {"elevation": 91.0}])
 def test_views_are_finite(wrong):
     with pytest.raises(ConfigError, match=next(iter(wrong))):
-        View(**wrong)
+        CameraView(**wrong)
 
 
 @needs_gl
 def test_objects_have_their_colours_where_they_stand():
     poses = np.array([[-0.15, 0, 0.75, 1, 0, 0, 0], [0.15, 0, 0.74, 1, 0, 0, 0]])
     # Seen from above with +x to the right: azimuth 90 looks along +y.
-    view = View(azimuth=90, elevation=-89)
+    view = CameraView(azimuth=90, elevation=-89)
     image = render_scene([RED, GREEN], poses, cuboid_table(0.6, 0.4, 0.7), camera=view, samples=4).astype(int)
     height, width, _ = image.shape
     assert (height, width) == (480, 640)

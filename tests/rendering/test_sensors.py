@@ -12,7 +12,7 @@ from cluttergen_jax.assets.scene_cloud import cloud_colours, ply_of, scene_point
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import transformed
-from cluttergen_jax.rendering.config import View
+from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.sensors import (
     FIRST_OBJECT,
@@ -31,7 +31,7 @@ from tests.rendering.test_render import needs_gl
 @pytest.fixture(scope="module")
 def sensed():
     recording = cubes()
-    view = View(azimuth=70, elevation=-50)
+    view = CameraView(azimuth=70, elevation=-50)
     picture = PictureConfig(width=200, height=150, samples=1, view=view)
     return sense(recording.objects, recording.names, recording.poses, recording.support, picture)
 

@@ -11,7 +11,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.solid import Solid
 
 
-class Vessel:
+class Hollow:
     """The space that would hold water in an object that stands upright, object frame.
 
     Args:
@@ -26,7 +26,7 @@ class Vessel:
         return self._tree.query(points, p=np.inf, distance_upper_bound=self._reach)[0] <= self._reach
 
 
-def vessel_of(asset: ObjectAsset) -> Vessel | None:
+def vessel_of(asset: ObjectAsset) -> Hollow | None:
     """An object's hollow, or None if it has none.
 
     By the importer's rule (`assets.hollow`): as deep as 15 mm and a fifth of its width, and open to a ball of
@@ -34,4 +34,4 @@ def vessel_of(asset: ObjectAsset) -> Vessel | None:
     """
     mesh = joined([part.hull() for part in asset.parts])
     hollow = find_hollow(Solid(mesh, True, mesh))
-    return None if hollow is None else Vessel(hollow.points, hollow.pitch)
+    return None if hollow is None else Hollow(hollow.points, hollow.pitch)

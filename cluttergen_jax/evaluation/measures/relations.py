@@ -24,7 +24,7 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.evaluation.measures.contacts import Contacts, contacts_of
-from cluttergen_jax.evaluation.measures.hollows import Vessel, vessel_of
+from cluttergen_jax.evaluation.measures.hollows import Hollow, vessel_of
 from cluttergen_jax.evaluation.measures.scene_models import SceneModel, SceneModels
 from cluttergen_jax.evaluation.measures.simulate import each_scene
 from cluttergen_jax.geometry import conjugate, rotate, transformed
@@ -122,7 +122,7 @@ def _up(quaternions: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=256)
-def _vessel(asset: ObjectAsset) -> Vessel | None:
+def _vessel(asset: ObjectAsset) -> Hollow | None:
     return vessel_of(asset)
 
 

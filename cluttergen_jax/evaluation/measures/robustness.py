@@ -126,7 +126,7 @@ class Change:
     timestep: float = 1.0
 
 
-CHANGES = (
+PHYSICS_CHANGES = (
     Change("unchanged"),
     Change("friction x0.5", friction=0.5),
     Change("friction x2", friction=2.0),
@@ -157,7 +157,7 @@ def survives(
     models: SceneModels,
     poses: np.ndarray,
     is_placed: np.ndarray,
-    changes: Sequence[Change] = CHANGES,
+    changes: Sequence[Change] = PHYSICS_CHANGES,
     seconds: float = 10.0,
     num_threads: int = 0,
     max_shift: float = MAX_SHIFT,

@@ -9,7 +9,7 @@ from cluttergen_jax.evaluation.plots import add_legend, new_figure, prepare, sav
 from cluttergen_jax.evaluation.studies.counts import BOTH, LOOSE, STEPS, STRICT
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.learning.training.suite import ATTEMPTS as MOST_ATTEMPTS
+from cluttergen_jax.learning.training.suite import TABLE_ATTEMPTS as MOST_ATTEMPTS
 from cluttergen_jax.tables import Table
 
 PAPERS_SENTENCE = "more attempts help up to 5; two or fewer hurt"

@@ -9,7 +9,7 @@ from cluttergen_jax.evaluation.cells import Column, Row, interval, mean_and_spre
 from cluttergen_jax.proportions import wilson
 
 STRICT = "strict: every slot stable without disturbing anything, and the finished scene stands"
-LOOSE = "paper's count: only the object in hand is judged, the others are put back, no last check"
+LOOSE = "paper's count: only the current object is judged, the others are put back, no last check"
 
 
 def figures_by(row: Row, is_loose: bool) -> dict[str, Any]:

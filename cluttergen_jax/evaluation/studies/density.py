@@ -9,7 +9,7 @@ from cluttergen_jax.evaluation.plots import add_legend, new_figure, prepare, sav
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.methods import FILTERED, METHODS
-from cluttergen_jax.placement.baselines import METHODS as BASELINES
+from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.tables import Table
 
 SIZES = ("0.60x0.70", "0.50x0.60", "0.40x0.50", "0.35x0.45", "0.30x0.40")

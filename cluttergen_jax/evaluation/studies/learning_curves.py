@@ -13,7 +13,7 @@ from cluttergen_jax.evaluation.studies import table1
 from cluttergen_jax.evaluation.studies.study import Findings, Result, Scale, Study
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.training.metrics_log import read_rows
-from cluttergen_jax.placement.baselines import METHODS as BASELINES
+from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.tables import Table
 
 PAPER_ATTEMPTS, PAPER_SUCCESS = 2_300_000, 0.85

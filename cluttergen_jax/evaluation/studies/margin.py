@@ -27,7 +27,7 @@ from cluttergen_jax.evaluation.studies.study import (
     row_of,
 )
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.placement.baselines import METHODS as BASELINES
+from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.proportions import proportion
 from cluttergen_jax.tables import Table

@@ -10,10 +10,10 @@ from cluttergen_jax.evaluation.published import IMPORTED, TWINS, differences, di
 from cluttergen_jax.evaluation.studies.counts import LOOSE, STRICT, pooled, stable_steps
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.placement.baselines import METHODS as BASELINES
+from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.tables import Table
 
-METHODS = ("random", "open_loop", "short_memory", "normal", "beta", "policy")
+TABLE_METHODS = ("random", "open_loop", "short_memory", "normal", "beta", "policy")
 """`beta` is the paper's full method; `policy` is ours, which a preset may give another head."""
 
 _PAPER_POOLS = ("dining", "study", "office", "kitchen", "household")
@@ -40,7 +40,7 @@ def papers(method: str, pool: str) -> tuple[float, int] | None:
 def trials(scale: Scale) -> tuple[Trial, ...]:
     """Every method on every pool, learned ones for each seed of training."""
     base, pools = scale.counted_twice(1000, 6), scale.chosen(*EMBEDDED)
-    rows = grid(base, pool=pools, method=METHODS, training_seed=scale.training_seeds)
+    rows = grid(base, pool=pools, method=TABLE_METHODS, training_seed=scale.training_seeds)
     return tuple(row for row in rows if row.training_seed == 0 or row.method not in BASELINES)
 
 

@@ -8,7 +8,7 @@ from cluttergen_jax.evaluation.studies.contact_sheets import renders
 from cluttergen_jax.evaluation.studies.counts import BOTH, LOOSE, STRICT
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.placement.changes import CHANGES
+from cluttergen_jax.placement.changes import REGION_CHANGES
 from cluttergen_jax.tables import Table
 
 PAPER = {
@@ -26,7 +26,7 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
     """Policies that were trained on one region, on a large table."""
     base = scale.counted_twice(500, 4, support="table-1.40x1.40", region=(0.60, 0.70))
     methods = ("policy", "beta", "random")
-    return grid(base, pool=scale.chosen("household"), method=methods, change=CHANGES)
+    return grid(base, pool=scale.chosen("household"), method=methods, change=REGION_CHANGES)
 
 
 def tables(result: Result) -> list[Table]:

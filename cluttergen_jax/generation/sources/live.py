@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cluttergen_jax.generation import make_sampler
-from cluttergen_jax.generation.sources.workshop import Workshop
+from cluttergen_jax.generation.sources.replay import ReplayContext
 from cluttergen_jax.generation.wiring import Setup
 from cluttergen_jax.learning.methods import checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
@@ -57,15 +57,15 @@ class LiveSource:
             max_attempts=placement.get("max_attempts", 5),
         )
         trained = {} if found is None else {method: found}
-        self._workshop = Workshop(Setup(sampler.problem, sampler.keep_out, sampler.start), trained)
+        self._context = ReplayContext(Setup(sampler.problem, sampler.keep_out, sampler.start), trained)
         self.name = pool if checkpoint is None else f"{method} of {checkpoint.resolve().name}"
         self.numbers = range(_MOST)
-        first = (method,) if method in self._workshop.methods else ()
-        self.methods = (*first, *(each for each in self._workshop.methods if each not in first))
+        first = (method,) if method in self._context.methods else ()
+        self.methods = (*first, *(each for each in self._context.methods if each not in first))
 
     def notice(self, method: str | None = None) -> str:
-        """See `Source`."""
-        return self._workshop.notice(method or self.methods[0])
+        """See `SceneSource`."""
+        return self._context.notice(method or self.methods[0])
 
     def still(self, number: int) -> Recording:
         """Scene 0 of seed `number`, by the method asked for."""
@@ -74,5 +74,5 @@ class LiveSource:
     recorded = still
 
     def sample(self, method: str, seed: int) -> Recording:
-        """See `Source`."""
-        return self._workshop.record(method, seed, 0, f"{method}, seed {seed}")
+        """See `SceneSource`."""
+        return self._context.record(method, seed, 0, f"{method}, seed {seed}")

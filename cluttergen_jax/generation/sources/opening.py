@@ -7,12 +7,12 @@ from pathlib import Path
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.generation.sources.live import LiveConfig, LiveSource
 from cluttergen_jax.generation.sources.stored import BankSource, FileSource
-from cluttergen_jax.rendering.viewer.source import Source
+from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.scene.bank.bank import INDEX
 from cluttergen_jax.scene.bank.reference import parse_reference
 
 
-def open_source(text: str | None, config: LiveConfig | None = None) -> tuple[Source, int | None]:
+def open_source(text: str | None, config: LiveConfig | None = None) -> tuple[SceneSource, int | None]:
     """What an argument names, and the scene that it asks for.
 
     Args:

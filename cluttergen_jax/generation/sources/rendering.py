@@ -17,7 +17,7 @@ from cluttergen_jax.generation.sources import BankSource, open_source
 from cluttergen_jax.placement.rollout.replay import Recording
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.rendering.assets import render_scene
-from cluttergen_jax.rendering.config import FilmConfig, View
+from cluttergen_jax.rendering.config import CameraView, FilmConfig
 from cluttergen_jax.rendering.figure import closed_loop_figure
 from cluttergen_jax.rendering.film import replay, replay_frames, turntable
 from cluttergen_jax.rendering.gl import find_backend
@@ -25,7 +25,7 @@ from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.sensors import depth_png, npz_of, segmentation_png, sense
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.rendering.video import check_format, save_film
-from cluttergen_jax.rendering.viewer.source import Source
+from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.scene.bank.reference import missing_text
 
 _SHEET = 12
@@ -62,7 +62,7 @@ def render(
     segmentation: bool = False,
     points: bool = False,
     size: tuple[int, int] | None = None,
-    view: View | None = None,
+    view: CameraView | None = None,
     whole: bool = False,
     hulls: bool = False,
     samples: int | None = None,
@@ -85,7 +85,7 @@ def render(
       segmentation: an indexed PNG: 0 floor or nothing, 1 support, 2 + k object k; and the NPZ file.
       points: a PLY point cloud of all surfaces: metres, world frame, colours, labels as above.
       size: of pictures, width and height in pixels; (1280, 960), and (640, 480) for films, if not given.
-      view: from which side the scene is seen; `View()` if not given.
+      view: from which side the scene is seen; `CameraView()` if not given.
       whole: show the whole support instead of the objects and the region alone.
       hulls: draw the collision parts instead of the surfaces.
       samples: pictures averaged into one, for soft light; 32, and 10 for films, if not given.
@@ -99,7 +99,7 @@ def render(
       ClutterGenError: nothing can be drawn on this machine.
     """
     given = dict(locals())
-    given |= {"out": Path(out), "view": view or View(), "pace": pace or FilmConfig()}
+    given |= {"out": Path(out), "view": view or CameraView(), "pace": pace or FilmConfig()}
     return Rendering(**given | {"source": str(source)}).make()
 
 
@@ -119,7 +119,7 @@ class Rendering:
     segmentation: bool
     points: bool
     size: tuple[int, int] | None
-    view: View
+    view: CameraView
     whole: bool
     hulls: bool
     samples: int | None
@@ -154,7 +154,7 @@ class Rendering:
         return PictureConfig(width, height, samples, self.view, self.whole, self.hulls)
 
     def _make(
-        self, source: Source, number: int, small: PictureConfig, made: list[Path]
+        self, source: SceneSource, number: int, small: PictureConfig, made: list[Path]
     ) -> Iterator[_Failure]:
         """Makes everything that is asked for of one scene; what cannot be made costs nothing else."""
         stem = self.out / (f"{number:06d}" if isinstance(source, BankSource) else _stem(source, number))
@@ -212,7 +212,7 @@ class Rendering:
         shown = tracked(frames, path.name, count, "frame")
         return save_film(shown, path, self.pace.fps)
 
-    def _sheet(self, source: Source, numbers: list[int]) -> np.ndarray:
+    def _sheet(self, source: SceneSource, numbers: list[int]) -> np.ndarray:
         picture = self._picture(_CELL, _QUICK if len(numbers) > _SHEET else _FINE)
         recordings = [source.still(number) for number in numbers]
         shown = tracked(recordings, "sheet.png", len(recordings), "picture")
@@ -225,7 +225,7 @@ class Rendering:
 
 
 def chosen_numbers(
-    source: Source, own: int | None, asked: Sequence[int] | Literal["all"] | None, count: int
+    source: SceneSource, own: int | None, asked: Sequence[int] | Literal["all"] | None, count: int
 ) -> list[int]:
     """Which scenes: those asked for, else the first `count` that stand.
 
@@ -280,7 +280,7 @@ def _named(stem: Path, ending: str) -> Path:
     return stem.with_name(stem.name + ending)
 
 
-def _stem(source: Source, number: int) -> str:
+def _stem(source: SceneSource, number: int) -> str:
     name = re.sub(r"[^\w.+-]+", "-", source.name)
     return name if len(source.numbers) == 1 else f"{name}-{number:06d}"
 

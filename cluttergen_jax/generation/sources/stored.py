@@ -9,7 +9,7 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import BankError, ClutterGenError
-from cluttergen_jax.generation.sources.workshop import Workshop, remade, workshop_of
+from cluttergen_jax.generation.sources.replay import ReplayContext, replay, replay_context_of
 from cluttergen_jax.importing.readers.mjcf_scene import read_mjcf_scene
 from cluttergen_jax.placement.rollout.replay import Recording, still
 from cluttergen_jax.placement.world import base_name
@@ -46,16 +46,16 @@ class BankSource:
     def methods(self) -> tuple[str, ...]:
         """Of new scenes on the same support with the same objects."""
         try:
-            return self._workshop.methods
+            return self._context.methods
         except ClutterGenError:
             return ()
 
     def notice(self, method: str | None = None) -> str:
-        """See `Source`. Stored scenes come at once."""
-        return self._workshop.notice(method) if method else ""
+        """See `SceneSource`. Stored scenes come at once."""
+        return self._context.notice(method) if method else ""
 
     def still(self, number: int) -> Recording:
-        """See `Source`.
+        """See `SceneSource`.
 
         Raises:
           BankError: there is no such scene.
@@ -78,21 +78,21 @@ class BankSource:
         )
 
     def recorded(self, number: int) -> Recording:
-        """See `Source`.
+        """See `SceneSource`.
 
         Raises:
           BankError: there is no such scene, or its attempts cannot be made again.
           PoolError: the bank's checkpoint is gone.
         """
-        return remade(self.bank, self._workshop, number, self.still(number))
+        return replay(self.bank, self._context, number, self.still(number))
 
     def sample(self, method: str, seed: int) -> Recording:
-        """See `Source`."""
-        return self._workshop.record(method, seed, 0, f"{method}, seed {seed}")
+        """See `SceneSource`."""
+        return self._context.record(method, seed, 0, f"{method}, seed {seed}")
 
     @cached_property
-    def _workshop(self) -> Workshop:
-        return workshop_of(self.bank)
+    def _context(self) -> ReplayContext:
+        return replay_context_of(self.bank)
 
     @cached_property
     def _region(self) -> Rectangle:
@@ -126,11 +126,11 @@ class FileSource:
         )
 
     def notice(self, method: str | None = None) -> str:
-        """See `Source`."""
+        """See `SceneSource`."""
         return ""
 
     def still(self, number: int) -> Recording:
-        """See `Source`."""
+        """See `SceneSource`."""
         return self._still
 
     def recorded(self, number: int) -> Recording:

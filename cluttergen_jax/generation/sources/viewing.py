@@ -18,7 +18,7 @@ from cluttergen_jax.rendering.assets import scene_spec
 from cluttergen_jax.rendering.lighting import FLOOR
 from cluttergen_jax.rendering.viewer.native import check_display, show_native
 from cluttergen_jax.rendering.viewer.server import free_port, open_server
-from cluttergen_jax.rendering.viewer.source import Source
+from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.rendering.viewer.viewer import Viewer
 
 
@@ -87,7 +87,7 @@ def view(
         viewer.close()
 
 
-def _first(scenes: Source, own: int | None) -> int:
+def _first(scenes: SceneSource, own: int | None) -> int:
     """The scene that is shown first."""
     first = int(scenes.numbers[0]) if own is None else own
     if first not in scenes.numbers:

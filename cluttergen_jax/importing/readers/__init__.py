@@ -6,15 +6,15 @@ impossible size.
 """
 
 from cluttergen_jax.importing.readers.read import read_shape, read_source
-from cluttergen_jax.importing.readers.source import ReadOptions, Source
+from cluttergen_jax.importing.readers.source import ObjectFile, ReadOptions
 from cluttergen_jax.importing.readers.tree import Found, Skipped, find_sources, survey
 from cluttergen_jax.importing.readers.ycb import ycb_sources
 
 __all__ = [
     "Found",
+    "ObjectFile",
     "ReadOptions",
     "Skipped",
-    "Source",
     "find_sources",
     "read_shape",
     "read_source",

@@ -1,4 +1,4 @@
-"""One door for all formats: from a `Source` to a checked `Shape`."""
+"""One door for all formats: from a `ObjectFile` to a checked `Shape`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cluttergen_jax.importing.readers.axes import AUTO, own_up, turn_of
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
 from cluttergen_jax.importing.readers.model import Model
-from cluttergen_jax.importing.readers.source import ReadOptions, Source
+from cluttergen_jax.importing.readers.source import ObjectFile, ReadOptions
 from cluttergen_jax.importing.readers.tree import find_sources
 from cluttergen_jax.importing.readers.urdf import read_urdf
 from cluttergen_jax.importing.readers.ycb_scans import ycb_provenance
@@ -24,7 +24,7 @@ MAX_SIZE = 2.0
 _UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "tenths of a millimetre": 0.0001}
 
 
-def read_shape(source: Source, options: ReadOptions | None = None) -> Shape:
+def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
     """Reads one object, scaled to metres, z up, its pieces not yet welded.
 
     Raises:
@@ -56,7 +56,7 @@ def read_shape(source: Source, options: ReadOptions | None = None) -> Shape:
     return shape
 
 
-def _model(source: Source, options: ReadOptions) -> tuple[Model, float]:
+def _model(source: ObjectFile, options: ReadOptions) -> tuple[Model, float]:
     """What the file holds, and the factor on its masses.
 
     In URDF a mass is written as it is; most of MJCF's are a density times a volume, which keeps its density.
@@ -74,7 +74,7 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> list[Sh
     return [read_shape(source, options) for source in find_sources(path)]
 
 
-def _provenance(source: Source, options: ReadOptions) -> Provenance:
+def _provenance(source: ObjectFile, options: ReadOptions) -> Provenance:
     """The source's own terms, but for those that the user states."""
     known = source.provenance or ycb_provenance(source.path)
     own = known or Provenance(_public_name(source.path), "not stated")

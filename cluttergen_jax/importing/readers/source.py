@@ -57,7 +57,7 @@ class ReadOptions:
 
 
 @dataclass(frozen=True)
-class Source:
+class ObjectFile:
     """One object to be read.
 
     Attributes:
@@ -78,11 +78,11 @@ class Source:
     notes: tuple[str, ...] = ()
 
 
-def make_source(path: Path, kind: str, title: str = "") -> Source:
+def make_source(path: Path, kind: str, title: str = "") -> ObjectFile:
     """The source of a file, called `title`, or else after the part of its path that says most."""
     title = title or telling_name(path)
     label = re.sub(r"^\d+[-_ ]+", "", title).replace("_", " ").strip() or title
-    return Source(path, kind, plain_name(title), label)
+    return ObjectFile(path, kind, plain_name(title), label)
 
 
 def telling_name(path: Path) -> str:
@@ -96,7 +96,7 @@ def plain_name(text: str) -> str:
     return re.sub(r"[^a-z0-9_-]+", "_", text.lower()).strip("_") or "object"
 
 
-def named_apart(sources: Sequence[Source]) -> list[Source]:
+def named_apart(sources: Sequence[ObjectFile]) -> list[ObjectFile]:
     """Distinct names: where several objects share one, all but the first get the next free number."""
     taken: set[str] = set()
     out = []

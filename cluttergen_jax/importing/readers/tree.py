@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
-from cluttergen_jax.importing.readers.source import GENERIC, Source, make_source, named_apart
+from cluttergen_jax.importing.readers.source import GENERIC, ObjectFile, make_source, named_apart
 from cluttergen_jax.importing.readers.ycb_scans import best_scans
 
 # In order of preference where a folder offers one object in several formats.
@@ -45,11 +45,11 @@ class Skipped:
 class Found:
     """What a path holds: objects with distinct names, in sorted order, and what was passed over."""
 
-    sources: tuple[Source, ...]
+    sources: tuple[ObjectFile, ...]
     skipped: tuple[Skipped, ...] = ()
 
 
-def find_sources(path: str | Path) -> list[Source]:
+def find_sources(path: str | Path) -> list[ObjectFile]:
     """`survey(path).sources`, as a list."""
     return list(survey(path).sources)
 
@@ -84,14 +84,14 @@ def survey(path: str | Path) -> Found:
     return found
 
 
-def _from_file(path: Path) -> Iterator[Source]:
+def _from_file(path: Path) -> Iterator[ObjectFile]:
     if path.suffix.lower() in MESH_SUFFIXES:
         yield make_source(path, "mesh")
     elif path.suffix.lower() in MODEL_SUFFIXES and isinstance(model := model_file(path), ModelFile):
         yield from _sources_of(model)
 
 
-def _sources_of(model: ModelFile) -> Iterator[Source]:
+def _sources_of(model: ModelFile) -> Iterator[ObjectFile]:
     """One source for each body that hangs on the world body; the file itself if it does not say."""
     if len(model.bodies) < 2:
         yield make_source(model.path, model.kind)
@@ -152,7 +152,7 @@ class _Tree:
             elif not each.is_file():
                 self.skip(each, "a link that leads nowhere" if each.is_symlink() else "not a file")
 
-    def sources(self) -> Iterator[Source]:
+    def sources(self) -> Iterator[ObjectFile]:
         """What is imported; the rest is added to `skipped`."""
         models = {
             file: model_file(file)
@@ -183,7 +183,7 @@ class _Tree:
         elif not (model or suffix in (*MESH_SUFFIXES, *_COMPANIONS) or file.name in _NOTES):
             self.skip(file, "not a mesh format")
 
-    def _models(self, here: list[ModelFile | str], owner: dict[Path, ModelFile]) -> Iterator[Source]:
+    def _models(self, here: list[ModelFile | str], owner: dict[Path, ModelFile]) -> Iterator[ObjectFile]:
         first: dict[str, Path] = {}
         for model in here:
             if isinstance(model, str):
@@ -199,7 +199,7 @@ class _Tree:
 
     def _meshes(
         self, files: list[Path], models: list[ModelFile], owner: dict[Path, ModelFile]
-    ) -> Iterator[Source]:
+    ) -> Iterator[ObjectFile]:
         """Mesh files that no model names, one for each object."""
         meshes = [each for each in files if each.suffix.lower() in MESH_SUFFIXES]
         meshes.sort(

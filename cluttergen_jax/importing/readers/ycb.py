@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import MissingExtraError
-from cluttergen_jax.importing.readers.source import Source
+from cluttergen_jax.importing.readers.source import ObjectFile
 from cluttergen_jax.importing.readers.tree import find_sources
 from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
 
@@ -23,7 +23,7 @@ _BAD_SCANS = {
 }
 
 
-def ycb_sources() -> list[Source]:
+def ycb_sources() -> list[ObjectFile]:
     """All 78 objects; known bad scans carry a note.
 
     Raises:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cluttergen_jax.assets.shape import Provenance
-from cluttergen_jax.importing.readers.source import Source
+from cluttergen_jax.importing.readers.source import ObjectFile
 
 YCB_LICENCE = "CC BY 4.0"
 YCB_ATTRIBUTION = (
@@ -44,13 +44,13 @@ def ycb_provenance(path: Path) -> Provenance | None:
     return scan and Provenance(f"YCB Object and Model Set ({scan[1]})", YCB_LICENCE, YCB_ATTRIBUTION)
 
 
-def best_scans(sources: Sequence[Source]) -> tuple[list[Source], dict[Path, Path]]:
+def best_scans(sources: Sequence[ObjectFile]) -> tuple[list[ObjectFile], dict[Path, Path]]:
     """The sources, of each YCB object the best scan alone, called after the object.
 
     Returns:
       The sources that stay, and by the path of each other scan the one that stands for it.
     """
-    best: dict[Path, Source] = {}
+    best: dict[Path, ObjectFile] = {}
     for source in sources:
         if (scan := _scan_of(source.path)) is not None:
             rival = best.setdefault(scan[0], source)
@@ -69,7 +69,7 @@ def best_scans(sources: Sequence[Source]) -> tuple[list[Source], dict[Path, Path
     return kept, others
 
 
-def _rank(source: Source) -> int:
+def _rank(source: ObjectFile) -> int:
     scan = _scan_of(source.path)
     return len(_SCANS) if scan is None else _SCANS.index(scan[1])
 

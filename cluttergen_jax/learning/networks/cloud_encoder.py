@@ -1,4 +1,4 @@
-"""Scene and object in hand as point clouds: what a PointNet or a PointNet++ sees."""
+"""The scene and the current object as point clouds: what a PointNet or a PointNet++ sees."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from cluttergen_jax.placement.heightmap import HeightMap
 from cluttergen_jax.placement.region import action_scale
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.fit import Candidates
-from cluttergen_jax.placement.search.search import FORBIDDEN, Search, Shortlist
+from cluttergen_jax.placement.search.search import FORBIDDEN, Search, TopCandidates
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -35,7 +35,7 @@ def with_candidates(search: Search, episode: Episode, observation: dict[str, Any
     return seen | {"menu": candidate_features(search.rules, episode, search.shortlist(key, episode))}
 
 
-def candidate_features(rules: Rules, episode: Episode, found: Shortlist) -> dict[str, Array]:
+def candidate_features(rules: Rules, episode: Episode, found: TopCandidates) -> dict[str, Array]:
     """A shortlist of M poses as a network reads it; lengths in decimetres, so that they are about 1.
 
     Returns:
@@ -44,20 +44,20 @@ def candidate_features(rules: Rules, episode: Episode, found: Shortlist) -> dict
       cost: f32[M], the search's own, metres; is_allowed: bool[M].
       action: f32[M, 4].
     """
-    region, look, at = episode.region, found.look, found.candidates
+    region, scores, at = episode.region, found.scores, found.candidates
     half = region.half_extents
     reach = half - jnp.abs(at.xy)
     features = jnp.concatenate(
         [
             jnp.stack(
                 [
-                    10 * jnp.clip(look.lift, _DEEPEST, _HIGHEST),
-                    jnp.clip(look.support, -1, 1),
-                    100 * jnp.clip(look.fit.gap, 0, 0.05),
-                    look.fit.blocked,
-                    look.fit.hanging,
-                    look.crowd,
-                    10 * jnp.clip(look.fit.rest, _DEEPEST, _HIGHEST),
+                    10 * jnp.clip(scores.lift, _DEEPEST, _HIGHEST),
+                    jnp.clip(scores.support, -1, 1),
+                    100 * jnp.clip(scores.fit.gap, 0, 0.05),
+                    scores.fit.blocked,
+                    scores.fit.hanging,
+                    scores.crowd,
+                    10 * jnp.clip(scores.fit.rest, _DEEPEST, _HIGHEST),
                     10 * jnp.clip(found.cost, -0.2, 0.5),
                     jnp.cos(at.yaw),
                     jnp.sin(at.yaw),

@@ -66,7 +66,7 @@ class FitState(struct.PyTreeNode):
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class ClassifierTrainer:
     """Learning to tell shapes apart; `start` and `step` are pure, their caller compiles them.
 
     Attributes:

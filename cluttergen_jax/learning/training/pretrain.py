@@ -21,7 +21,7 @@ from cluttergen_jax.learning.ppo.checkpoint import (
     save_policy,
     save_state,
 )
-from cluttergen_jax.learning.training.classifier import Classifier, Fit, FitState, turned
+from cluttergen_jax.learning.training.classifier import Classifier, ClassifierTrainer, FitState, turned
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.shapes import ShapeClouds, make_clouds
 from cluttergen_jax.progress import Progress
@@ -95,7 +95,7 @@ class Pretraining:
     def __init__(self, config: PretrainConfig, folder: Path) -> None:
         self.config, self.folder = config, folder
         model = Classifier(config.network, len(config.families))
-        self.fit = Fit(model, config.num_steps, config.learning_rate)
+        self.fit = ClassifierTrainer(model, config.num_steps, config.learning_rate)
         check_folder(folder, {"config": asdict(config)})
         folder.mkdir(parents=True, exist_ok=True)
 

@@ -13,7 +13,7 @@ POOLS = ("dining", "study", "office", "kitchen", "household")
 TABLE_VARIANTS: tuple[Variant, ...] = ("policy", "open_loop", "short_memory", "normal", "beta")
 SEEDS = (0, 1, 2)
 ATTEMPTS_POOL = "dining"
-ATTEMPTS = (1, 2, 3, 5, 10)
+TABLE_ATTEMPTS = (1, 2, 3, 5, 10)
 DEFAULT_ATTEMPTS, DEFAULT_OBJECTS = 5, 10
 LADDER_POOLS = ("dining",)
 TIGHTEST = "table-0.30x0.40"
@@ -54,11 +54,11 @@ def plan(
     Raises:
       ConfigError: there is no such suite, or nothing is left.
     """
-    if suite not in SUITES:
-        raise ConfigError(f"suite {suite!r}", ", ".join(SUITES), "suite='paper'")
+    if suite not in RUN_SUITES:
+        raise ConfigError(f"suite {suite!r}", ", ".join(RUN_SUITES), "suite='paper'")
     if len(set(seeds)) < len(seeds) or not all(seed >= 0 for seed in seeds):
         raise ConfigError(f"seeds {' '.join(map(str, seeds))}", "different numbers from 0", "seeds=(0, 1, 2)")
-    runs = [run for seed in seeds for run in SUITES[suite](seed, pools)]
+    runs = [run for seed in seeds for run in RUN_SUITES[suite](seed, pools)]
     chosen = [run for run in runs if only is None or fnmatchcase(run.name, only)]
     if not chosen:
         names = ", ".join(run.name for run in runs[:4])
@@ -74,7 +74,7 @@ def _paper(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
     if ATTEMPTS_POOL in pools and seed == SEEDS[0]:
         runs += [
             PlannedRun(ATTEMPTS_POOL, TABLE_VARIANTS[0], seed, attempts)
-            for attempts in ATTEMPTS
+            for attempts in TABLE_ATTEMPTS
             if attempts != DEFAULT_ATTEMPTS
         ]
     return runs
@@ -92,5 +92,5 @@ def _extended(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
     ]
 
 
-SUITES = {"paper": _paper, "extended": _extended, "honest": _extended}
+RUN_SUITES = {"paper": _paper, "extended": _extended, "honest": _extended}
 """`honest` is the former name of `extended`."""

@@ -27,7 +27,7 @@ RATE = 450.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Standing:
+class RunStatus:
     """How far one run of a suite has come.
 
     Attributes:
@@ -63,7 +63,7 @@ class SuiteReport:
     """
 
     folder: Path
-    standings: tuple[Standing, ...]
+    standings: tuple[RunStatus, ...]
     failed: dict[str, str]
 
 
@@ -150,7 +150,7 @@ def config_of(base: TrainConfig, run: PlannedRun, root: Path) -> TrainConfig:
     )
 
 
-def _standing(config: TrainConfig, run: PlannedRun) -> Standing:
+def _standing(config: TrainConfig, run: PlannedRun) -> RunStatus:
     """Reads how far a run has come.
 
     Raises:
@@ -165,7 +165,7 @@ def _standing(config: TrainConfig, run: PlannedRun) -> Standing:
     is_evaluated = "evaluation" in record or not config.eval_episodes
     rows = read_rows(config.folder / "progress.csv")
     rate = statistics.median(row["attempts_per_second"] for row in rows[-50:]) if rows else None
-    return Standing(
+    return RunStatus(
         planned=run,
         config=config,
         attempts=attempts,
@@ -176,7 +176,7 @@ def _standing(config: TrainConfig, run: PlannedRun) -> Standing:
     )
 
 
-def _overview(standings: list[Standing]) -> str:
+def _overview(standings: list[RunStatus]) -> str:
     """The list of runs, the budget beside the paper's, and the time that is left."""
     totals = {standing.total for standing in standings}
     if len(totals) != 1:

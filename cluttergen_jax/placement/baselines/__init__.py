@@ -8,9 +8,9 @@ from cluttergen_jax.placement.baselines.lowest import LowestFit
 from cluttergen_jax.placement.baselines.random import Random
 from cluttergen_jax.placement.rules import Proposer, Rules
 
-__all__ = ["METHODS", "Clear", "LowestFit", "make_proposer"]
+__all__ = ["BASELINES", "Clear", "LowestFit", "make_proposer"]
 
-METHODS = {"random": Random, "clear": Clear, "drop": LowestFit}
+BASELINES = {"random": Random, "clear": Clear, "drop": LowestFit}
 
 
 def make_proposer(method: str, rules: Rules) -> Proposer:
@@ -19,6 +19,6 @@ def make_proposer(method: str, rules: Rules) -> Proposer:
     Raises:
       ConfigError: there is no such method.
     """
-    if method not in METHODS:
-        raise ConfigError(f"method {method!r}", ", ".join(METHODS), "method='clear'")
-    return METHODS[method](rules)
+    if method not in BASELINES:
+        raise ConfigError(f"method {method!r}", ", ".join(BASELINES), "method='clear'")
+    return BASELINES[method](rules)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from cluttergen_jax.placement.baselines.lowest import cost_of_lying
-from cluttergen_jax.placement.search.search import Look, Search
+from cluttergen_jax.placement.search.search import CandidateScores, Search
 from cluttergen_jax.types import Array
 
 _CLEAR = -10.0
@@ -18,7 +18,7 @@ class Clear(Search, eq=False):
     lowered to where it would lie lowest and best, as by `drop`.
     """
 
-    def cost(self, look: Look) -> Array:
+    def cost(self, scores: CandidateScores) -> Array:
         """See `Search`."""
-        is_clear = (look.fit.blocked == 0) & (look.fit.hanging == 0)
-        return jnp.where(is_clear, _CLEAR, cost_of_lying(look))
+        is_clear = (scores.fit.blocked == 0) & (scores.fit.hanging == 0)
+        return jnp.where(is_clear, _CLEAR, cost_of_lying(scores))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from cluttergen_jax.placement.search.search import Look, Search
+from cluttergen_jax.placement.search.search import CandidateScores, Search
 from cluttergen_jax.types import Array
 
 _LIFTED = 0.002
@@ -15,16 +15,16 @@ _GAP_SCALE = 0.01
 _CLOSED_IN = 0.05
 
 
-def cost_of_lying(look: Look) -> Array:
+def cost_of_lying(scores: CandidateScores) -> Array:
     """f32[N], metres: how high a candidate would lie, and what speaks against its staying there.
 
     The base may float 1 mm above what lies below for 1 cm of height, 2 mm for 4 cm. The bare top may end
     half-way to the centre of mass; what stands on objects wants to be carried almost all around, since
     their height is less well known.
     """
-    enough = jnp.where(look.lift > _LIFTED, _ENOUGH_ON_OBJECTS, _ENOUGH_ON_TOP)
-    tipping = _TIPPING_COST * jnp.maximum(enough - look.support, 0.0)
-    return look.lift + (look.fit.gap / _GAP_SCALE) ** 2 + tipping
+    enough = jnp.where(scores.lift > _LIFTED, _ENOUGH_ON_OBJECTS, _ENOUGH_ON_TOP)
+    tipping = _TIPPING_COST * jnp.maximum(enough - scores.support, 0.0)
+    return scores.lift + (scores.fit.gap / _GAP_SCALE) ** 2 + tipping
 
 
 class LowestFit(Search, eq=False):
@@ -35,6 +35,6 @@ class LowestFit(Search, eq=False):
     that an object does not get the same best candidate five times.
     """
 
-    def cost(self, look: Look) -> Array:
+    def cost(self, scores: CandidateScores) -> Array:
         """See `Search`."""
-        return cost_of_lying(look) - _CLOSED_IN * look.crowd * 0.5**look.attempt
+        return cost_of_lying(scores) - _CLOSED_IN * scores.crowd * 0.5**scores.attempt

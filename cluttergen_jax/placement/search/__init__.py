@@ -1,5 +1,5 @@
 """Where an object could go: candidate poses lowered to first contact, by geometry alone."""
 
-from cluttergen_jax.placement.search.search import Search, SearchConfig, Shortlist
+from cluttergen_jax.placement.search.search import Search, SearchConfig, TopCandidates
 
-__all__ = ["Search", "SearchConfig", "Shortlist"]
+__all__ = ["Search", "SearchConfig", "TopCandidates"]

@@ -54,7 +54,7 @@ class UnderSide(struct.PyTreeNode):
         )
 
 
-class Fit(struct.PyTreeNode):
+class LoweredFit(struct.PyTreeNode):
     """How N candidates would lie.
 
     Attributes:
@@ -70,7 +70,7 @@ class Fit(struct.PyTreeNode):
     gap: Array
 
 
-def let_down(under: UnderSide, heights: HeightMap, candidates: Candidates) -> Fit:
+def lower_onto(under: UnderSide, heights: HeightMap, candidates: Candidates) -> LoweredFit:
     """Lowers an object vertically to first contact with a height map, at each candidate."""
     below = heights.at(_cells(under, heights, candidates))
     is_column = under.is_column
@@ -84,7 +84,7 @@ def let_down(under: UnderSide, heights: HeightMap, candidates: Candidates) -> Fi
     )
     total = jnp.maximum(is_column.sum(), 1)
     gap = rest + lowest - base / jnp.maximum(is_base.sum(), 1)
-    return Fit(rest, blocked / total, hanging / total, gap)
+    return LoweredFit(rest, blocked / total, hanging / total, gap)
 
 
 def mean_under(under: UnderSide, field: HeightMap, candidates: Candidates) -> Array:
@@ -99,7 +99,7 @@ def support_share(under: UnderSide, heights: HeightMap, candidates: Candidates, 
     1 is as good as the bare top; below 0 it tips. Distances are the smallest over some directions.
 
     Args:
-      rest: f32[N], from `let_down`.
+      rest: f32[N], from `lower_onto`.
     """
     below = heights.at(_cells(under, heights, candidates))
     touches = (rest[:, None] + under.bottom - below < _CONTACT_GAP) & under.is_column

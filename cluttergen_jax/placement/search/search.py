@@ -14,9 +14,9 @@ from cluttergen_jax.placement.region import Region, action_of_pose, is_inside, i
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.fit import (
     Candidates,
-    Fit,
+    LoweredFit,
     UnderSide,
-    let_down,
+    lower_onto,
     mean_under,
     support_share,
 )
@@ -49,7 +49,7 @@ class SearchConfig:
     num_finalists: int = 48
 
 
-class Look(struct.PyTreeNode):
+class CandidateScores(struct.PyTreeNode):
     """What is known of N candidates when they are ranked.
 
     Attributes:
@@ -60,26 +60,26 @@ class Look(struct.PyTreeNode):
       attempt: i32, attempts of this object that have failed.
     """
 
-    fit: Fit
+    fit: LoweredFit
     lift: Array
     support: Array
     crowd: Array
     attempt: Array
 
 
-class Shortlist(struct.PyTreeNode):
+class TopCandidates(struct.PyTreeNode):
     """The most promising poses of one search, M of them.
 
     Attributes:
       candidates: positions and turns, region frame.
-      look: what is known of them, wholly looked at.
+      scores: what is known of them, wholly looked at.
       cost: f32[M], what the search keeps low; at least FORBIDDEN for poses that would not count.
       action: f32[M, 4], the actions that propose them.
       heights: the scene that they were lowered onto.
     """
 
     candidates: Candidates
-    look: Look
+    scores: CandidateScores
     cost: Array
     action: Array
     heights: HeightMap
@@ -101,7 +101,7 @@ class Search(struct.PyTreeNode, eq=False):
         if self.mapper is None:
             object.__setattr__(self, "mapper", HeightMapper.of(self.rules.geometry, self.rules.region))
 
-    def cost(self, look: Look) -> Array:
+    def cost(self, scores: CandidateScores) -> Array:
         """f32[N]: what to keep low. Among equals the first is taken, which is a random one."""
         raise NotImplementedError
 
@@ -110,11 +110,11 @@ class Search(struct.PyTreeNode, eq=False):
         found = self.shortlist(key, episode)
         return found.action[jnp.argmin(found.cost)]
 
-    def shortlist(self, key: Array, episode: Episode) -> Shortlist:
+    def shortlist(self, key: Array, episode: Episode) -> TopCandidates:
         """The finalists of uniform candidates drawn with `key`."""
         return self.narrow(draw_candidates(key, episode.region, self.config.num_candidates), episode)
 
-    def narrow(self, candidates: Candidates, episode: Episode) -> Shortlist:
+    def narrow(self, candidates: Candidates, episode: Episode) -> TopCandidates:
         """The finalists among given candidates."""
         config = self.config
         focus, height_range = self.rules.focus(episode), self.rules.height_range(episode)
@@ -125,23 +125,23 @@ class Search(struct.PyTreeNode, eq=False):
         under = under_side(self.rules, focus)
         sparse = under.first(config.num_coarse)
 
-        def rank(candidates: Candidates, fit: Fit, support: Array) -> tuple[Look, Array]:
+        def rank(candidates: Candidates, fit: LoweredFit, support: Array) -> tuple[CandidateScores, Array]:
             crowd = mean_under(sparse, crowded, candidates)
-            look = Look(fit, fit.rest - bare_rest, support, crowd, episode.attempt)
+            scores = CandidateScores(fit, fit.rest - bare_rest, support, crowd, episode.attempt)
             is_allowed = self._is_allowed(episode, focus, candidates) & (fit.rest + CLEARANCE <= height_range)
-            cost = self.cost(look)
-            return look, jnp.where(is_allowed, cost, cost + FORBIDDEN)
+            cost = self.cost(scores)
+            return scores, jnp.where(is_allowed, cost, cost + FORBIDDEN)
 
-        fit = let_down(sparse, heights, candidates)
+        fit = lower_onto(sparse, heights, candidates)
         _, cost = rank(candidates, fit, jnp.ones_like(fit.rest))
         finalists = candidates.take(jax.lax.top_k(-cost, config.num_finalists)[1])
-        fit = let_down(under, heights, finalists)
-        look, cost = rank(finalists, fit, support_share(under, heights, finalists, fit.rest))
+        fit = lower_onto(under, heights, finalists)
+        scores, cost = rank(finalists, fit, support_share(under, heights, finalists, fit.rest))
         position = jnp.concatenate([finalists.xy, fit.rest[:, None] + CLEARANCE], axis=1)
         action = jax.vmap(action_of_pose, in_axes=(0, 0, None, None))(
             position, finalists.yaw, episode.region, height_range
         )
-        return Shortlist(finalists, look, cost, action, heights)
+        return TopCandidates(finalists, scores, cost, action, heights)
 
     def _is_allowed(self, episode: Episode, focus: Array, candidates: Candidates) -> Array:
         """bool[N]: where the object would count as inside and out of every keep-out box."""

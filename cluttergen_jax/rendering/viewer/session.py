@@ -17,7 +17,7 @@ from PIL import Image
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.placement.rollout.replay import Recording
 from cluttergen_jax.rendering.viewer.scene_nodes import SceneNodes
-from cluttergen_jax.rendering.viewer.source import Source
+from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.rendering.viewer.words import attempt_words, scene_words
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class SessionConfig:
       worker: reads and makes scenes, one after another for all browsers.
     """
 
-    source: Source
+    source: SceneSource
     methods: tuple[str, ...]
     first: int
     folder: Path

@@ -8,7 +8,7 @@ from typing import Protocol
 from cluttergen_jax.placement.rollout.replay import Recording
 
 
-class Source(Protocol):
+class SceneSource(Protocol):
     """Scenes to look at, by number, and new ones."""
 
     @property

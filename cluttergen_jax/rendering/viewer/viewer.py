@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.rendering.viewer.session import Session, SessionConfig
-from cluttergen_jax.rendering.viewer.source import Source
+from cluttergen_jax.rendering.viewer.source import SceneSource
 
 if TYPE_CHECKING:
     import viser
@@ -27,7 +27,7 @@ class Viewer:
       sessions: of the browsers that are there, by viser's number of the client.
     """
 
-    def __init__(self, source: Source, server: viser.ViserServer, first: int, folder: Path) -> None:
+    def __init__(self, source: SceneSource, server: viser.ViserServer, first: int, folder: Path) -> None:
         self.source, self.server = source, server
         self.sessions: dict[int, Session] = {}
         self._lock = threading.Lock()

@@ -17,7 +17,7 @@ from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.export.glb import glb_bytes
 from cluttergen_jax.scene.export.maniskill import maniskill_json
 from cluttergen_jax.scene.export.meshes import write_object_meshes, write_support_meshes
-from cluttergen_jax.scene.export.robosuite import object_xml, support_xml
+from cluttergen_jax.scene.export.robosuite import robosuite_xml, support_xml
 from cluttergen_jax.scene.export.scene_json import scene_json
 from cluttergen_jax.scene.export.sdf import sdf_text
 from cluttergen_jax.scene.export.urdf import object_urdf, support_urdf
@@ -158,7 +158,7 @@ _ALL = (
         "robosuite 1.5: import cluttergen_robosuite, then robosuite.make('ClutterGenScene', robots='Panda', "
         "scene='N').",
         "json",
-        _files(write_object_meshes, object_xml, "xml"),
+        _files(write_object_meshes, robosuite_xml, "xml"),
         _files(write_support_meshes, support_xml, "xml"),
         _written(partial(scene_json, ending="xml")),
         script="cluttergen_robosuite.py",
@@ -168,7 +168,7 @@ _ALL = (
         "LIBERO: import cluttergen_libero, then cluttergen_libero.make_env(N). python cluttergen_libero.py "
         "writes LIBERO's task descriptions and initial states.",
         "json",
-        _files(write_object_meshes, object_xml, "xml"),
+        _files(write_object_meshes, robosuite_xml, "xml"),
         _files(write_support_meshes, support_xml, "xml"),
         _written(partial(scene_json, ending="xml")),
         script="cluttergen_libero.py",

@@ -19,7 +19,7 @@ _COLLIDES, _DRAWN = "0", "1"
 """robosuite's geom groups."""
 
 
-def object_xml(asset: ObjectAsset, contact: ContactConfig) -> bytes:
+def robosuite_xml(asset: ObjectAsset, contact: ContactConfig) -> bytes:
     """A free object; robosuite adds the joint."""
     root, assets, body, shell = _model(asset.name)
     moments = np.asarray(asset.inertia)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]

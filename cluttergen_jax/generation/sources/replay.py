@@ -16,7 +16,7 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation.wiring import Method, Setup, make_setup
 from cluttergen_jax.learning.methods import checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
-from cluttergen_jax.placement.baselines import METHODS as BASELINES
+from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
@@ -31,7 +31,7 @@ COMPILING = "compiling, which takes about a minute the first time"
 
 
 @dataclass(frozen=True, eq=False)
-class Workshop:
+class ReplayContext:
     """A problem ready to be worked on by any method.
 
     Attributes:
@@ -67,7 +67,7 @@ class Workshop:
         return self._made[method, width]
 
 
-def workshop_of(bank: Bank) -> Workshop:
+def replay_context_of(bank: Bank) -> ReplayContext:
     """The problem that a bank's scenes solve, from the bank's own assets.
 
     Raises:
@@ -88,10 +88,10 @@ def workshop_of(bank: Bank) -> Workshop:
     setup = make_setup(config, keep_out, recipe.get("start"), (objects, bank.support))
     given = None if checkpoint is None else read_checkpoint(Path(checkpoint))
     trained = checkpoint_of(method, pool, given)
-    return Workshop(setup, {} if trained is None else {method: trained})
+    return ReplayContext(setup, {} if trained is None else {method: trained})
 
 
-def remade(bank: Bank, workshop: Workshop, index: int, stored: Recording) -> Recording:
+def replay(bank: Bank, context: ReplayContext, index: int, stored: Recording) -> Recording:
     """Scene number `index` of a bank with its attempts, made once more.
 
     Raises:
@@ -99,7 +99,7 @@ def remade(bank: Bank, workshop: Workshop, index: int, stored: Recording) -> Rec
     """
     recipe = bank.record["recipe"]
     width = int(recipe.get("block_size", BLOCK_SIZE))
-    recording = workshop.record(recipe["method"], int(recipe["seed"]), index, stored.title, width)
+    recording = context.record(recipe["method"], int(recipe["seed"]), index, stored.title, width)
     if not _equal(recording, stored):
         made = ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items())
         raise BankError(
