@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from manifold3d import Manifold
 
+from cluttergen_jax.assets.modeller import parts as part
+from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.draw import Rng, choose, hex_rgb, made, shade, vary
-from cluttergen_jax.assets.modeller.parts import disc_part
-from cluttergen_jax.assets.modeller.solids import difference, piece, revolve
 from cluttergen_jax.assets.shape import Shape
 
 BOTTLE_GLASS = tuple(hex_rgb(code) for code in ("2f5d3a", "6b3f1d", "1f3b2c", "7f9a4a", "2b4a6b"))
@@ -33,15 +33,15 @@ def bottle(rng: Rng = None) -> Shape:
         name="bottle",
         label="wine bottle",
         pieces=(
-            piece(revolve([(0.0, 0.0), *body, (0.0, height)]), shade(rng, BOTTLE_GLASS, 0.03)),
-            piece(foil, cap := shade(rng, CAPS, 0.03)),
-            piece(_sleeve(radius, low, high), PAPER),
-            piece(_sleeve(radius, low + 0.25 * (high - low), low + 0.45 * (high - low), 0.0008), cap),
+            cad.piece(cad.revolve([(0.0, 0.0), *body, (0.0, height)]), shade(rng, BOTTLE_GLASS, 0.03)),
+            cad.piece(foil, cap := shade(rng, CAPS, 0.03)),
+            cad.piece(_sleeve(radius, low, high), PAPER),
+            cad.piece(_sleeve(radius, low + 0.25 * (high - low), low + 0.45 * (high - low), 0.0008), cap),
         ),
         parts=(
-            disc_part([(radius, 0.0), (radius, shoulder)], 12, is_standing=True),
-            disc_part([(radius, shoulder - 0.002), curve[1], (neck, top)], 8),
-            disc_part([(neck, top - 0.002), (neck, height)], 8),
+            part.disc([(radius, 0.0), (radius, shoulder)], 12, is_standing=True),
+            part.disc([(radius, shoulder - 0.002), curve[1], (neck, top)], 8),
+            part.disc([(neck, top - 0.002), (neck, height)], 8),
         ),
         mass=vary(rng, 1.20, 0.1),
     )
@@ -61,12 +61,12 @@ def soup_can(rng: Rng = None) -> Shape:
     return made(
         name="soup_can",
         pieces=(
-            piece(revolve([(0.0, 0.0), *tin]), STEEL),
-            piece(_sleeve(radius, middle + band, high), color),
-            piece(_sleeve(radius, middle - band, middle + band), hex_rgb("d8b354")),
-            piece(_sleeve(radius, low, middle - band), PAPER),
+            cad.piece(cad.revolve([(0.0, 0.0), *tin]), STEEL),
+            cad.piece(_sleeve(radius, middle + band, high), color),
+            cad.piece(_sleeve(radius, middle - band, middle + band), hex_rgb("d8b354")),
+            cad.piece(_sleeve(radius, low, middle - band), PAPER),
         ),
-        parts=(disc_part([(radius + rim, 0.0), (radius + rim, height)], 12, is_standing=True),),
+        parts=(part.disc([(radius + rim, 0.0), (radius + rim, height)], 12, is_standing=True),),
         mass=vary(rng, 0.35, 0.2) * (radius / 0.034) ** 2,
     )
 
@@ -77,28 +77,30 @@ def jar(rng: Rng = None) -> Shape:
     lid, neck = vary(rng, 0.016), radius * vary(rng, 0.88, 0.06)
     shoulder = height - lid - 0.014
     outer = [(radius - 0.004, 0.0), (radius, 0.004), (radius, shoulder), (neck - 0.002, shoulder + 0.012)]
-    body = revolve([(0.0, 0.0), *outer, (neck - 0.002, height - 0.002), (0.0, height - 0.002)])
+    body = cad.revolve([(0.0, 0.0), *outer, (neck - 0.002, height - 0.002), (0.0, height - 0.002)])
     level = shoulder * (0.90 if rng is None else rng.uniform(0.82, 0.95))
     # The glass above the jam is a skin: a surface inside the body would count as a part of its outside.
     rising = [(radius, level), (radius, shoulder), (neck - 0.002, shoulder + 0.012)]
-    skin = revolve([(0.0, level), *((r + 0.0003, z) for r, z in rising), (0.0, shoulder + 0.012)])
+    skin = cad.revolve([(0.0, level), *((r + 0.0003, z) for r, z in rising), (0.0, shoulder + 0.012)])
     low, high = 0.24 * shoulder, 0.78 * shoulder
     ribs = [(neck + 0.0005 * (k % 2), height - lid + 0.002 + (lid - 0.005) * k / 8) for k in range(9)]
-    cap = revolve([(0.0, height - lid), (neck, height - lid), *ribs, (neck - 0.002, height), (0.0, height)])
+    cap = cad.revolve(
+        [(0.0, height - lid), (neck, height - lid), *ribs, (neck - 0.002, height), (0.0, height)]
+    )
     return made(
         name="jar",
         label="jar with a lid",
         pieces=(
-            piece(body, color := shade(rng, FILLINGS)),
-            piece(difference(skin, body), hex_rgb("dfeaea"), 0.6),
-            piece(difference(cap, body), choose(rng, LIDS)),
-            piece(_sleeve(radius, low, high), PAPER),
-            *(piece(_sleeve(radius, z, z + 0.0024, 0.0008), color) for z in (low + 0.004, high - 0.006)),
+            cad.piece(body, color := shade(rng, FILLINGS)),
+            cad.piece(cad.difference(skin, body), hex_rgb("dfeaea"), 0.6),
+            cad.piece(cad.difference(cap, body), choose(rng, LIDS)),
+            cad.piece(_sleeve(radius, low, high), PAPER),
+            *(cad.piece(_sleeve(radius, z, z + 0.0024, 0.0008), color) for z in (low + 0.004, high - 0.006)),
         ),
         parts=(
-            disc_part([(radius, 0.0), (radius, shoulder)], 12, is_standing=True),
-            disc_part([(radius, shoulder - 0.002), (neck, height - lid - 0.001)], 12),
-            disc_part([(neck, height - lid - 0.003), (neck, height)], 12),
+            part.disc([(radius, 0.0), (radius, shoulder)], 12, is_standing=True),
+            part.disc([(radius, shoulder - 0.002), (neck, height - lid - 0.001)], 12),
+            part.disc([(neck, height - lid - 0.003), (neck, height)], 12),
         ),
         mass=vary(rng, 0.45, 0.15) * (radius / 0.040) ** 2 * (height / 0.110),
     )
@@ -107,4 +109,4 @@ def jar(rng: Rng = None) -> Shape:
 def _sleeve(radius: float, low: float, high: float, thickness: float = 0.0005) -> Manifold:
     """A thin ring around a cylinder, such as a label; its foot lies just inside the surface."""
     inner, outer = radius - 0.0003, radius + thickness
-    return revolve([(inner, low), (outer, low), (outer, high), (inner, high)])
+    return cad.revolve([(inner, low), (outer, low), (outer, high), (inner, high)])

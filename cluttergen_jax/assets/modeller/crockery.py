@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made, shade, vary
-from cluttergen_jax.assets.modeller.solids import piece, revolve
 from cluttergen_jax.assets.modeller.vessel import Vessel
 from cluttergen_jax.assets.shape import Shape
 
@@ -30,7 +30,7 @@ def bowl(rng: Rng = None) -> Shape:
     return made(
         name="bowl",
         label="cereal bowl",
-        pieces=(piece(outside, shade(rng, GLAZES)), piece(lining, (0.96, 0.94, 0.90))),
+        pieces=(cad.piece(outside, shade(rng, GLAZES)), cad.piece(lining, (0.96, 0.94, 0.90))),
         parts=body.parts(8, cuts=(floor + 0.33 * (height - floor),)),
         cavity=body.cavity(),
         mass=vary(rng, 0.38, 0.15),
@@ -46,10 +46,15 @@ def dinner_plate(rng: Rng = None) -> Shape:
     body = Vessel([*outer, (radius - 0.001, height)], [*inner, (radius - 0.004, height)])
     near, far = 0.80 * radius, 0.93 * radius
     low, high = (np.interp(r, [p[0] for p in body.inner], [p[1] for p in body.inner]) for r in (near, far))
-    band = revolve([(near, low - 0.0010), (far, high - 0.0010), (far, high + 0.0003), (near, low + 0.0003)])
+    band = cad.revolve(
+        [(near, low - 0.0010), (far, high - 0.0010), (far, high + 0.0003), (near, low + 0.0003)]
+    )
     return made(
         name="dinner_plate",
-        pieces=(piece(body.solid() - band, shade(rng, PORCELAIN, 0.02)), piece(band, shade(rng, GLAZES))),
+        pieces=(
+            cad.piece(body.solid() - band, shade(rng, PORCELAIN, 0.02)),
+            cad.piece(band, shade(rng, GLAZES)),
+        ),
         parts=body.parts(10),
         cavity=body.cavity(),
         mass=vary(rng, 0.55, 0.2),

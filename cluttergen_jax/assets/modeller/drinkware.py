@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from cluttergen_jax.assets.modeller import parts as part
+from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.draw import Rng, choose, hex_rgb, made, shade, vary
-from cluttergen_jax.assets.modeller.parts import disc_part, swept_parts, thinned
-from cluttergen_jax.assets.modeller.solids import ellipse, piece, revolve, smooth_path, sweep, to_mesh, union
 from cluttergen_jax.assets.modeller.vessel import Vessel
 from cluttergen_jax.assets.shape import Cavity, Shape
 
@@ -25,16 +25,16 @@ def mug(rng: Rng = None) -> Shape:
     inner = [(foot - wall - 0.004, 0.006), (foot - wall, 0.010), (radius - wall, height - 0.0015)]
     body = Vessel([*outer, (radius - 0.0012, height)], [*inner, (radius - wall + 0.0012, height)])
     path = _handle_path(rng, body, height)
-    section = ellipse(vary(rng, 0.0068), vary(rng, 0.0038), 20)
+    section = cad.ellipse(vary(rng, 0.0068), vary(rng, 0.0038), 20)
     outside, lining = body.layers(0.0012)
-    outside = union(outside, sweep(path, section) - body.inside() - lining)
+    outside = cad.union(outside, cad.sweep(path, section) - body.inside() - lining)
     return made(
         name="mug",
         label="coffee mug",
-        pieces=(piece(outside, shade(rng, GLAZES)), piece(lining, (0.95, 0.93, 0.89))),
+        pieces=(cad.piece(outside, shade(rng, GLAZES)), cad.piece(lining, (0.95, 0.93, 0.89))),
         parts=(
             *body.parts(8),
-            *swept_parts(thinned(path, 4, 0.04), section[[1, 4, 6, 9, 11, 14, 16, 19]] * 1.04),
+            *part.sweep(part.thinned(path, 4, 0.04), section[[1, 4, 6, 9, 11, 14, 16, 19]] * 1.04),
         ),
         cavity=body.cavity(),
         mass=vary(rng, 0.33, 0.1),
@@ -53,7 +53,7 @@ def _handle_path(rng: Rng, body: Vessel, height: float) -> np.ndarray:
         (body.outer_radius(low) + 0.75 * reach, 0.0, low + 0.15 * drop),
         (body.outer_radius(low) - 0.003, 0.0, low - 0.02 * drop),
     ]
-    return smooth_path(knots, 24)
+    return cad.smooth_path(knots, 24)
 
 
 def water_glass(rng: Rng = None) -> Shape:
@@ -67,7 +67,7 @@ def water_glass(rng: Rng = None) -> Shape:
     body = Vessel(outer, inner)
     return made(
         name="water_glass",
-        pieces=(piece(body.solid(), shade(rng, GLASS), 0.5),),
+        pieces=(cad.piece(body.solid(), shade(rng, GLASS), 0.5),),
         parts=body.parts(8),
         cavity=body.cavity(),
         mass=vary(rng, 0.25, 0.15),
@@ -86,15 +86,15 @@ def wine_glass(rng: Rng = None) -> Shape:
     lower = [(foot, 0.0), (foot, 0.0022), (0.3 * foot, 0.0055), (radius, 0.014), (radius, stem)]
     body = Vessel([(0.35 * belly, base), *outside], [(0.3 * belly, base + 0.0035), *inside])
     profile = [(0.0, 0.0), *lower, *body.outer, *reversed(body.inner), (0.0, body.floor)]
-    cavity = revolve([(0.0, body.floor), *body.inner, (0.0, rim)])
+    cavity = cad.revolve([(0.0, body.floor), *body.inner, (0.0, rim)])
     return made(
         name="wine_glass",
-        pieces=(piece(revolve(profile), shade(rng, GLASS), 0.5),),
+        pieces=(cad.piece(cad.revolve(profile), shade(rng, GLASS), 0.5),),
         parts=(
-            disc_part([(foot, 0.0), (foot, 0.0022), (0.25 * foot, 0.0060)], 8, is_standing=True),
-            disc_part([(1.1 * radius, 0.004), (1.1 * radius, base + 0.001)], 6),
+            part.disc([(foot, 0.0), (foot, 0.0022), (0.25 * foot, 0.0060)], 8, is_standing=True),
+            part.disc([(1.1 * radius, 0.004), (1.1 * radius, base + 0.001)], 6),
             *body.parts(8, cuts=(wide,)),
         ),
-        cavity=Cavity(to_mesh(cavity), (0.0, 0.0, rim)),
+        cavity=Cavity(cad.to_mesh(cavity), (0.0, 0.0, rim)),
         mass=vary(rng, 0.16, 0.15),
     )

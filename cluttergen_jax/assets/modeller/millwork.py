@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from cluttergen_jax.assets.modeller import parts as part
+from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made, shade, vary
-from cluttergen_jax.assets.modeller.parts import disc_part
-from cluttergen_jax.assets.modeller.solids import piece, revolve, smooth_path
 from cluttergen_jax.assets.shape import Shape
 
 WOODS = tuple(hex_rgb(code) for code in ("8a4b25", "b9793f", "3b2417", "c8322b", "26282c", "ddb57a"))
@@ -22,22 +22,22 @@ def pepper_mill(rng: Rng = None) -> Shape:
     ball += [(0.75 * chest, head - 0.06 * depth), (0.30 * chest, head)]
     knob = [(0.30, 0.86), (0.36, 0.91), (0.42, 0.955), (0.24, 1.0)]
     knob = [(r * radius, z * height) for r, z in knob]
-    body = [(0.0, 0.0), (radius - 0.0015, 0.0), (radius, 0.0015), *smooth_path(knots, 24)]
+    body = [(0.0, 0.0), (radius - 0.0015, 0.0), (radius, 0.0015), *cad.smooth_path(knots, 24)]
     ring = [(0.70 * chest, neck), (0.76 * chest, neck), (0.76 * chest, crown), (0.70 * chest, crown)]
     low, high = (waist, 0.27 * height), (waist, 0.34 * height)
     steel = hex_rgb("c9ccd0")
     return made(
         name="pepper_mill",
         pieces=(
-            piece(revolve([*body, *smooth_path(ball, 20), (0.0, head)]), shade(rng, WOODS, 0.04)),
-            piece(revolve(ring), steel),
-            piece(revolve([(0.0, head), *smooth_path(knob, 14), (0.0, height)]), steel),
+            cad.piece(cad.revolve([*body, *cad.smooth_path(ball, 20), (0.0, head)]), shade(rng, WOODS, 0.04)),
+            cad.piece(cad.revolve(ring), steel),
+            cad.piece(cad.revolve([(0.0, head), *cad.smooth_path(knob, 14), (0.0, height)]), steel),
         ),
         parts=(
-            disc_part([(radius, 0.0), (radius, 0.055 * height), (waist, 0.28 * height)], 8, is_standing=True),
-            disc_part([low, high, (chest, 0.52 * height), (0.72 * chest, neck)], 8),
-            disc_part([(0.72 * chest, neck - 0.002), ball[2], (0.30 * chest, head)], 8),
-            disc_part([(0.30 * radius, head - 0.002), knob[2], knob[3]], 8),
+            part.disc([(radius, 0.0), (radius, 0.055 * height), (waist, 0.28 * height)], 8, is_standing=True),
+            part.disc([low, high, (chest, 0.52 * height), (0.72 * chest, neck)], 8),
+            part.disc([(0.72 * chest, neck - 0.002), ball[2], (0.30 * chest, head)], 8),
+            part.disc([(0.30 * radius, head - 0.002), knob[2], knob[3]], 8),
         ),
         mass=vary(rng, 0.24, 0.15) * (radius / 0.0275) ** 2 * (height / 0.185),
     )
