@@ -63,7 +63,7 @@ def test_the_axis_and_who_says_so(folder, tmp_path):
     # What is declared to lie on its x axis was once read as if z were up.
     assert size_of(plans["side"]) == [0.05, 0.07, 0.03]
     by_flag = planned(folder, options=ReadOptions(up="z"))["slab"]
-    assert (by_flag.up.axis, by_flag.up.reason) == ("z", "as --up says")
+    assert (by_flag.up.axis, by_flag.up.reason) == ("z", "as `up` says")
     assert size_of(by_flag) == [0.03, 0.05, 0.07]
 
 
