@@ -12,10 +12,14 @@ import numpy as np
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError, train_command
-from cluttergen_jax.evaluation.episodes import Outcome, attempts_of, run_episodes
-from cluttergen_jax.evaluation.resolved import ResolvedTrial, Resolver
-from cluttergen_jax.evaluation.row import arrays_of, figures_of
+from cluttergen_jax.evaluation.episodes import Outcome, arrays_of, attempts_of, figures_of, run_episodes
+from cluttergen_jax.evaluation.resolved import (
+    Checkpoints,
+    MissingCheckpointError,
+    ResolvedTrial,
+    Resolver,
+    train_command,
+)
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.methods import proposer_of, suited

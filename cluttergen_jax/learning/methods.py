@@ -11,8 +11,7 @@ from cluttergen_jax.config import VARIANTS
 from cluttergen_jax.errors import ConfigError, PoolError, closest
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
-from cluttergen_jax.learning.policies.filtered import FilteredPolicy
-from cluttergen_jax.learning.policies.policy import TrainedPolicy, load_policy
+from cluttergen_jax.learning.policies.policy import FilteredPolicy, TrainedPolicy, load_policy
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.placement.baselines import BASELINES, Clear, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig

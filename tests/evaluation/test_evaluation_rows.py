@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError
+from cluttergen_jax.evaluation.resolved import Checkpoints, MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial, key_of

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.checkpoints import MissingCheckpointError
-from cluttergen_jax.evaluation.episodes import width_of
-from cluttergen_jax.evaluation.row import LEAST_ATTEMPTS
+from cluttergen_jax.evaluation.episodes import LEAST_ATTEMPTS, width_of
+from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.study import Findings, Study
 from cluttergen_jax.evaluation.studies.table1 import one_pool

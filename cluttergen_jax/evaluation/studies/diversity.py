@@ -19,13 +19,13 @@ from cluttergen_jax.evaluation.measures.diversity import (
 )
 from cluttergen_jax.evaluation.measures.embedding import embed
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.scenes import Successes
 from cluttergen_jax.evaluation.studies.density import SIZES, table_sizes
 from cluttergen_jax.evaluation.studies.study import (
     Findings,
     Result,
     Scale,
     Study,
+    Successes,
     each_standing,
     grid,
     row_of,

@@ -14,13 +14,13 @@ from cluttergen_jax.evaluation.measures.contacts import contacts_of
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.measures.tilt import TiltConfig, tilt
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.scenes import Successes
 from cluttergen_jax.evaluation.studies import robustness
 from cluttergen_jax.evaluation.studies.study import (
     Findings,
     Result,
     Scale,
     Study,
+    Successes,
     each_standing,
     grid,
     of_methods,

@@ -11,13 +11,13 @@ from cluttergen_jax.evaluation.cells import Column, Row, asked, number, table_of
 from cluttergen_jax.evaluation.measures.relations import Relation, count_relations, relations
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.scenes import Successes
 from cluttergen_jax.evaluation.studies.contact_sheets import SAMPLES, sheet
 from cluttergen_jax.evaluation.studies.study import (
     Findings,
     Result,
     Scale,
     Study,
+    Successes,
     each_standing,
     of_methods,
     row_of,

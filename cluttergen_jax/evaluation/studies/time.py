@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.evaluation.cells import Column, asked, number, table_of
-from cluttergen_jax.evaluation.checkpoints import MissingCheckpointError
+from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.study import Findings, Result, Scale, Study, grid, row_of
 from cluttergen_jax.evaluation.trial import Trial

@@ -12,7 +12,6 @@ import optax
 from flax import struct
 from jax.sharding import Mesh
 
-from cluttergen_jax.learning.ppo.advantages import generalised_advantages
 from cluttergen_jax.learning.ppo.config import PPOConfig
 from cluttergen_jax.learning.ppo.sharding import each, spread
 from cluttergen_jax.placement.brax_env import Env, State
@@ -174,3 +173,27 @@ def all_finite(tree: Any) -> Array:
     """bool: whether every number of a tree of arrays is finite."""
     leaves = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
+
+
+def generalised_advantages(
+    reward: Array, value: Array, done: Array, last_value: Array, discount: float, gae_lambda: float
+) -> tuple[Array, Array]:
+    """Advantages and value targets.
+
+    Args:
+      reward, value, done: f32[T, N]; done is 1 where the step ended an episode.
+      last_value: f32[N], of the observation after the last step.
+
+    Returns:
+      f32[T, N] each: sum over l of (discount lambda)^l delta_{t + l}, and that plus the value.
+    """
+    following = jnp.concatenate([value[1:], last_value[None]])
+    delta = reward + discount * (1 - done) * following - value
+
+    def back(after: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        delta, done = now
+        advantage = delta + discount * gae_lambda * (1 - done) * after
+        return advantage, advantage
+
+    _, advantage = jax.lax.scan(back, jnp.zeros_like(last_value), (delta, done), reverse=True)
+    return advantage, advantage + value

@@ -21,9 +21,15 @@ from cluttergen_jax.learning.ppo.checkpoint import (
     save_policy,
     save_state,
 )
-from cluttergen_jax.learning.training.classifier import Classifier, ClassifierTrainer, FitState, turned
+from cluttergen_jax.learning.training.classifier import (
+    Classifier,
+    ClassifierTrainer,
+    FitState,
+    ShapeClouds,
+    make_clouds,
+    turned,
+)
 from cluttergen_jax.learning.training.interrupt import Interrupt
-from cluttergen_jax.learning.training.shapes import ShapeClouds, make_clouds
 from cluttergen_jax.progress import Progress
 
 

@@ -10,9 +10,9 @@ from typing import Any
 import jax
 
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.learning.agents import make_agent
+from cluttergen_jax.learning.agents import ENCODER, make_agent
 from cluttergen_jax.learning.networks.config import AgentConfig
-from cluttergen_jax.learning.ppo.checkpoint import has_state, read_state
+from cluttergen_jax.learning.ppo.checkpoint import has_state, read_policy, read_state
 from cluttergen_jax.learning.ppo.config import PPOConfig
 from cluttergen_jax.learning.ppo.ppo import PPO, TrainState
 from cluttergen_jax.learning.ppo.sharding import make_mesh
@@ -24,14 +24,13 @@ from cluttergen_jax.learning.training.distributed import (
     placed,
     shared,
 )
-from cluttergen_jax.learning.training.encoder_weights import with_encoder
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.memory import check_memory
 from cluttergen_jax.learning.training.run_logger import Evaluate, Logger, NullLogger, RunConfig, RunLogger
 from cluttergen_jax.learning.training.updates import Updates, num_updates
 from cluttergen_jax.placement.rules import Rules
 
-__all__ = ["DivergedError", "Run", "RunConfig"]
+_SET_ENCODER = "PointNet_0"
 
 
 class DivergedError(ClutterGenError):
@@ -184,3 +183,17 @@ class Run:
             hint=f"a smaller learning rate with another `out`; the last good state, after "
             f"{int(state.num_updates)} updates, is in {self.folder / 'last'}",
         )
+
+
+def with_encoder(params: Any, folder: Path) -> Any:
+    """A policy's parameters with the point encoders' weights from `folder`: of objects and of scenes alike.
+
+    Raises:
+      PoolError: the weights are missing, damaged, or of other sizes.
+    """
+    inner = dict(params["params"])
+    if ENCODER in inner:
+        inner[ENCODER] = {name: read_policy(folder, net) for name, net in inner[ENCODER].items()}
+    else:
+        inner[_SET_ENCODER] = read_policy(folder, inner[_SET_ENCODER])
+    return params | {"params": inner}

@@ -14,9 +14,15 @@ from tqdm import tqdm
 from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy, save_state
 from cluttergen_jax.learning.ppo.config import PPOConfig
 from cluttergen_jax.learning.ppo.ppo import TrainState
-from cluttergen_jax.learning.training.metrics_log import MetricsLog, Row, Sink, TensorBoard, draw_curve
+from cluttergen_jax.learning.training.metrics_log import (
+    MetricsLog,
+    Row,
+    Sink,
+    TensorBoard,
+    WandbLog,
+    draw_curve,
+)
 from cluttergen_jax.learning.training.updates import Figures
-from cluttergen_jax.learning.training.wandb_log import WandbLog
 from cluttergen_jax.progress import Progress
 
 Evaluation = dict[str, Any]
