@@ -37,7 +37,7 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
         for cores in dict.fromkeys((1, os.cpu_count() or 1)):
             runner.begin(f"time of {trial.title} on {cores} cores")
             order = {"trial": asdict(trial), "cores": cores, "engine": runner.engine}
-            order["checkpoint"] = None if checkpoint is None else str(checkpoint)
+            order["checkpoint"] = checkpoint and str(checkpoint.path)
             rows.append(row_of(trial, **_timed(order)))
     return Findings(rows)
 
