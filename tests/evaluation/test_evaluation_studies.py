@@ -15,7 +15,8 @@ from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.running import run_study
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.studies import furniture, table1, table2
-from cluttergen_jax.evaluation.studies.study import Findings, Scale, Study, each_standing, grid, row_of
+from cluttergen_jax.evaluation.studies.findings import Findings, each_standing, row_of
+from cluttergen_jax.evaluation.studies.study import Scale, Study, grid
 from cluttergen_jax.evaluation.studies.survival import SURVIVAL
 from cluttergen_jax.evaluation.suites import FORMER_NAMES, STUDIES, SUITES, find_suite
 from cluttergen_jax.evaluation.trial import Trial

@@ -11,7 +11,8 @@ from cluttergen_jax.evaluation.cells import HEAD, Column, Row, table_of
 from cluttergen_jax.evaluation.measures.acceptance import Bias, acceptance_bias
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies import diversity
-from cluttergen_jax.evaluation.studies.study import Findings, Result, Study, each_standing, row_of
+from cluttergen_jax.evaluation.studies.findings import Findings, each_standing, row_of
+from cluttergen_jax.evaluation.studies.study import Result, Study
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.tables import Table
 

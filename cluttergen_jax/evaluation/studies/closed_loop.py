@@ -11,7 +11,8 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.episodes import LEAST_ATTEMPTS, width_of
 from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.studies.study import Findings, Study
+from cluttergen_jax.evaluation.studies.findings import Findings
+from cluttergen_jax.evaluation.studies.study import Study
 from cluttergen_jax.evaluation.studies.table1 import one_pool
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.rollout.record import Recorder

@@ -11,7 +11,7 @@ import numpy as np
 
 from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.studies.study import Findings, Successes, successes_of
+from cluttergen_jax.evaluation.studies.findings import Findings, Successes, successes_of
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.rollout.record import rectangle_of
 from cluttergen_jax.rendering.assets import close_points

@@ -12,16 +12,8 @@ from cluttergen_jax.evaluation.measures.relations import Relation, count_relatio
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.contact_sheets import SAMPLES, sheet
-from cluttergen_jax.evaluation.studies.study import (
-    Findings,
-    Result,
-    Scale,
-    Study,
-    Successes,
-    each_standing,
-    of_methods,
-    row_of,
-)
+from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
+from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, of_methods
 from cluttergen_jax.evaluation.studies.table1 import first_seed
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.rendering.assets import render_scene

@@ -14,15 +14,8 @@ from cluttergen_jax.evaluation.measures.robustness import CREEP_SECONDS, creep, 
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.diversity import scenes_of
-from cluttergen_jax.evaluation.studies.study import (
-    Findings,
-    Result,
-    Scale,
-    Study,
-    Successes,
-    each_standing,
-    row_of,
-)
+from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
+from cluttergen_jax.evaluation.studies.study import Result, Scale, Study
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.proportions import finite, proportion
 from cluttergen_jax.tables import Table

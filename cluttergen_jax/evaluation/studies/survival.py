@@ -16,15 +16,8 @@ from cluttergen_jax.evaluation.measures.survival import PEERS, SURVIVAL_SECONDS,
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies import margin, robustness
 from cluttergen_jax.evaluation.studies.diversity import TIGHT
-from cluttergen_jax.evaluation.studies.study import (
-    Findings,
-    Result,
-    Scale,
-    Study,
-    Successes,
-    each_standing,
-    row_of,
-)
+from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
+from cluttergen_jax.evaluation.studies.study import Result, Scale, Study
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.proportions import finite, proportion
 from cluttergen_jax.tables import Table

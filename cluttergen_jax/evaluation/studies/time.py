@@ -14,7 +14,8 @@ from typing import Any
 from cluttergen_jax.evaluation.cells import Column, asked, number, table_of
 from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.studies.study import Findings, Result, Scale, Study, grid, row_of
+from cluttergen_jax.evaluation.studies.findings import Findings, row_of
+from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.methods import METHODS
 from cluttergen_jax.tables import Table

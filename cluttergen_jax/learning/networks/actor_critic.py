@@ -11,8 +11,7 @@ import jax.numpy as jnp
 
 from cluttergen_jax.learning.networks.config import MIXTURE, NetworkConfig
 from cluttergen_jax.learning.networks.distributions import EDGE, HEADS, ActionDistribution, Mixture
-from cluttergen_jax.learning.networks.points import LENGTH_SCALE, MLP, PointNet
-from cluttergen_jax.learning.networks.set_encoder import SetEncoder
+from cluttergen_jax.learning.networks.encoders import LENGTH_SCALE, MLP, PointNet, SetEncoder
 from cluttergen_jax.placement.clouds import BARE
 from cluttergen_jax.types import Array
 

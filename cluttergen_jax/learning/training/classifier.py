@@ -18,7 +18,7 @@ from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.modeller.catalog import make_shape
 from cluttergen_jax.learning.networks.cloud_encoder import CloudNet, first_centroids
 from cluttergen_jax.learning.networks.config import NetworkConfig
-from cluttergen_jax.learning.networks.points import PointNet
+from cluttergen_jax.learning.networks.encoders import PointNet
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.types import Array
 
