@@ -1,4 +1,4 @@
-"""Runs trials and keeps their rows: worlds, what is compiled and what trials name are made once."""
+"""The runner of trials: makes and keeps their rows, with worlds and compiled programs made once."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Runner:
         """The trial's row: from disk, or made now.
 
         Returns:
-          `trial`, `sources`, `policy` and `figures` (`row.figures_of`; `paper` among them is the looser
+          `trial`, `sources`, `policy` and `figures` (`episodes.figures_of`; `paper` among them is the looser
           count); or `trial`, `missing` and `hint` if its checkpoint is missing.
         """
         known = self.stored_row(trial)
@@ -134,7 +134,7 @@ class Runner:
         self.say(f"[{self._num_done} of {self._num_rows} rows, {self.progress.times()}] {title}: {text}")
 
     def arrays(self, trial: Trial) -> dict[str, np.ndarray]:
-        """The scenes and attempts of a trial (`row.arrays_of`), made now if they are not there.
+        """The scenes and attempts of a trial (`episodes.arrays_of`), made now if they are not there.
 
         Raises:
           MissingCheckpointError: its policy has not been trained.

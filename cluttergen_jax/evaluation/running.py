@@ -1,4 +1,4 @@
-"""Runs suites and their studies: trials, measures, pictures; the result of a study is plain JSON."""
+"""Runs of suites and their studies: trials, measures, pictures; a result is plain JSON."""
 
 from __future__ import annotations
 

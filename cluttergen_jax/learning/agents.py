@@ -11,13 +11,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from cluttergen_jax.learning.networks import cloud_encoder
 from cluttergen_jax.learning.networks.actor_critic import ActorCritic
-from cluttergen_jax.learning.networks.cloud_encoder import (
-    CloudEncoder,
-    encode_objects,
-    encode_scenes,
-    init_encoder,
-)
 from cluttergen_jax.learning.networks.config import AgentConfig, NetworkConfig
 from cluttergen_jax.learning.networks.distributions import ActionDistribution
 from cluttergen_jax.learning.networks.footprint import FootprintFeatures
@@ -101,9 +96,9 @@ class PoseAgent(Agent, eq=False):
         return ActorCritic(self.config, self.max_objects)
 
     @property
-    def encoder(self) -> CloudEncoder:
+    def encoder(self) -> cloud_encoder.CloudEncoder:
         """The networks on clouds, if there are any."""
-        return CloudEncoder(self.config, self.max_objects)
+        return cloud_encoder.CloudEncoder(self.config, self.max_objects)
 
     def _footprints(self) -> FootprintFeatures:
         config = self.config
@@ -127,7 +122,7 @@ class PoseAgent(Agent, eq=False):
         size = self.config.scene_features + self.config.object_features
         blank |= {"encoded": jnp.zeros((1, size))}
         params = jax.jit(self.network.init)(key, self.cloud, self.half_extents, blank)["params"]
-        weights = init_encoder(self.encoder, key_encoder, self.cloud, self.half_extents)
+        weights = cloud_encoder.init_encoder(self.encoder, key_encoder, self.cloud, self.half_extents)
         return {"params": params | {ENCODER: weights}}
 
     def apply(self, params: Params, observation: Any) -> tuple[ActionDistribution, Array]:
@@ -155,10 +150,10 @@ class PoseAgent(Agent, eq=False):
     def _encode(self, params: Params) -> Callable[[Any], Any]:
         weights = params["params"][ENCODER]
         weights = jax.lax.stop_gradient(weights) if self.config.encoder_frozen else weights
-        objects = encode_objects(self.encoder, weights, self.cloud, self.half_extents)
+        objects = cloud_encoder.encode_objects(self.encoder, weights, self.cloud, self.half_extents)
 
         def encode(observation: Any) -> Any:
-            scenes = encode_scenes(self.encoder, weights, self.cloud, observation)
+            scenes = cloud_encoder.encode_scenes(self.encoder, weights, self.cloud, observation)
             return observation | {
                 "encoded": jnp.concatenate([scenes, objects[observation["focus"]]], axis=-1)
             }

@@ -16,8 +16,7 @@ from cluttergen_jax.learning.networks import cloud_encoder, pointnet2
 from cluttergen_jax.learning.networks.actor_critic import NetworkConfig
 from cluttergen_jax.learning.networks.cloud_encoder import CloudEncoder, CloudNet, encode_scenes, init_encoder
 from cluttergen_jax.learning.networks.pointnet2 import PointNet2, SetAbstraction, ball_query, farthest_points
-from cluttergen_jax.learning.ppo.config import PPOConfig
-from cluttergen_jax.learning.ppo.ppo import PPO
+from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig
 from cluttergen_jax.placement.clouds import CloudLayout, even_points, scene_cloud
 from cluttergen_jax.placement.env import PlacementEnv
 from tests.helpers.problems import made_up_rules

@@ -1,4 +1,4 @@
-"""How different a method's scenes are: no reference set is needed.
+"""Diversity measures of a method's scenes: no reference set is needed.
 
 Every one of these figures depends on how many scenes there are. Between methods only figures at equal counts
 may be compared: `at_equal_count` draws as many scenes from each.

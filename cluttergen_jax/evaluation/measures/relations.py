@@ -124,17 +124,12 @@ def _up(quaternions: np.ndarray) -> np.ndarray:
     return rotate(np, conjugate(unit), np.tile([0.0, 0.0, 1.0], (len(unit), 1)))
 
 
-@lru_cache(maxsize=256)
-def _vessel(asset: ObjectAsset) -> Hollow | None:
-    return vessel_of(asset)
-
-
 def _inside(objects: Sequence[ObjectAsset], poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:
     """bool[K, K]: a quarter of i's surface lies in the hollow of j, which is upright."""
     result = np.zeros((len(objects), len(objects)), bool)
     placed = np.flatnonzero(is_placed).tolist()
     for j in placed:
-        vessel = _vessel(objects[j])
+        vessel = vessel_of(objects[j])
         up = rotate(np, poses[j, 3:], np.array([0.0, 0.0, 1.0]))[2]
         if vessel is None or up < np.cos(MAX_VESSEL_TILT):
             continue
@@ -191,6 +186,7 @@ class Hollow:
         return self._tree.query(points, p=np.inf, distance_upper_bound=self._reach)[0] <= self._reach
 
 
+@lru_cache(maxsize=256)
 def vessel_of(asset: ObjectAsset) -> Hollow | None:
     """An object's hollow, or None if it has none.
 

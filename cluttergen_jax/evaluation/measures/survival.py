@@ -1,4 +1,4 @@
-"""Survival elsewhere: finished scenes in another engine, with the same hulls, masses and friction."""
+"""Survival of finished scenes in another physics engine, with the same hulls, masses and friction."""
 
 from __future__ import annotations
 

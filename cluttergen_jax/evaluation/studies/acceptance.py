@@ -1,4 +1,4 @@
-"""What passes less often than it is proposed."""
+"""Acceptance bias of a method: what passes less often than it is proposed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One object on a crowded table: its failed attempts, until it stands."""
+"""Picture of closed-loop placement: one object's failed attempts on a crowded table, until it stands."""
 
 from __future__ import annotations
 

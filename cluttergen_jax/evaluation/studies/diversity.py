@@ -1,4 +1,4 @@
-"""How different the scenes of a method are."""
+"""Diversity of a method's scenes: evenness of positions, distances between scenes, Vendi score."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where each object lies: plan views of the scenes of several methods side by side."""
+"""Diversity maps: where each object lies, plan views of the scenes of several methods side by side."""
 
 from __future__ import annotations
 

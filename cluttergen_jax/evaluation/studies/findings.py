@@ -27,7 +27,7 @@ class Successes:
       world: the trial's; region: its queried region before any change.
       index: i64[N], which of the trial's scenes they are.
       poses: f64[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
-      arrays: everything that was stored (`row.arrays_of`), failures included.
+      arrays: everything that was stored (`episodes.arrays_of`), failures included.
     """
 
     world: World

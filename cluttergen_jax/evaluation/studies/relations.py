@@ -1,4 +1,4 @@
-"""How often objects stand on, in, under or against one another, although nobody asked for it."""
+"""Relations between objects that nobody asked for: on, in, under, leaning against one another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What becomes of finished scenes: creep over 1, 10 and 60 s, shaking, and changed physics."""
+"""Robustness of finished scenes: creep over 1, 10 and 60 s, shaking, and changed physics."""
 
 from __future__ import annotations
 

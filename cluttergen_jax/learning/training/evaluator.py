@@ -1,4 +1,4 @@
-"""How good a policy is while it is trained: the whole last check over fresh episodes."""
+"""Evaluation of a policy in training: success by the whole last check over fresh episodes."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ PROJECT = "cluttergen"
 
 
 class WandbLog:
-    """A `metrics_log.Sink` that sends every row to Weights & Biases.
+    """A `Sink` that sends every row to Weights & Biases.
 
     A run that is taken up again goes on where it was: its id is made from its folder.
 
@@ -171,9 +171,9 @@ class WandbLog:
         )
 
     def add(self, row: Row, group: str) -> None:
-        """See `metrics_log.Sink.add`; the step is the number of attempts."""
+        """See `Sink.add`; the step is the number of attempts."""
         self._run.log({group + name: value for name, value in row.items()}, step=int(row["attempts"]))
 
     def close(self) -> None:
-        """See `metrics_log.Sink.close`."""
+        """See `Sink.close`."""
         self._run.finish()

@@ -11,7 +11,7 @@ from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.learning.networks.config import AgentConfig, NetworkConfig
 from cluttergen_jax.learning.networks.ranking import RankerConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.learning.ppo.ppo import PPOConfig
 from cluttergen_jax.placement.config import PlacementConfig
 
 

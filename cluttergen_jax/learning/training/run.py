@@ -13,8 +13,7 @@ from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.learning.agents import ENCODER, make_agent
 from cluttergen_jax.learning.networks.config import AgentConfig
 from cluttergen_jax.learning.ppo.checkpoint import has_state, read_policy, read_state
-from cluttergen_jax.learning.ppo.config import PPOConfig
-from cluttergen_jax.learning.ppo.ppo import PPO, TrainState
+from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig, TrainState
 from cluttergen_jax.learning.ppo.sharding import make_mesh
 from cluttergen_jax.learning.training import distributed
 from cluttergen_jax.learning.training.interrupt import Interrupt

@@ -12,16 +12,8 @@ import numpy as np
 from tqdm import tqdm
 
 from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy, save_state
-from cluttergen_jax.learning.ppo.config import PPOConfig
-from cluttergen_jax.learning.ppo.ppo import TrainState
-from cluttergen_jax.learning.training.metrics_log import (
-    MetricsLog,
-    Row,
-    Sink,
-    TensorBoard,
-    WandbLog,
-    draw_curve,
-)
+from cluttergen_jax.learning.ppo.ppo import PPOConfig, TrainState
+from cluttergen_jax.learning.training import metrics_log
 from cluttergen_jax.learning.training.updates import Figures
 from cluttergen_jax.progress import Progress
 
@@ -88,13 +80,13 @@ class RunLogger:
         self._batch, self._window = ppo.batch_size, config.window
         self._total, self._first = ppo.num_updates * ppo.batch_size, first * ppo.batch_size
         self._progress: Progress | None = None
-        self._sinks: list[Sink] = [TensorBoard(folder)]
+        self._sinks: list[metrics_log.Sink] = [metrics_log.TensorBoard(folder)]
         if config.wandb:
-            self._sinks.append(WandbLog(folder, recipe))
-        self._updates = MetricsLog(folder / "progress.csv", first, self._sinks)
+            self._sinks.append(metrics_log.WandbLog(folder, recipe))
+        self._updates = metrics_log.MetricsLog(folder / "progress.csv", first, self._sinks)
         # An evaluation is of the weights after so many updates; that of the present ones stays.
         evaluations = folder / "evaluations.csv"
-        self._evaluations = MetricsLog(evaluations, first + 1, self._sinks, group="evaluation/")
+        self._evaluations = metrics_log.MetricsLog(evaluations, first + 1, self._sinks, group="evaluation/")
         best = folder / "best"
         self._best = float(read_record(best)["success"]) if (best / "record.json").exists() else -1.0
 
@@ -136,7 +128,7 @@ class RunLogger:
             return
         known = {"evaluation": self._beside(evaluation)} if evaluation else {}
         self._save("policy", state, {"success": rows[-1]["success"], **known})
-        draw_curve(rows, self._folder / "curve.png", self._folder.name, self._evaluations.rows)
+        metrics_log.draw_curve(rows, self._folder / "curve.png", self._folder.name, self._evaluations.rows)
 
     @property
     def is_evaluated(self) -> bool:
@@ -202,12 +194,12 @@ class NullLogger:
 Logger = RunLogger | NullLogger
 
 
-def _row(number: int, batch_size: int, figures: Figures, seconds: float) -> Row:
+def _row(number: int, batch_size: int, figures: Figures, seconds: float) -> metrics_log.Row:
     row = {name.removeprefix("env/"): float(value) for name, value in figures.items() if name != "env/reward"}
     attempts = (number + 1) * batch_size
     return {"update": number, "attempts": attempts, "attempts_per_second": batch_size / seconds, **row}
 
 
-def _note(row: Row) -> str:
+def _note(row: metrics_log.Row) -> str:
     """The figures that stand beside the bar."""
     return "  ".join(f"{label} {row[name]:{form}}" for label, name, form in _SHOWN if name in row)
