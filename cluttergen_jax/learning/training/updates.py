@@ -1,4 +1,4 @@
-"""Compiled updates: one program makes as many as it is asked for, bit for bit the same in calls of any length."""
+"""Compiled updates: one program makes as many as asked for, bit for bit the same in calls of any length."""
 
 from __future__ import annotations
 
