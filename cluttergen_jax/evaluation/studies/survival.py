@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -78,20 +79,11 @@ def tables(result: Result) -> list[Table]:
 
 
 SURVIVAL = Study(
-    "survival",
-    "The same scenes in another engine",
-    64,
-    robustness.trials,
-    tables,
-    measure,
-    keeps_each=True,
+    "survival", "The same scenes in another engine", 64, robustness.trials, tables, measure, keeps_each=True
 )
-MARGIN_SURVIVAL = Study(
-    "margin_survival",
-    "What a support margin does for survival in another engine",
-    64,
-    of_margins,
-    tables,
-    measure,
-    keeps_each=True,
+MARGIN_SURVIVAL = replace(
+    SURVIVAL,
+    name="margin_survival",
+    title="What a support margin does for survival in another engine",
+    trials=of_margins,
 )
