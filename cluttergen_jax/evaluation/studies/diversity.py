@@ -10,7 +10,6 @@ import numpy as np
 
 from cluttergen_jax.evaluation.cells import HEAD, Column, Row, number, table_of
 from cluttergen_jax.evaluation.measures import diversity as measures
-from cluttergen_jax.evaluation.measures.embedding import embed
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.density import SIZES, table_sizes
 from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
@@ -51,7 +50,7 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
 
 def _figures(scenes: Successes, count: int) -> dict[str, Any]:
     world, region = scenes.world, scenes.region
-    vectors = embed(world.objects, scenes.poses, scenes.is_placed, region, world.support.top)
+    vectors = measures.embed(world.objects, scenes.poses, scenes.is_placed, region, world.support.top)
 
     def mean(figure: Callable[[np.ndarray], float]) -> float | None:
         return finite(measures.at_equal_count(figure, len(scenes), count)[0])
