@@ -12,8 +12,7 @@ from cluttergen_jax.importing import cache, run
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
 from cluttergen_jax.importing.readers.axes import AXES, turn_of
-from cluttergen_jax.importing.run import ImportConfig, import_sources
-from cluttergen_jax.importing.worker import ObjectConfig
+from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
 
 SIZE = (0.03, 0.05, 0.07)
 QUICK = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
