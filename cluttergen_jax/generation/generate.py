@@ -25,7 +25,7 @@ from cluttergen_jax.generation.wiring import (
     make_setup,
     problem_config,
 )
-from cluttergen_jax.learning.methods import FILTERED, checkpoint_hash, suited
+from cluttergen_jax.learning.methods import FILTERED, suited
 from cluttergen_jax.placement.config import MIN_MARGIN, placement_record
 from cluttergen_jax.placement.problem import Problem, crowding
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
@@ -184,7 +184,7 @@ def recipe_of(problem: Problem, method: Method) -> dict[str, Any]:
         "placement": placement_record(problem.config.placement),
         "region": dataclasses.asdict(problem.region),
         "method": method.name,
-        "checkpoint_hash": None if method.checkpoint is None else checkpoint_hash(method.checkpoint.path),
+        "checkpoint_hash": method.checkpoint and method.checkpoint.hash,
         "block_size": BLOCK_SIZE,
         "names": problem.world.names,
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax")},
