@@ -18,12 +18,12 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.rendering.assets import render_scene
-from cluttergen_jax.rendering.camera import View
+from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import gl_context
-from cluttergen_jax.scene.export import export_scenes
-from tests.assets.test_textures import assert_upright
 from tests.helpers import textured
-from tests.rendering.test_render import needs_gl
+from tests.helpers.drawing import needs_gl
+from tests.helpers.exports import exporter
+from tests.helpers.textured import assert_upright
 
 PEERS = Path(__file__).parents[1] / "peers"
 
@@ -36,15 +36,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def folder_of(scene, tmp_path_factory):
-    """The scene exported in a format, each made once."""
-    made = {}
-
-    def make(format):
-        if format not in made:
-            made[format] = export_scenes([scene], tmp_path_factory.mktemp("out") / format, format)
-        return made[format]
-
-    return make
+    return exporter(scene, tmp_path_factory)
 
 
 def assert_colours(pixels, center, step):
@@ -124,7 +116,7 @@ def test_robosuites_models_show_the_image_upright(format, folder_of):
 def test_own_pictures_show_the_image_upright():
     asset = textured.asset()
     pose = np.array([[0, 0, 0.015, 1, 0, 0, 0]])
-    view = View(azimuth=90, elevation=-90)
+    view = CameraView(azimuth=90, elevation=-90)
     picture = render_scene([asset], pose, None, camera=view, close=True, width=200, height=200, samples=1)
     assert_colours(picture, (100, 100), 30)
 
