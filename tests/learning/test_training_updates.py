@@ -11,7 +11,8 @@ from cluttergen_jax.learning.ppo.checkpoint import read_record, read_state
 from cluttergen_jax.learning.training.run import DivergedError
 from cluttergen_jax.learning.training.updates import Updates, num_updates
 from tests.helpers.probes import Bandit, Tiny, learner
-from tests.helpers.runs import compiled_once, make_run, same_bits
+from tests.helpers.runs import compiled_once, make_run
+from tests.helpers.trees import same_bits
 
 __all__ = ["compiled_once"]
 
@@ -85,7 +86,7 @@ def test_an_update_that_is_not_finite_is_the_last_and_its_place_is_named(sick, i
     assert len(rows) == 1
     assert int(after.num_updates) == 1
     found = updates.where_not_finite(ill(state, illness), len(rows))
-    assert found.startswith(f"{where} (agent/ppo.py:")
+    assert found.startswith(f"{where} (learning/ppo/ppo.py:")
     assert not jax.config.jax_debug_nans
 
 
