@@ -23,7 +23,7 @@ from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.importing.cache import source_digest
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, find_sources, read_source, survey
-from cluttergen_jax.importing.support_import import support_from_mesh
+from cluttergen_jax.importing.supports import support_from_mesh
 from cluttergen_jax.rendering.viewer.scene_nodes import textured_mesh
 from cluttergen_jax.scene.bank.bank import read_bank
 from cluttergen_jax.scene.bank.writer import BankWriter
