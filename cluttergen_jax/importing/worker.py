@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from cluttergen_jax.assets.body import BodyConfig
+from cluttergen_jax.assets.config import NUM_TRIALS
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, read_shape
-from cluttergen_jax.importing.solo import NUM_TRIALS, measured_object
+from cluttergen_jax.importing.solo import measured_object
 from cluttergen_jax.physics.log import silent_log
 
 
