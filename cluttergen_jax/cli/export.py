@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 from tyro.conf import Positional
 
 from cluttergen_jax.api.export import export
@@ -18,6 +20,9 @@ class Export(Options):
     def run(self) -> int:
         """Runs the command; the exit status."""
         from cluttergen_jax.scene.export import FORMATS
+        from cluttergen_jax.scene.export.manifest import MANIFEST
 
-        print(f"{self.call(export)}: open with {FORMATS[self.format].opens_in}")
+        folder = self.call(export)
+        scenes = json.loads((folder / MANIFEST).read_text())["scenes"]
+        print(f"{len(scenes)} scenes in {folder}: open with {FORMATS[self.format].opens_in}")
         return 0
