@@ -44,14 +44,16 @@ class Options:
           ConfigError: such an option was given.
         """
         taken = inspect.signature(function).parameters
-        options = {field.name: field for field in dataclasses.fields(self)}  # type: ignore[arg-type]
-        defaults = {name: field.default for name, field in options.items()}
-        useless = set(options) - set(taken) - set(ignored)
-        given = [name for name in options if name in useless and getattr(self, name) != defaults[name]]
-        if given:
-            flags = ", ".join(f"--{FLAGS.get(name, name).replace('_', '-')}" for name in given)
-            raise ConfigError(f"{flags} {where}", hint=hint)
-        return function(**{name: getattr(self, name) for name in options if name in taken} | changes)
+        defaults = {field.name: field.default for field in dataclasses.fields(self)}  # type: ignore[arg-type]
+        given = {name: getattr(self, name) for name in defaults}
+        useless = [
+            f"--{FLAGS.get(name, name).replace('_', '-')}"
+            for name, value in given.items()
+            if name not in (*taken, *ignored) and value != defaults[name]
+        ]
+        if useless:
+            raise ConfigError(f"{', '.join(useless)} {where}", hint=hint)
+        return function(**{name: value for name, value in given.items() if name in taken} | changes)
 
 
 def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type], Any]:
