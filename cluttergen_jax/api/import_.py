@@ -70,8 +70,7 @@ def import_pool(
     """
     from cluttergen_jax.assets.body import BodyConfig
     from cluttergen_jax.importing.readers import ReadOptions
-    from cluttergen_jax.importing.run import ImportConfig, import_sources
-    from cluttergen_jax.importing.worker import ObjectConfig
+    from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
 
     read = ReadOptions(
         scale=scale,
@@ -120,7 +119,7 @@ def import_support(
         not set.
     """
     from cluttergen_jax.importing.readers import ReadOptions
-    from cluttergen_jax.importing.table import write_table
+    from cluttergen_jax.importing.supports import write_table
 
     options = ReadOptions(
         scale=scale,
