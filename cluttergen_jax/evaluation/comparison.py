@@ -11,7 +11,7 @@ from typing import Any
 
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.evaluation.cells import SPEED, Column, Row, asked, number, share, share_of, table_of
-from cluttergen_jax.evaluation.checkpoints import Checkpoints
+from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store, json_bytes
 from cluttergen_jax.evaluation.trial import Trial

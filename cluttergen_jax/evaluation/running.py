@@ -1,4 +1,4 @@
-"""Runs suites and their studies: trials, measures, pictures; the result of a study is plain JSON."""
+"""Runs of suites and their studies: trials, measures, pictures; a result is plain JSON."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import find_pool, list_pools
-from cluttergen_jax.evaluation.checkpoints import MissingCheckpointError
-from cluttergen_jax.evaluation.document import document
 from cluttergen_jax.evaluation.machine import machine
-from cluttergen_jax.evaluation.published import IMPORTED, OBJECTS
-from cluttergen_jax.evaluation.report import write_report
+from cluttergen_jax.evaluation.report import document, write_report
+from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import FORMAT
 from cluttergen_jax.evaluation.studies.study import Measure, Result, Scale, Study
+from cluttergen_jax.evaluation.studies.table1 import IMPORTED, OBJECTS
 from cluttergen_jax.evaluation.suites import FORMER_NAMES, PlannedStudy
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import inside, write_atomically

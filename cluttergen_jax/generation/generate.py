@@ -15,7 +15,7 @@ import numpy as np
 from cluttergen_jax.files import writing
 from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.generation.wiring import Method, Setup
-from cluttergen_jax.learning.methods import FILTERED, checkpoint_hash
+from cluttergen_jax.learning.methods import FILTERED
 from cluttergen_jax.placement.config import placement_record
 from cluttergen_jax.placement.problem import Problem, crowding
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
@@ -101,7 +101,7 @@ def recipe_of(problem: Problem, method: Method) -> dict[str, Any]:
         "placement": placement_record(problem.config.placement),
         "region": dataclasses.asdict(problem.region),
         "method": method.name,
-        "checkpoint_hash": None if method.checkpoint is None else checkpoint_hash(method.checkpoint.path),
+        "checkpoint_hash": method.checkpoint and method.checkpoint.hash,
         "block_size": BLOCK_SIZE,
         "names": problem.world.names,
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax")},
