@@ -21,15 +21,24 @@ What a command does, one function does, with the same defaults:
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from cluttergen_jax.api.certify import certify
+from cluttergen_jax.api.evaluate import evaluate, evaluate_suite
+from cluttergen_jax.api.export import export
+from cluttergen_jax.api.generate import generate
+from cluttergen_jax.api.hub import pull_bank, push_bank
+from cluttergen_jax.api.import_ import import_pool, import_support
+from cluttergen_jax.api.pretrain import pretrain
+from cluttergen_jax.api.render import render
+from cluttergen_jax.api.train import train, train_suite
+from cluttergen_jax.api.verify import verify
+from cluttergen_jax.api.view import view
+
 if TYPE_CHECKING:
     from cluttergen_jax.assets.pool import find_pool as load_pool
     from cluttergen_jax.assets.pool import list_pools, remove_pool
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.assets.support_file import find_support as load_support
     from cluttergen_jax.assets.support_file import list_supports
-    from cluttergen_jax.evaluation.certify import certify
-    from cluttergen_jax.evaluation.comparison import evaluate
-    from cluttergen_jax.evaluation.running import evaluate_suite
     from cluttergen_jax.generation import (
         SampledScene,
         Sampler,
@@ -40,21 +49,10 @@ if TYPE_CHECKING:
         make_sampler,
     )
     from cluttergen_jax.generation.environments import make_env, make_gym_env, make_sb3_env, make_vector_env
-    from cluttergen_jax.generation.generate import generate
-    from cluttergen_jax.generation.sources.exporting import export
-    from cluttergen_jax.generation.sources.rendering import render
-    from cluttergen_jax.generation.sources.viewing import view
-    from cluttergen_jax.importing.run import import_pool
-    from cluttergen_jax.importing.supports import import_support
-    from cluttergen_jax.learning.training.pretrain import pretrain
-    from cluttergen_jax.learning.training.suite_run import train_suite
-    from cluttergen_jax.learning.training.train import train
     from cluttergen_jax.placement.region import KeepOut, make_region
     from cluttergen_jax.scene.bank import read_bank
-    from cluttergen_jax.scene.bank.hub import pull_bank, push_bank
     from cluttergen_jax.scene.bank.scene import read_scenes
     from cluttergen_jax.scene.bank.stats import stats_of, stats_text
-    from cluttergen_jax.scene.bank.verify import verify
 
 __all__ = [
     "KeepOut",
@@ -97,29 +95,16 @@ __all__ = [
     "view",
 ]
 
+# What is in no module of this list is in `generation`.
 _MODULES = {
     "assets.pool": ("list_pools", "remove_pool"),
     "assets.support": ("Rectangle",),
     "assets.support_file": ("list_supports",),
     "scene.bank": ("read_bank",),
-    "scene.bank.hub": ("pull_bank", "push_bank"),
     "scene.bank.scene": ("read_scenes",),
     "scene.bank.stats": ("stats_of", "stats_text"),
-    "scene.bank.verify": ("verify",),
-    "evaluation.certify": ("certify",),
-    "evaluation.comparison": ("evaluate",),
-    "evaluation.running": ("evaluate_suite",),
-    "importing.run": ("import_pool",),
-    "importing.supports": ("import_support",),
     "placement.region": ("KeepOut", "make_region"),
     "generation.environments": ("make_env", "make_gym_env", "make_sb3_env", "make_vector_env"),
-    "generation.generate": ("generate",),
-    "generation.sources.exporting": ("export",),
-    "generation.sources.rendering": ("render",),
-    "generation.sources.viewing": ("view",),
-    "learning.training.pretrain": ("pretrain",),
-    "learning.training.suite_run": ("train_suite",),
-    "learning.training.train": ("train",),
 }
 _ELSEWHERE = {name: module for module, names in _MODULES.items() for name in names}
 _RENAMED = {
@@ -129,7 +114,7 @@ _RENAMED = {
 
 
 def __getattr__(name: str) -> Any:
-    """The names of `__all__`, imported when first asked for: JAX and MuJoCo take a second to load."""
+    """The other names of `__all__`, imported when first asked for: JAX and MuJoCo take a second to load."""
     if name in __all__:
         module, there = _RENAMED.get(name, (_ELSEWHERE.get(name, "generation"), name))
         return getattr(import_module(f"cluttergen_jax.{module}"), there)

@@ -37,6 +37,9 @@ Encoder = Literal["set", "pointnet", "pointnet2"]
 EvalAction = Literal["sampled", "mean"]
 Suite = Literal["paper", "extended", "honest"]
 """`honest` is the former name of `extended`, understood in this release."""
+Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
+Tier = Literal["standard", "light"]
+CameraName = Literal["overhead", "front", "side", "wrist"]
 FilmFormat = Literal["gif", "mp4"]
 ExportFormat = Literal["mjcf", "urdf", "sdf", "usd", "glb", "maniskill", "robosuite", "libero"]
 

@@ -91,12 +91,12 @@ def _commands() -> str:
     """What each command says of itself."""
     os.environ["COLUMNS"] = _COLUMNS
     parts = ["# Command line", "What `cluttergen COMMAND --help` prints."]
-    for name, command in COMMANDS.items():
+    for name, about in COMMANDS.items():
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed):
             main([name, "--help"])
         text = re.sub(r"\x1b\[[0-9;]*m", "", printed.getvalue()).strip()
-        parts.append(f"## {name}\n\n{command.about}\n\n```text\n{text}\n```")
+        parts.append(f"## {name}\n\n{about}\n\n```text\n{text}\n```")
     return "\n\n".join(parts) + "\n"
 
 

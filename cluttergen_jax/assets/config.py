@@ -8,6 +8,8 @@ from cluttergen_jax.errors import ConfigError
 
 MAX_TEXTURE = 1024
 """Pixels a side that an imported image has at most, unless asked."""
+NUM_TRIALS = 256
+"""Placements by which an object's solo stability is measured."""
 
 
 @dataclass(frozen=True)

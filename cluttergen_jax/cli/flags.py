@@ -1,4 +1,4 @@
-"""The library's errors speak of Python arguments; here these become the flags of the command that was run."""
+"""The library speaks of Python arguments; here these become the flags of the command that is run."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-ARGUMENTS = {"attempts": "max_attempts", "threads": "num_threads", "private": "is_private"}
-"""Options whose function's argument is called otherwise."""
+FLAGS = {"max_attempts": "attempts", "num_threads": "threads", "is_private": "private"}
+"""Arguments whose option is called otherwise."""
 _VALUE = r"""'[^']*'|"[^"]*"|\([^()]*\)|\[[^][]*\]|[\w.+-]*[\w+-]"""
 
 
 def options_of(command: Any) -> Iterator[str]:
     """The options of a command's class, those of its nested settings among them; positional ones are none."""
     for field in dataclasses.fields(command):
-        if dataclasses.is_dataclass(field.default_factory):
-            yield from options_of(field.default_factory)
+        if dataclasses.is_dataclass(field.default):
+            yield from options_of(field.default)
         elif "Positional" not in str(field.type):
             yield field.name
 
@@ -28,7 +28,7 @@ def with_flags(text: str, command: Any) -> str:
     (num_threads=0); a class before the name (View.azimuth = 500) is left out. Whatever the command has no
     option for stays as it is.
     """
-    flags = {ARGUMENTS.get(name, name): name.replace("_", "-") for name in options_of(command)}
+    flags = {name: FLAGS.get(name, name).replace("_", "-") for name in options_of(command)}
     if not flags:
         return text
     names = "|".join(flags)
@@ -38,6 +38,11 @@ def with_flags(text: str, command: Any) -> str:
         lambda found: _flag(flags[found[1]], found[2]),
         text,
     )
+
+
+def option_help(text: str, command: Any) -> str:
+    """What a docstring says of an argument as help for the option: with flags, and words without quotes."""
+    return re.sub(r'"([^"\s]*)"', r"\1", with_flags(" ".join(text.split()), command))
 
 
 def _flag(flag: str, value: str) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from types import FrameType
 from typing import Any
 
-from cluttergen_jax.cli.commands import COMMANDS, all_commands, overview
+from cluttergen_jax.cli.commands import COMMANDS, all_commands, load, overview
 from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.files import advice_on
@@ -54,7 +54,7 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         if is_completion:
             return run(parsed(all_commands(), "cluttergen", words))
-        command = parsed(COMMANDS[name].load(), f"cluttergen {name}", words[1:])
+        command = parsed(load(name), f"cluttergen {name}", words[1:])
     except SystemExit as ended:
         # tyro ends the process where it has said what is wrong, or has explained a command.
         return int(ended.code or 0)

@@ -2,37 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from tyro.conf import Positional
 
-import tyro
+from cluttergen_jax.api.hub import push_bank
+from cluttergen_jax.cli.options import Options, options_from
 
 
-@dataclass(frozen=True)
-class Push:
+@options_from(push_bank, path=Positional[str], name=Positional[str])
+class Push(Options):
     """Publish a bank as a data set on the Hugging Face Hub (extra `hub`), with its card.
 
     The bank is checked first, and replaces an earlier one of that name in one commit.
 
     Example: `cluttergen push out me/breakfast`
-
-    Attributes:
-      bank: its folder.
-      name: OWNER/NAME.
-      hub: another server's address, or a folder; the variable CLUTTERGEN_HUB says the same.
-      private: a new data set can be seen by its owner alone.
     """
-
-    bank: tyro.conf.Positional[str]
-    name: tyro.conf.Positional[str]
-    hub: str | None = None
-    private: bool = False
 
     def run(self) -> int:
         """Runs the command; the exit status."""
         from cluttergen_jax.scene.bank import read_bank
-        from cluttergen_jax.scene.bank.hub import local_paths, push_bank
+        from cluttergen_jax.scene.bank.hub import local_paths
 
-        for path in local_paths(read_bank(self.bank)):
+        for path in local_paths(read_bank(self.path)):
             print(f"note: the bank's record names a path of this machine, and will show it: {path}")
-        print(f"pushed     {push_bank(self.bank, self.name, hub=self.hub, is_private=self.private)}")
+        print(f"pushed     {self.call(push_bank)}")
         return 0

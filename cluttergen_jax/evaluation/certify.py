@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
+from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.evaluation.measures.arrangement import by_object
 from cluttergen_jax.evaluation.measures.certificate import certificates
@@ -19,7 +18,6 @@ from cluttergen_jax.evaluation.measures.simulate import horizons_of
 from cluttergen_jax.files import writing
 from cluttergen_jax.placement.world import base_name, make_world
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.bank import Bank, block_numbers, read_block
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.lock import BankLock
@@ -32,7 +30,7 @@ _RENAMED = {"drift": "horizon_drift", "drift_turn": "horizon_turn", "drift_secon
 
 @dataclass(frozen=True, eq=False)
 class Certification:
-    """What `certify` did.
+    """What `cluttergen_jax.certify` did.
 
     Attributes:
       shake: f64[N], m/s^2, the shake scores of all scenes that stand.
@@ -43,24 +41,9 @@ class Certification:
     num_new: int
 
 
-def certify(
-    bank: str | Path | Bank, *, seconds: float = 2.0, jobs: int = 0, force: bool = False
-) -> Certification:
-    """Adds a stability certificate to each scene of a bank that stands: a column for each measure.
-
-    Args:
-      bank: a bank, or its folder.
-      seconds: the horizon over which drift is measured.
-      jobs: scenes simulated at a time; 0 takes every core.
-      force: measure again what has a certificate; else only what has none is measured.
-
-    Raises:
-      BankError: the bank cannot be read or written, another process writes it, or no scene in it stands.
-      ConfigError: a setting is outside its range.
-    """
-    check_workers("jobs", jobs)
+def certify_bank(bank: Bank, seconds: float, jobs: int, force: bool) -> Certification:
+    """The certificates of a bank's scenes, written into it; see `cluttergen_jax.certify`."""
     horizons_of((seconds,))
-    bank = bank if isinstance(bank, Bank) else read_bank(bank)
     with writing(bank.path):
         lock = BankLock(bank.path)
     try:

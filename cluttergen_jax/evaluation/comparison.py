@@ -9,20 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.assets.pool import composed
-from cluttergen_jax.config import check_workers
-from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.errors import PoolError
 from cluttergen_jax.evaluation.cells import SPEED, Column, Row, asked, number, share, share_of, table_of
 from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store, json_bytes
-from cluttergen_jax.evaluation.studies.study import grid
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.tables import Table
 
-DEFAULT_TRIALS = 1000
 _FIGURES = (
     "success",
     "low95",
@@ -63,60 +58,13 @@ class Comparison:
         write_atomically(folder / "results.json", json_bytes(self.rows))
 
 
-def evaluate(
-    methods: Sequence[str] = (),
-    pools: Sequence[str] = (),
-    supports: Sequence[str] = ("table",),
-    *,
-    num_objects: int = 10,
-    trials: int | None = None,
-    seed: int = 0,
-    max_attempts: int = 5,
-    repeat: bool = False,
-    change: str = "none",
-    exclude: Sequence[str] = (),
-    checkpoint: str | Path | None = None,
-    checkpoints: str | Path | None = None,
-    engine: str = "auto",
-    num_threads: int = 0,
-    fresh: bool = False,
-    out: str | Path | None = None,
-) -> Comparison:
-    """Compares methods: success rates with 95 % intervals, objects placed, effort and speed.
-
-    Args:
-      methods: names of `methods.METHODS`, the baselines if empty; learned ones take an embedded policy, or
-        `checkpoint`, its folder, or the right one in `checkpoints`, a folder of training runs.
-      pools, supports: names or folders; the pool dining if empty.
-      num_objects: per scene; max_attempts: per object.
-      trials: scenes per row, 1000 if None; seed: of the scenes.
-      repeat: let objects stand there more than once.
-      change: how the queried region is changed at random in every episode, a name of `changes.CHANGES`.
-      exclude: names of objects to leave out of each pool.
-      engine: "auto", "native", "warp" or "jax"; num_threads: of the native engine, 0 for every core.
-      out: a folder for the table and the rows. Rows that lie there from before are not made again unless
-        `fresh` is set; with None nothing is written.
+def compare(runner: Runner, trials: Sequence[Trial], folder: Path | None) -> Comparison:
+    """The rows of trials and their table, written into the folder if there is one.
 
     Raises:
-      ConfigError: a setting is outside its range, or there is no such method.
-      PoolError: there is no such pool or support, or no policy for any of the rows.
+      PoolError: there is no policy for any of the rows.
     """
-    check_workers("num_threads", num_threads)
-    if not supports:
-        raise ConfigError("supports = ()", "one name or more")
-    base = Trial(
-        num_objects=num_objects,
-        attempts=max_attempts,
-        trials=DEFAULT_TRIALS if trials is None else trials,
-        seed=seed,
-        repeat=repeat,
-        change=change,
-    )
-    named = [composed(pool, exclude) for pool in pools or ("dining",)]
-    planned = grid(base, pool=named, support=supports, method=methods or BASELINES)
-    folder = None if out is None else Path(out)
-    runner = open_runner(folder, planned, checkpoint, checkpoints, engine, num_threads, fresh)
-    rows = [runner.row(trial) for trial in planned]
+    rows = [runner.row(trial) for trial in trials]
     if all("figures" not in row for row in rows):
         raise PoolError(rows[0]["missing"], hint=rows[0]["hint"])
     found = Comparison([_flat(row) for row in rows], _table(rows))

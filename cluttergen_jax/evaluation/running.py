@@ -12,9 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import find_pool, list_pools
-from cluttergen_jax.config import check_workers
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.comparison import open_runner
 from cluttergen_jax.evaluation.machine import machine
 from cluttergen_jax.evaluation.report import document, write_report
 from cluttergen_jax.evaluation.resolved import MissingCheckpointError
@@ -22,67 +19,29 @@ from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import FORMAT
 from cluttergen_jax.evaluation.studies.study import Measure, Result, Scale, Study
 from cluttergen_jax.evaluation.studies.table1 import IMPORTED, OBJECTS
-from cluttergen_jax.evaluation.studies.time import TIME
-from cluttergen_jax.evaluation.suites import FORMER_NAMES, find_suite
+from cluttergen_jax.evaluation.suites import FORMER_NAMES, PlannedStudy
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import inside, write_atomically
 
 _SHOWN = ("trial", "policy", "figures", "missing", "hint")
 
 
-def evaluate_suite(
+def run_suite(
+    runner: Runner,
     suite: str,
-    *,
-    only: Sequence[str] = (),
-    quick: bool = False,
-    methods: Sequence[str] = (),
-    pools: Sequence[str] = (),
-    trials: int | None = None,
-    seed: int = 0,
-    seeds: int | None = None,
-    checkpoint: str | Path | None = None,
-    checkpoints: str | Path | None = None,
-    engine: str = "auto",
-    num_threads: int = 0,
-    fresh: bool = False,
-    out: str | Path | None = None,
-    show: Callable[[Result], None] = lambda result: None,
+    planned: Sequence[PlannedStudy],
+    scale: Scale,
+    folder: Path,
+    show: Callable[[Result], None],
 ) -> list[Result]:
-    """Makes the tables and figures of a suite, and writes each as it is done.
-
-    Args:
-      suite: "paper" (its tables and figures) or "extended" (what it does not ask).
-      only: names of studies; all of them if empty.
-      quick: a few trials a row: the whole paper suite in minutes.
-      methods: whose rows are made; pools: names or folders; what each study asks for if empty.
-      trials: scenes per row; what each study asks for if None. seed: of the scenes.
-      seeds: training seeds where a table asks for several, 3 if None, 1 if quick.
-      checkpoint, checkpoints, engine, num_threads, fresh: as for `evaluate`.
-      out: where everything goes; out/SUITE if None. Rows that lie there from before are not made again.
-      show: is given each result as it is done.
-
-    Returns:
-      The results as they are stored in NAME.json; `report.tables_of` makes tables of one.
-
-    Raises:
-      ConfigError: a setting is outside its range, or there is no such suite, study or method.
-      PoolError: there is no such pool.
-    """
-    check_workers("num_threads", num_threads)
-    if seeds is not None and not 1 <= seeds <= 100:
-        raise ConfigError(f"seeds = {seeds}", "1 to 100")
-    folder = suite_folder(suite, quick) if out is None else Path(out)
-    scale = Scale(quick, trials, seeds, tuple(pools), tuple(methods), seed, imported_pools())
-    planned = find_suite(suite, scale, only)
-    rows = [trial for each in planned if each.study is not TIME for trial in each.trials]
-    runner = open_runner(folder, rows, checkpoint, checkpoints, engine, num_threads, fresh)
+    """The results of a suite's studies, each written as it is done; see `cluttergen_jax.evaluate_suite`."""
     if suite in FORMER_NAMES:
         suite = FORMER_NAMES[suite]
         runner.say(f"note: this suite is now called {suite}; its former name is understood in this release")
     results = []
     for each in planned:
         command = command_of(suite, each.name, scale, runner)
-        result = run_study(runner, each.study, each.trials, folder, suite, command, quick)
+        result = run_study(runner, each.study, each.trials, folder, suite, command, scale.quick)
         write_report(result, folder)
         show(result)
         results.append(result)

@@ -130,8 +130,8 @@ def load_bank(path: str | Path, *, hub: str | None = None, revision: str | None 
 
     Args:
       path: a bank's folder, or OWNER/NAME on a hub: pulled when it is first asked for, and kept
-        (`scene.bank.hub.pull_bank`, extra `hub`).
-      hub, revision: of such a name; see `scene.bank.hub.push_bank`. A revision is pulled each time.
+        (`pull_bank`, extra `hub`).
+      hub, revision: of such a name; see `push_bank`. A revision is pulled each time.
 
     Raises:
       BankError: there is no bank, it or one of its assets is damaged, or no scene in it stands.

@@ -1,10 +1,10 @@
-"""A bank of scenes from names and numbers: sampled, summed up, and written with files to look at."""
+"""A bank of scenes: sampled, summed up, and written with files to look at."""
 
 from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -12,21 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.rectangle_text import parse_keep_out, parse_region
-from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import writing
 from cluttergen_jax.generation.files import write_files
-from cluttergen_jax.generation.wiring import (
-    Method,
-    check_range,
-    find_method,
-    make_setup,
-    problem_config,
-)
-from cluttergen_jax.learning.methods import FILTERED, suited
-from cluttergen_jax.placement.config import MIN_MARGIN, placement_record
+from cluttergen_jax.generation.wiring import Method, Setup
+from cluttergen_jax.learning.methods import FILTERED
+from cluttergen_jax.placement.config import placement_record
 from cluttergen_jax.placement.problem import Problem, crowding
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
@@ -35,8 +25,6 @@ from cluttergen_jax.scene.bank.stats import summary_of
 from cluttergen_jax.scene.bank.table import table_of
 from cluttergen_jax.scene.bank.writer import names_of
 
-MAX_SCENES = 10_000_000
-_MOST = 2**32 - 1
 _FEW = 0.5
 _BETTER = {
     "random": "method='clear'",
@@ -69,93 +57,22 @@ class GeneratedBank(Bank):
         )
 
 
-def generate(
-    out: str | Path = "out",
-    *,
-    pool: str | Path = "dining",
-    num_scenes: int = 20,
-    method: str | None = None,
-    checkpoint: str | Path | None = None,
-    num_objects: int | None = None,
-    objects: Sequence[str] = (),
-    exclude: Sequence[str] = (),
-    support: str | Path = "table",
-    region: Rectangle | str | None = None,
-    containment: str = "center",
-    order: str = "random",
-    max_attempts: int = 5,
-    min_margin: float = MIN_MARGIN,
-    repeat: bool = False,
-    start: str | None = None,
-    keep_out: Sequence[Rectangle | str] = (),
-    seed: int = 0,
-    engine: str = "auto",
-    num_threads: int = 0,
-    render: bool = True,
-    max_files: int = 1000,
-    overwrite: bool = False,
+def write_bank(
+    out: str | Path,
+    setup: Setup,
+    method: Method,
+    recipe: dict[str, Any],
+    num_scenes: int,
+    render: bool,
+    max_files: int,
+    overwrite: bool,
 ) -> GeneratedBank:
-    """Samples scenes and saves them as a bank, failures included; `cluttergen generate`.
-
-    The same call continues an interrupted one, and mends what is damaged. Scene i of it is what
-    `make_sampler` makes of the key `jax.random.fold_in(jax.random.key(seed), i)`.
-
-    Args:
-      out: the bank's folder.
-      pool, method, checkpoint, num_objects, objects, exclude, support, containment, order, max_attempts,
-        min_margin, repeat, start, engine, num_threads: as in `make_sampler`.
-      num_scenes: scenes to make, failures counted.
-      region, keep_out: as in `make_sampler`, or as the command line takes them: "WxD" or "X,Y,W,D[,YAW]" in
-        metres and degrees.
-      seed: the same seed makes the same scenes, 0 to 4294967295.
-      render: draw a picture of each scene that gets a file.
-      max_files: the first so many scenes get an MJCF file each (and a picture) if they succeed.
-      overwrite: begin anew if the folder holds another bank.
-
-    Returns:
-      The bank; printed, it tells how well it went.
-
-    Raises:
-      ConfigError, PoolError: as `make_sampler`.
-      BankError: the folder holds something else, cannot be written, or is being written by another process;
-        or the scene to start from cannot be read.
-    """
-    check_range("num_scenes", num_scenes, 1, MAX_SCENES, 20)
-    check_range("seed", seed, 0, _MOST, 0)
-    if max_files < 0:
-        raise ConfigError(f"max_files = {max_files}", "0 or more", "max_files=0 for none")
-    boxes = [parse_keep_out(box) if isinstance(box, str) else box for box in keep_out]
-    config = problem_config(
-        pool=pool,
-        support=support,
-        num_objects=num_objects,
-        objects=objects,
-        exclude=exclude,
-        repeat=repeat,
-        region=parse_region(region, find_support(support).region) if isinstance(region, str) else region,
-        keep_out=boxes,
-        max_attempts=max_attempts,
-        containment=containment,
-        order=order,
-        min_margin=min_margin,
-        engine=engine,
-        num_threads=num_threads,
-    )
-    chosen = find_method(method, checkpoint, config)
-    config = dataclasses.replace(config, placement=suited(config.placement, chosen.checkpoint))
-    setup = make_setup(config, boxes, start)
-    problem = setup.problem
-    recipe = recipe_of(problem, chosen) | {
-        "start": start,
-        "keep_out": [box if isinstance(box, str) else dataclasses.asdict(box) for box in keep_out],
-        "checkpoint": None if checkpoint is None else str(checkpoint),
-        "seed": seed,
-    }
+    """The bank of a recipe in a folder, begun or continued; see `cluttergen_jax.generate`."""
+    problem, sampler = setup.problem, setup.sampler(method)
     names = names_of(problem.world.objects)
-    sampler = setup.sampler(chosen)
     with BankWriter(out, recipe, num_scenes, names, problem.world.support, overwrite) as writer:
         started = time.perf_counter()
-        num_new = run_blocks(sampler, problem, writer, num_scenes, seed)
+        num_new = run_blocks(sampler, problem, writer, num_scenes, recipe["seed"])
         bank = read_bank(out)
         summary = summary_of(bank.table, num_scenes, num_new, time.perf_counter() - started)
         with writing(bank.path):
@@ -168,7 +85,7 @@ def generate(
         read_bank(out).record,
         notes=tuple(_notes(problem)),
         summary=summary,
-        advice=_advice(chosen.name, float(np.mean(bank.table["is_success"]))),
+        advice=_advice(method.name, float(np.mean(bank.table["is_success"]))),
         files_written=written,
     )
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from cluttergen_jax.assets.body import BodyConfig
-from cluttergen_jax.assets.config import MAX_TEXTURE, DecompositionConfig
+from cluttergen_jax.assets.config import NUM_TRIALS
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import NAME_PATTERN, object_hash
 from cluttergen_jax.assets.pool import ALL, EMBEDDED, Pool, read_pool, user_pool_folder, user_root, write_pool
@@ -20,7 +20,7 @@ from cluttergen_jax.importing.planning import YCB, Failure, Planned, plan_all
 from cluttergen_jax.importing.processes import run_all
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, read_shape
 from cluttergen_jax.importing.readers.axes import UpAxis
-from cluttergen_jax.importing.solo import NUM_TRIALS, measured_object
+from cluttergen_jax.importing.solo import measured_object
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.progress import Progress
 
@@ -121,70 +121,6 @@ class ImportReport:
         if self.path is None:
             raise AssetError(f"nothing was imported: {'; '.join(each.reason for each in self.failures)}")
         return read_pool(self.path)
-
-
-def import_pool(
-    sources: str | Path | Sequence[str | Path],
-    pool: str,
-    *,
-    tier: str = "standard",
-    scale: float = 1.0,
-    up: str = "auto",
-    front: str = "auto",
-    density: float = 500.0,
-    mass: float | None = None,
-    max_texture: int = MAX_TEXTURE,
-    decomposition: DecompositionConfig | None = None,
-    trials: int = NUM_TRIALS,
-    jobs: int = 0,
-    friction: float | None = None,
-    licence: str = "",
-    attribution: str = "",
-    settings: str | Path | None = None,
-    add: bool = False,
-    force: bool = False,
-    progress: bool = True,
-) -> ImportReport:
-    """Makes a user pool of all objects that files and folders hold (`cluttergen import --pool`).
-
-    It works in processes of its own: a script calls it below `if __name__ == "__main__":`. An interrupted
-    import takes up where it stopped.
-
-    Args:
-      sources: files or folders; "ycb" stands for the 78 YCB objects (extra `ycb`).
-      pool: the new pool's name.
-      tier: "standard" (up to 32 convex parts), or "light" (one hull) for MJX in pure JAX.
-      scale, up, front, density, mass, friction, licence, attribution, max_texture: what the files do not
-        say, see `ReadOptions`.
-      decomposition: CoACD's parameters; `DecompositionConfig()` if not given.
-      trials: placements by which solo stability is measured.
-      jobs: worker processes; 0 takes one for each core.
-      settings: a TOML file of settings per object, in place of the `objects.toml` in each folder.
-      add: add to the pool, which exists; objects of equal names are refused, or replaced with `force`.
-      force: make everything again, and replace a pool or, with `add`, objects of that name.
-      progress: show a progress bar.
-
-    Returns:
-      What was made (`pool`), skipped, and what failed, and why: a file that is damaged fails alone.
-
-    Raises:
-      ConfigError, PoolError, AssetError, MissingExtraError: see `import_sources`.
-    """
-    read = ReadOptions(
-        scale=scale,
-        up=up,
-        front=front,
-        density=density,
-        mass=mass,
-        friction=friction,
-        licence=licence,
-        attribution=attribution,
-        max_texture=max_texture,
-    )
-    config = ObjectConfig(read, BodyConfig(tier, decomposition or DecompositionConfig()), trials)
-    how = ImportConfig(config, jobs, force, progress, add, None if settings is None else Path(settings))
-    given = [sources] if isinstance(sources, str | Path) else sources
-    return import_sources(given, pool, how)
 
 
 def import_sources(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cluttergen_jax.assets.body import MAX_TILT, BodyConfig, object_variants
+from cluttergen_jax.assets.config import NUM_TRIALS
 from cluttergen_jax.assets.mjcf import add_object, add_support, new_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Shape
@@ -16,7 +17,6 @@ from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.types import Verdict
 
-NUM_TRIALS = 256
 MAX_GAP = 0.003
 MIN_RATE = 0.99
 _BLOCK = 32

@@ -15,7 +15,6 @@ import trimesh
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
-from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.overhead import Overhead, Span, cover, largest_rectangle, level_faces, look_down
@@ -34,43 +33,8 @@ from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
 
 
-def import_support(
-    path: str | Path,
-    name: str | None = None,
-    *,
-    scale: float = 1.0,
-    up: str = "auto",
-    front: str = "auto",
-    max_texture: int = MAX_TEXTURE,
-    licence: str = "",
-    attribution: str = "",
-    force: bool = False,
-) -> SupportAsset:
-    """Makes a support of the user's own of one table with a level top (`cluttergen import --support`).
-
-    Args:
-      path: a mesh, URDF or MJCF file, or a folder that holds one; 2 m across at most.
-      name: what to call it; the file's own name if not given.
-      scale, up, front, max_texture, licence, attribution: as in `import_pool`.
-      force: replace a support of that name.
-
-    Returns:
-      The support; its name is what `support` of `make_sampler` takes.
-
-    Raises:
-      AssetError: the file cannot be read, holds several objects, or has no level top to speak of.
-      ConfigError: an option is out of range.
-      PoolError: the name is not one, is taken by an embedded support, or by another support and `force` is
-        not set.
-    """
-    options = ReadOptions(
-        scale=scale,
-        up=up,
-        front=front,
-        max_texture=max_texture,
-        licence=licence,
-        attribution=attribution,
-    )
+def write_table(path: str | Path, name: str | None, options: ReadOptions, force: bool) -> SupportAsset:
+    """The support of a table's file, among the user's own; see `cluttergen_jax.import_support`."""
     sources = find_sources(path)
     if len(sources) > 1:
         names = ", ".join(source.name for source in sources[:5])

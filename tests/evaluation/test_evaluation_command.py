@@ -84,10 +84,10 @@ def test_a_suite_from_python_hands_out_each_study_as_it_is_done(tmp_path, capsys
         ({"suite": "paper", "only": ("table3",)}, "table1"),
         ({"quick": True}, "--suite"),
         ({"checkpoints": "nowhere"}, "training runs"),
-        ({"methods": ("policy",), "pools": ("study",), "attempts": 9}, "cluttergen train"),
+        ({"methods": ("policy",), "pools": ("study",), "max_attempts": 9}, "cluttergen train"),
         ({"suite": "paper", "only": ("table1",), "methods": ("drop",)}, "short_memory"),
         ({"supports": ()}, "one name or more"),
-        ({"threads": -1}, "0 to 4096"),
+        ({"num_threads": -1}, "0 to 4096"),
         ({"seeds": 2}, "without a suite"),
         (
             {"suite": "paper", "supports": ("round_table",), "repeat": True},

@@ -41,7 +41,7 @@ def tree(tmp_path):
 
 
 def test_a_tree_becomes_a_pool_and_the_failure_is_named(tree, capsys):
-    status = Import((str(tree),), "mine", trials=8, jobs=1, progress=False).run()
+    status = Import(sources=(str(tree),), pool="mine", trials=8, jobs=1, progress=False).run()
     assert status == 1
     out, err = capsys.readouterr()
     assert "shade.obj" in err

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from cluttergen_jax.api.text import parse_size
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.cli.parse import parse_size
 from cluttergen_jax.errors import AssetError, BankError, ConfigError, MissingExtraError, PoolError
 from cluttergen_jax.generation.sources import BankSource, LiveConfig, LiveSource, open_source
 from cluttergen_jax.generation.sources.rendering import chosen_numbers

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import trimesh
 
+from cluttergen_jax.api.text import parse_numbers
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shading import linear, shaded
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.cli.parse import parse_numbers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.scene.bank.reference import parse_reference
@@ -266,7 +266,7 @@ def test_unknown_format_names_the_others(tmp_path):
 
 
 def test_numbers_and_sources_are_parsed(tmp_path, capsys):
-    assert parse_numbers(None) is parse_numbers("all") is None
+    assert parse_numbers("all") is None
     assert parse_numbers("0,3, 7-9,3") == [0, 3, 7, 8, 9]
     for text in ("", "a", "3-1", "-1", "1.5", "0-9999999999"):
         with pytest.raises(ConfigError, match="numbers"):

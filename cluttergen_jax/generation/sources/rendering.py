@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -17,7 +17,7 @@ from cluttergen_jax.generation.sources import BankSource, open_source
 from cluttergen_jax.placement.rollout.replay import Recording
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.rendering.assets import render_scene
-from cluttergen_jax.rendering.config import CameraView, FilmConfig
+from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.figure import closed_loop_figure
 from cluttergen_jax.rendering.film import replay, replay_frames, turntable
 from cluttergen_jax.rendering.gl import find_backend
@@ -48,118 +48,65 @@ class RenderReport:
     failures: tuple[_Failure, ...]
 
 
-def render(
-    source: str | Path,
-    out: str | Path = Path("out/pictures"),
-    *,
-    scenes: Sequence[int] | Literal["all"] | None = None,
-    picture: bool = True,
-    sheet: bool = False,
-    turntable: bool = False,
-    replay: bool = False,
-    figure: bool = False,
-    depth: bool = False,
-    segmentation: bool = False,
-    points: bool = False,
-    size: tuple[int, int] | None = None,
-    view: CameraView | None = None,
-    whole: bool = False,
-    hulls: bool = False,
-    samples: int | None = None,
-    film: str = "gif",
-    pace: FilmConfig | None = None,
-    columns: int = 4,
-) -> RenderReport:
-    """Draws scenes: pictures, films, contact sheets and measurements (`cluttergen render`).
-
-    Args:
-      source: as of `view`.
-      out: the folder for what is made; files are named after the scene.
-      scenes: numbers, or "all"; the first that stands if not given (12 of them on a sheet).
-      picture: draw a PNG of each scene.
-      sheet: all scenes on one contact sheet, sheet.png.
-      turntable: a film once around the scene.
-      replay: a film of the placement as it happened, failed attempts in red.
-      figure: the closed-loop figure: an object's failed attempts ringed in red, until it stands.
-      depth: a 16-bit PNG in millimetres along the optical axis (0: nothing there), and the NPZ file.
-      segmentation: an indexed PNG: 0 floor or nothing, 1 support, 2 + k object k; and the NPZ file.
-      points: a PLY point cloud of all surfaces: metres, world frame, colours, labels as above.
-      size: of pictures, width and height in pixels; (1280, 960), and (640, 480) for films, if not given.
-      view: from which side the scene is seen; `CameraView()` if not given.
-      whole: show the whole support instead of the objects and the region alone.
-      hulls: draw the collision parts instead of the surfaces.
-      samples: pictures averaged into one, for soft light; 32, and 10 for films, if not given.
-      film: "gif", or "mp4" (extra `video`).
-      pace: how fast films run; `FilmConfig()` if not given.
-      columns: of the contact sheet.
-
-    Raises:
-      PoolError, BankError, AssetError: there is no such source, no such scene, or none that stands.
-      ConfigError: a setting is out of range.
-      ClutterGenError: nothing can be drawn on this machine.
-    """
-    given = dict(locals())
-    given |= {"out": Path(out), "view": view or CameraView(), "pace": pace or FilmConfig()}
-    return Rendering(**given | {"source": str(source)}).make()
-
-
 @dataclass(frozen=True)
 class Rendering:
-    """What is drawn, and how; the fields are arguments of `render`."""
+    """What is made of scenes, and how.
 
-    source: str
+    Attributes:
+      products: which of the arguments of `cluttergen_jax.render` that ask for something are set.
+      out: the folder for it.
+      size: width and height in pixels; each product's own if None.
+      samples: pictures averaged into one; each product's own if None.
+      look: what is seen, and from where; its size and samples do not count.
+      film: a format of films.
+      pace: how fast films run.
+      columns: of the contact sheet.
+    """
+
+    products: frozenset[str]
     out: Path
-    scenes: Sequence[int] | Literal["all"] | None
-    picture: bool
-    sheet: bool
-    turntable: bool
-    replay: bool
-    figure: bool
-    depth: bool
-    segmentation: bool
-    points: bool
     size: tuple[int, int] | None
-    view: CameraView
-    whole: bool
-    hulls: bool
     samples: int | None
+    look: PictureConfig
     film: str
     pace: FilmConfig
     columns: int
 
-    def make(self) -> RenderReport:
-        """Makes everything that is asked for."""
-        if self.turntable or self.replay:
+    def make(self, source: str, scenes: Sequence[int] | Literal["all"] | None) -> RenderReport:
+        """Makes everything that is asked for of scenes of a source; see `chosen_numbers`."""
+        if self._makes("turntable", "replay"):
             check_format(self.film)
         sizes = {size: self._picture(size, _QUICK) for size in (_LARGE, _SMALL, _CELL)}
-        source, own = open_source(self.source)
-        numbers = chosen_numbers(source, own, self.scenes, _SHEET if self.sheet else 1)
-        if self.picture or self.sheet or self.turntable or self.replay or self.figure or self._is_sensed:
+        opened, own = open_source(source)
+        numbers = chosen_numbers(opened, own, scenes, _SHEET if self._makes("sheet") else 1)
+        if self.products - {"points"}:
             find_backend()
+        # Beside a sheet, single pictures are drawn of scenes that are named.
+        singles = self._makes("picture") and (not self._makes("sheet") or bool(scenes))
         made: list[Path] = []
         failures: list[_Failure] = []
         for number in numbers:
-            failures += self._make(source, number, sizes[_SMALL], made)
-        if self.sheet:
-            made.append(save_png(self._sheet(source, numbers), self.out / "sheet.png"))
+            failures += self._make(opened, number, singles, sizes[_SMALL], made)
+        if self._makes("sheet"):
+            made.append(save_png(self._sheet(opened, numbers), self.out / "sheet.png"))
         return RenderReport(tuple(made), tuple(failures))
 
-    @property
-    def _is_sensed(self) -> bool:
-        return self.depth or self.segmentation
+    def _makes(self, *products: str) -> bool:
+        """Whether one of them is asked for."""
+        return not self.products.isdisjoint(products)
 
     def _picture(self, size: tuple[int, int], samples: int) -> PictureConfig:
         width, height = self.size or size
         samples = samples if self.samples is None else self.samples
-        return PictureConfig(width, height, samples, self.view, self.whole, self.hulls)
+        return replace(self.look, width=width, height=height, samples=samples)
 
     def _make(
-        self, source: SceneSource, number: int, small: PictureConfig, made: list[Path]
+        self, source: SceneSource, number: int, singles: bool, small: PictureConfig, made: list[Path]
     ) -> Iterator[_Failure]:
         """Makes everything that is asked for of one scene; what cannot be made costs nothing else."""
         stem = self.out / (f"{number:06d}" if isinstance(source, BankSource) else _stem(source, number))
         attempted = None
-        if self.replay or self.figure:
+        if self._makes("replay", "figure"):
             try:
                 attempted = source.recorded(number)
             except ClutterGenError as error:
@@ -169,30 +116,30 @@ class Rendering:
         except ClutterGenError as error:
             yield stem.name, error
             return
-        for ending, make in self._products(recording, attempted is not None, small):
+        for ending, make in self._products(recording, attempted is not None, singles, small):
             try:
                 made.extend(make(_named(stem, ending)))
             except ClutterGenError as error:
                 yield stem.name + ending, error
 
     def _products(
-        self, recording: Recording, has_attempts: bool, small: PictureConfig
+        self, recording: Recording, has_attempts: bool, singles: bool, small: PictureConfig
     ) -> Iterator[tuple[str, _Make]]:
         """The endings of the files that are asked for, and how each is made."""
         large = self._picture(_LARGE, _FINE)
-        if self.picture and not (self.sheet and not self.scenes):
+        if singles:
             yield ".png", lambda path: [save_png(drawn(recording, large), path)]
-        if self.figure and has_attempts:
+        if self._makes("figure") and has_attempts:
             yield "-figure.png", lambda path: [save_png(closed_loop_figure(recording, picture=large), path)]
-        if self._is_sensed:
+        if self._makes("depth", "segmentation"):
             yield "-sensors.npz", lambda path: self._sensed(recording, path, large)
-        if self.points:
+        if self._makes("points"):
             yield "-points.ply", lambda path: [_written(path, _cloud(recording))]
-        if self.turntable:
+        if self._makes("turntable"):
             count = max(2, round(self.pace.fps * self.pace.seconds))
             turns = turntable(recording, self.pace, small)
             yield f"-turntable.{self.film}", lambda path: [self._filmed(turns, count, path)]
-        if self.replay and has_attempts:
+        if self._makes("replay") and has_attempts:
             steps = replay(recording, self.pace, small)
             length = len(replay_frames(recording, self.pace))
             yield f"-replay.{self.film}", lambda path: [self._filmed(steps, length, path)]
@@ -202,9 +149,9 @@ class Rendering:
         names = [recording.names[index] for index in placed]
         sensed = sense(_placed(recording), names, recording.poses[placed], recording.support, picture)
         stem = path.with_name(path.name.removesuffix("-sensors.npz"))
-        if self.depth:
+        if self._makes("depth"):
             yield _written(_named(stem, "-depth.png"), depth_png(sensed.depth))
-        if self.segmentation:
+        if self._makes("segmentation"):
             yield _written(_named(stem, "-segmentation.png"), segmentation_png(sensed.segmentation))
         yield _written(path, npz_of(sensed))
 

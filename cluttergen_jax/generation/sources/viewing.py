@@ -21,57 +21,32 @@ from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.rendering.viewer.viewer import Viewer, free_port, open_server
 
 
-def view(
-    source: str | Path | None = None,
-    *,
-    pool: str | Path | None = None,
-    method: str | None = None,
-    num_objects: int | None = None,
-    support: str | Path | None = None,
-    native: bool = False,
-    host: str = "localhost",
-    port: int = 8080,
-    browser: bool = True,
-    screenshots: str | Path = Path("out/screenshots"),
-    show: Callable[[str], None] = print,
+def view_native(source: str | None, live: LiveConfig, show: Callable[[str], None]) -> None:
+    """A scene in MuJoCo's own viewer, until its window is closed; see `cluttergen_jax.view`."""
+    check_display()
+    scenes, own = open_source(source, live)
+    recording = scenes.still(_first(scenes, own))
+    show(f"{recording.title}: {len(recording.placed)} objects; the window's Reset puts them back")
+    show_native(*native_model(recording))
+
+
+def view_web(
+    source: str | None,
+    live: LiveConfig,
+    host: str,
+    port: int,
+    browser: bool,
+    screenshots: Path,
+    show: Callable[[str], None],
 ) -> None:
-    """Shows scenes in a browser until Ctrl-C, or in a window until it is closed (`cluttergen view`).
-
-    Args:
-      source: a bank; one scene of it, "BANK:INDEX" or "BANK/scenes/000003.xml"; any MJCF file with free
-        bodies; or a checkpoint, whose policy then makes the scenes. None samples them by `method`.
-      pool, method, num_objects, support: what to sample from where no bank says it, as in `make_sampler`;
-        a checkpoint's own, else dining, "drop" and the paper's table.
-      native: open MuJoCo's own viewer instead (needs a screen).
-      host: the address to listen on; "0.0.0.0" lets other machines look.
-      port: 0 takes any free one.
-      browser: open a browser.
-      screenshots: the folder for screenshots.
-      show: is given the lines that tell where the viewer is.
-
-    Raises:
-      PoolError, BankError, AssetError: there is nothing of the kind, or it cannot be read.
-      ConfigError: the port is taken, or there is no such method.
-      MissingExtraError: the extra `viewer` is not installed.
-      DisplayError: there is no screen for `native`.
-    """
-    live = LiveConfig(
-        None if pool is None else str(pool), method, num_objects, None if support is None else str(support)
-    )
-    text = None if source is None else str(source)
-    if native:
-        check_display()
-        scenes, own = open_source(text, live)
-        recording = scenes.still(_first(scenes, own))
-        show(f"{recording.title}: {len(recording.placed)} objects; the window's Reset puts them back")
-        return show_native(*native_model(recording))
+    """Scenes in a browser, until Ctrl-C; see `cluttergen_jax.view`."""
     # What cannot work is said before anything is compiled.
     free_port(host, port)
     show(f"opening    {source or 'scenes made on the spot'}")
-    scenes, own = open_source(text, live)
+    scenes, own = open_source(source, live)
     first = _first(scenes, own)
     server = open_server(host, port, f"cluttergen: {scenes.name}")
-    viewer = Viewer(scenes, server, first, Path(screenshots))
+    viewer = Viewer(scenes, server, first, screenshots)
     url = f"http://{'localhost' if host == '0.0.0.0' else host}:{server.get_port()}"
     show(f"viewer     {url} (Ctrl-C ends it)")
     if notice := scenes.notice():

@@ -67,53 +67,22 @@ class SuiteReport:
     failed: dict[str, str]
 
 
-def train_suite(
+def run_suite(
     suite: str,
-    *,
-    suite_list: bool = False,
-    suite_only: str | None = None,
+    base: TrainConfig,
+    root: Path,
     pools: Sequence[str] = POOLS,
     seeds: Sequence[int] = SEEDS,
-    preset: str = "cpu",
-    num_attempts: int | None = None,
-    num_envs: int | None = None,
-    reward: str | None = None,
-    encoder: str | None = None,
-    encoder_weights: str | Path | None = None,
-    encoder_frozen: bool = False,
-    out: str | Path | None = None,
-    engine: str = "auto",
-    eval_every: int = 0,
-    eval_episodes: int = 256,
-    eval_action: str | None = None,
-    memory_limit: float | None = None,
-    wandb: bool = False,
+    suite_only: str | None = None,
+    suite_list: bool = False,
     show: Callable[[str], None] = print,
 ) -> SuiteReport:
-    """Trains all policies that the tables of `evaluate` need; `cluttergen train --suite`.
-
-    Runs that are done are left alone, others are taken up. Ctrl-C stops the whole suite; a run that fails
-    stops no other.
+    """The runs of a suite, one after another; see `cluttergen_jax.train_suite`.
 
     Args:
-      suite: "paper" or "extended".
-      suite_list: only list the runs, with the time that they will take.
-      suite_only: only the runs whose names match, such as "dining-*" or "*-policy-0".
-      pools, seeds: of the suite.
-      out: the folder of all its runs, "runs" if not given.
-      The others are those of `train`.
-
-    Raises:
-      ConfigError: there is no such suite, nothing is left of it, or a folder holds a run of other settings.
-      PoolError: one of the pools cannot be found.
+      base: what each run is given but for its own pool, method, seed and so on.
+      root: the folder of all runs.
     """
-    given = dict(locals())
-    root = Path(out or "runs")
-    fields = {
-        field.name: given[field.name] for field in dataclasses.fields(TrainConfig) if field.name in given
-    }
-    weights = None if encoder_weights is None else str(encoder_weights)
-    base = TrainConfig(**fields | {"encoder_weights": weights, "out": str(root)})
     for pool in pools:
         find_pool(pool)
     standings = [_standing(config_of(base, run, root), run) for run in plan(suite, pools, seeds, suite_only)]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from cluttergen_jax.assets.pool import composed, find_pool, public_name
+from cluttergen_jax.assets.pool import find_pool, public_name
 from cluttergen_jax.config import EvalAction
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import check_folder
@@ -24,7 +24,7 @@ ACTIONS = get_args(EvalAction)
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """What one run is given; the fields are arguments of `train`.
+    """What one run is given; the fields are arguments of `cluttergen_jax.train`.
 
     Raises:
       ConfigError: one of them is out of range.
@@ -86,84 +86,22 @@ class TrainConfig:
         return dataclasses.replace(settings, placement=placement, network=network, ppo=ppo)
 
 
-def train(
-    pool: str | Path = "dining",
-    support: str | Path = "table",
-    num_objects: int = 10,
-    *,
-    exclude: Sequence[str] = (),
-    change: str = "none",
-    max_attempts: int = 5,
-    preset: str = "cpu",
-    variant: str = "policy",
-    num_attempts: int | None = None,
-    num_envs: int | None = None,
-    seed: int = 0,
-    reward: str | None = None,
-    encoder: str | None = None,
-    encoder_weights: str | Path | None = None,
-    encoder_frozen: bool = False,
-    out: str | Path | None = None,
-    engine: str = "auto",
-    eval_every: int = 0,
-    eval_episodes: int = 256,
-    eval_action: str | None = None,
-    memory_limit: float | None = None,
-    wandb: bool = False,
-    coordinator: str | None = None,
-    num_processes: int | None = None,
-    process_id: int | None = None,
-    show: Callable[[str], None] = print,
-) -> Path:
-    """Trains a placement policy with PPO (`cluttergen train`). The same call takes up an interrupted run.
-
-    Args:
-      pool, support, exclude, engine: as in `make_sampler`.
-      num_objects: objects per scene.
-      change: how the queried region is changed at random in every episode: "none", "translation",
-        "rotation", "shrinkage", "expansion" or "all".
-      max_attempts: per object, 1 to 10.
-      preset: "cpu", "tight" (for crowded tables), "gpu" or "paper".
-      variant: "policy" (the full method), "open_loop", "short_memory", "normal", "beta" or "ranked".
-      num_attempts, num_envs, reward, encoder: environment steps of the run, environments side by side, the
-        reward ("paper", "code", "compressed") and the scene's encoder ("set", "pointnet", "pointnet2"); the
-        preset's if not given.
-      seed: of weights, episodes and actions, 0 to 4294967295.
-      encoder_weights: the folder of pretrained weights that the encoder begins with (`pretrain`).
-      encoder_frozen: leave these weights as they are.
-      out: the run's folder, runs/POOL-VARIANT-SEED if not given.
-      eval_every: attempts between evaluations; 0 evaluates at the end only.
-      eval_episodes: fresh episodes of each evaluation; 0 leaves evaluations out.
-      eval_action: "sampled", or "mean" (of a ranker's candidates, the best); as `generate` acts if not given.
-      memory_limit: GB that the run may need; what is free if not given.
-      wandb: send the figures to Weights & Biases too (extra `wandb`).
-      coordinator, num_processes, process_id: HOST:PORT of the first of several processes that train one
-        policy together, how many there are, and which of them this is, from 0; the first one writes.
-      show: is given the lines that tell how far the run is.
-
-    Returns:
-      The policy's folder: `checkpoint` of `make_sampler` and `generate`.
+def train_config(given: Mapping[str, Any]) -> TrainConfig:
+    """The config of arguments of `cluttergen_jax.train` by name; it keeps paths as text.
 
     Raises:
-      ConfigError: a setting is out of range, or the folder holds a run with other settings.
-      PoolError: the pool or the support cannot be found or read.
-      DivergedError: numbers are not finite any more; the last good state is saved.
-      KeyboardInterrupt: on Ctrl-C, once everything is saved.
+      ConfigError: one of them is out of range.
     """
-    given = dict(locals())
-    fields = {field.name: given[field.name] for field in dataclasses.fields(TrainConfig)}
-    paths = {name: fields[name] and str(fields[name]) for name in ("support", "encoder_weights", "out")}
-    config = TrainConfig(**fields | paths | {"pool": composed(pool, exclude)})
-    from cluttergen_jax.learning.training.distributed import join
-
-    join(coordinator, num_processes, process_id)
-    return run_training(config, show=show)
+    names = (field.name for field in dataclasses.fields(TrainConfig))
+    known: dict[str, Any] = {name: given[name] for name in names if name in given}
+    texts = {name: str(each) for name, each in known.items() if isinstance(each, Path)}
+    return TrainConfig(**known | texts)
 
 
 def run_training(
     config: TrainConfig, settings: Settings | None = None, show: Callable[[str], None] = print
 ) -> Path:
-    """One run to its end; the policy's folder. See `train`.
+    """One run to its end; the policy's folder. See `cluttergen_jax.train`.
 
     Args:
       settings: in place of `config.settings()`, for an experiment that changes more than an argument does.

@@ -12,13 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-import cluttergen_jax
 from cluttergen_jax.learning.ppo.ppo import PPO, TrainState
 from cluttergen_jax.learning.ppo.sharding import replicated, state_sharding
 from cluttergen_jax.types import Array
 
 Figures = dict[str, np.ndarray]
-_PACKAGE = str(Path(cluttergen_jax.__file__).parent)
+_PACKAGE = str(Path(__file__).parents[2])
 
 
 class Carry(struct.PyTreeNode):

@@ -23,22 +23,8 @@ _EMPTY = {".gitattributes", "README.md"}
 _NAMES_PATHS = ("pool", "support", "checkpoint", "start")
 
 
-def push_bank(path: str | Path, name: str, *, hub: str | None = None, is_private: bool = False) -> str:
-    """Publishes a bank as a data set, with its card; returns where it is.
-
-    What is there under that name is replaced at once, if it is a bank: a hub keeps its earlier revisions.
-
-    Args:
-      path: a whole bank; nobody may be writing it.
-      name: OWNER/NAME.
-      hub: an address https://..., or a folder; `$CLUTTERGEN_HUB`, else the Hugging Face Hub if not given.
-      is_private: a new data set can be seen by its owner alone.
-
-    Raises:
-      BankError: the bank is not whole, the name is none or that of something else, or the hub refuses or
-        cannot be reached.
-      MissingExtraError: the extra `hub` is not installed.
-    """
+def push(path: str | Path, name: str, hub: str | None, is_private: bool) -> str:
+    """Where a bank is after it was published; see `cluttergen_jax.push_bank`."""
     _check_name(name)
     place = hub_of(hub)
     bank = read_bank(path)
@@ -54,31 +40,8 @@ def push_bank(path: str | Path, name: str, *, hub: str | None = None, is_private
         lock.release()
 
 
-def pull_bank(
-    name: str,
-    out: str | Path | None = None,
-    *,
-    hub: str | None = None,
-    revision: str | None = None,
-    overwrite: bool = False,
-) -> Path:
-    """Fetches a bank; returns its folder, which is there whole or not at all.
-
-    It is fetched beside its place, its names, blocks, assets and digests are checked, and then it is moved
-    there. An interrupted pull goes on where it stopped.
-
-    Args:
-      name: OWNER/NAME.
-      out: a folder that does not exist yet; that of `load_bank` if not given.
-      hub: see `push_bank`.
-      revision: a branch, tag or commit; the latest if not given.
-      overwrite: replace a bank that is there.
-
-    Raises:
-      BankError: there is no such bank, it is damaged, `out` exists, or the hub cannot be reached.
-      UnsafePathError: it names paths outside of its folder.
-      MissingExtraError: the extra `hub` is not installed.
-    """
+def pull(name: str, out: str | Path | None, hub: str | None, revision: str | None, overwrite: bool) -> Path:
+    """The folder of a bank that was fetched into it; see `cluttergen_jax.pull_bank`."""
     _check_name(name)
     place = hub_of(hub)
     out = pulled_path(name) if out is None else Path(out)
@@ -113,7 +76,7 @@ def find_bank(path: str | Path, *, hub: str | None = None, revision: str | None 
     if revision is None and (stored / INDEX).is_file():
         return stored
     try:
-        return pull_bank(path, hub=hub, revision=revision, overwrite=True)
+        return pull(path, None, hub, revision, overwrite=True)
     except ClutterGenError as error:
         raise BankError(
             f"{path} is not a bank: there is no such folder, and as a name on a hub: {error.given}",
@@ -123,7 +86,7 @@ def find_bank(path: str | Path, *, hub: str | None = None, revision: str | None 
 
 
 def hub_of(text: str | None) -> Hub:
-    """The hub that an argument names: see `push_bank`."""
+    """The hub that an argument names: see `cluttergen_jax.push_bank`."""
     text = text or os.environ.get(HUB_VARIABLE) or None
     if text is None or text.startswith(("https://", "http://")):
         return HuggingFaceHub(text)

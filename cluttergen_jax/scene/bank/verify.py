@@ -133,24 +133,9 @@ class VerificationReport:
             yield "  the same `cluttergen generate` again mends them; what is not in bank.json, remove"
 
 
-def verify(path: str | Path, check: VerifyConfig | None = None, *, jobs: int = 0) -> VerificationReport:
-    """Checks that saved scenes stand: plain MuJoCo, everything awake; `cluttergen verify`.
-
-    Of a bank, its files are compared with the digests in bank.json as well: a scene of which a file was
-    changed does not count. What was found is written to verification.json in the bank's folder.
-
-    Args:
-      path: a bank, or one MJCF file with a keyframe called scene.
-      check: how long, and what counts as standing; `VerifyConfig()` if not given.
-      jobs: scenes simulated at a time; 0 takes every core.
-
-    Raises:
-      BankError: there is nothing to verify, or a file cannot be loaded or simulated.
-      UnsafePathError: a file of a bank names files outside of that bank.
-      ConfigError: `jobs` is out of range.
-    """
+def verify_files(path: Path, check: VerifyConfig, jobs: int = 0) -> VerificationReport:
+    """How the files of a bank, or one file, behave; see `cluttergen_jax.verify`."""
     check_workers("jobs", jobs)
-    path, check = Path(path), check or VerifyConfig()
     files = scene_files(path)
     changes = changes_of(read_bank(path)) if (path / INDEX).is_file() else []
     # MuJoCo keeps meshes that it has read, and takes a file of the same second for the one that it knows.

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from cluttergen_jax.api.text import parse_numbers
+from cluttergen_jax.config import CameraName, ExportFormat
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.progress import tracked
-from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.reference import REFERENCES, parse_reference
-from cluttergen_jax.scene.bank.scene import chosen_records, read_scenes
-from cluttergen_jax.scene.export import export_scenes
 
 _MANY = 10
 
@@ -18,10 +15,10 @@ _MANY = 10
 def export(
     source: str | Path,
     out: str | Path,
-    format: str = "mjcf",
+    format: ExportFormat = "mjcf",
     *,
-    scenes: Sequence[int] | None = None,
-    cameras: Sequence[str] = (),
+    scenes: Sequence[int] | str | None = None,
+    cameras: Sequence[CameraName] = (),
     overwrite: bool = False,
 ) -> Path:
     """Writes scenes of a bank as a self-contained folder for another program (`cluttergen export`).
@@ -29,11 +26,11 @@ def export(
     `cluttergen_jax.scene.export.export_scenes` does the same for scenes of a sampler.
 
     Args:
-      source: a bank; or one scene of it: "BANK:INDEX", or its file "BANK/scenes/000003.xml".
+      source: a bank; or one scene of it: BANK:INDEX, or its file BANK/scenes/000003.xml.
       out: the folder to make.
       format: "mjcf" (MuJoCo), "urdf" (PyBullet), "sdf" (Drake, Gazebo), "usd" (Isaac, Omniverse), "glb" (any
         viewer), "maniskill", "robosuite" or "libero".
-      scenes: numbers; all successful ones if not given.
+      scenes: numbers such as 0,3,7 or 0-9; all successful ones if not given. In Python also a list.
       cameras: cameras around the support, to be added to every scene: "overhead", "front", "side", "wrist".
       overwrite: replace an earlier export.
 
@@ -45,16 +42,23 @@ def export(
       ConfigError: there is no such format or camera, or two answers to one question.
       MissingExtraError: the format needs an extra that is not installed.
     """
+    from cluttergen_jax.progress import tracked
+    from cluttergen_jax.scene.bank import read_bank
+    from cluttergen_jax.scene.bank.reference import REFERENCES, parse_reference
+    from cluttergen_jax.scene.bank.scene import chosen_records, read_scenes
+    from cluttergen_jax.scene.export import export_scenes
+
+    numbers = parse_numbers(scenes) if isinstance(scenes, str) else scenes
     named = parse_reference(str(source))
     if named is None:
         raise BankError(f"{source} is no scene of a bank", REFERENCES)
     path, own = named
     if own is not None:
-        if scenes is not None:
+        if numbers is not None:
             raise ConfigError(f"`scenes` beside the single scene {source}", "one of the two")
-        scenes = [own]
+        numbers = [own]
     bank = read_bank(path)
-    total = len(chosen_records(bank, scenes))
-    read = read_scenes(bank, scenes)
+    total = len(chosen_records(bank, numbers))
+    read = read_scenes(bank, numbers)
     shown = read if total <= _MANY else tracked(read, "exporting", total, "scene")
     return export_scenes(shown, out, format, overwrite=overwrite, cameras=tuple(cameras))

@@ -1,0 +1,34 @@
+"""Stability certificates of the scenes of a bank."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cluttergen_jax.config import check_workers
+
+if TYPE_CHECKING:
+    from cluttergen_jax.evaluation.certify import Certification
+    from cluttergen_jax.scene.bank import Bank
+
+
+def certify(
+    bank: Bank | str | Path, *, seconds: float = 2.0, jobs: int = 0, force: bool = False
+) -> Certification:
+    """Adds a stability certificate to each scene of a bank that stands: a column for each measure.
+
+    Args:
+      bank: a bank's folder; in Python also a `Bank`.
+      seconds: the horizon over which drift is measured.
+      jobs: scenes simulated at a time; 0 takes every core.
+      force: measure again what has a certificate.
+
+    Raises:
+      BankError: the bank cannot be read or written, another process writes it, or no scene in it stands.
+      ConfigError: a setting is outside its range.
+    """
+    from cluttergen_jax.evaluation.certify import certify_bank
+    from cluttergen_jax.scene.bank import Bank, read_bank
+
+    check_workers("jobs", jobs)
+    return certify_bank(bank if isinstance(bank, Bank) else read_bank(bank), seconds, jobs, force)

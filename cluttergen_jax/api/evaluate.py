@@ -1,0 +1,143 @@
+"""Methods side by side, and suites of tables and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cluttergen_jax.config import Change, Engine, Method, Suite, check_workers
+from cluttergen_jax.errors import ConfigError
+
+if TYPE_CHECKING:
+    from cluttergen_jax.evaluation.comparison import Comparison
+    from cluttergen_jax.evaluation.studies.study import Result
+
+_TRIALS = 1000
+
+
+def evaluate(
+    methods: Sequence[Method] = (),
+    pools: Sequence[str] = (),
+    supports: Sequence[str] = ("table",),
+    *,
+    num_objects: int = 10,
+    trials: int | None = None,
+    seed: int = 0,
+    max_attempts: int = 5,
+    repeat: bool = False,
+    change: Change = "none",
+    exclude: Sequence[str] = (),
+    checkpoint: str | Path | None = None,
+    checkpoints: str | Path | None = None,
+    engine: Engine = "auto",
+    num_threads: int = 0,
+    fresh: bool = False,
+    out: str | Path | None = None,
+) -> Comparison:
+    """Compares methods: success rates with 95 % intervals, objects placed, effort and speed.
+
+    Args:
+      methods: "random", "clear", "drop" (these three if not given), and trained policies: "policy",
+        "policy-clear", "ranked", "beta", "normal", "open_loop", "short_memory". Of a suite, the rows that are
+        made; all if not given.
+      pools: names or folders, or several joined by +; dining if not given, and what each study asks for in a
+        suite.
+      supports: names or folders; "table-0.40x0.50" is a cuboid of that size, all of it the queried region.
+      num_objects: objects per scene.
+      trials: scenes per row; 1000 if not given, and what each study asks for in a suite.
+      seed: of the scenes.
+      max_attempts: per object.
+      repeat: let objects stand there more than once.
+      change: how the queried region is changed at random in every episode: "none", "translation",
+        "rotation", "shrinkage", "expansion" or "all".
+      exclude: names of objects to leave out of each pool; exclude=("mug",) is the same as pools="dining~mug".
+      checkpoint: the policy's folder, for learned methods; else the embedded ones are taken.
+      checkpoints: a folder of training runs, POOL-VARIANT[-attemptsA][-SEED], instead of the embedded ones.
+      engine: "auto", "native", "warp" or "jax".
+      num_threads: simulation threads; 0 takes every core.
+      fresh: make rows again that are at hand.
+      out: where everything goes: the table, and rows, which are not made again. With None a function writes
+        nothing of a comparison; the command takes out/evaluation, and a suite out/SUITE.
+
+    Raises:
+      ConfigError: a setting is outside its range, or there is no such method.
+      PoolError: there is no such pool or support, or no policy for any of the rows.
+    """
+    from cluttergen_jax.assets.pool import composed
+    from cluttergen_jax.evaluation.comparison import compare, open_runner
+    from cluttergen_jax.evaluation.studies.study import grid
+    from cluttergen_jax.evaluation.trial import Trial
+    from cluttergen_jax.placement.baselines import BASELINES
+
+    check_workers("num_threads", num_threads)
+    if not supports:
+        raise ConfigError("supports = ()", "one name or more")
+    base = Trial(
+        num_objects=num_objects,
+        attempts=max_attempts,
+        trials=_TRIALS if trials is None else trials,
+        seed=seed,
+        repeat=repeat,
+        change=change,
+    )
+    named = [composed(pool, exclude) for pool in pools or ("dining",)]
+    planned = grid(base, pool=named, support=supports, method=methods or BASELINES)
+    folder = None if out is None else Path(out)
+    runner = open_runner(folder, planned, checkpoint, checkpoints, engine, num_threads, fresh)
+    return compare(runner, planned, folder)
+
+
+def evaluate_suite(
+    suite: Suite,
+    *,
+    only: Sequence[str] = (),
+    quick: bool = False,
+    methods: Sequence[Method] = (),
+    pools: Sequence[str] = (),
+    trials: int | None = None,
+    seed: int = 0,
+    seeds: int | None = None,
+    checkpoint: str | Path | None = None,
+    checkpoints: str | Path | None = None,
+    engine: Engine = "auto",
+    num_threads: int = 0,
+    fresh: bool = False,
+    out: str | Path | None = None,
+    show: Callable[[Result], None] = lambda result: None,
+) -> list[Result]:
+    """Makes the tables and figures of a suite, and writes each as it is done (`cluttergen evaluate --suite`).
+
+    The arguments that are not explained here are those of `evaluate`.
+
+    Args:
+      suite: "paper" (its tables and figures) or "extended" (what it does not ask); what the studies' own is
+        cannot be given then: supports, objects, attempts, repeats and changes.
+      only: names of studies of the suite; all of them if not given.
+      quick: a few trials a row: the whole paper suite in minutes.
+      seeds: training seeds where a table asks for several, 3 if not given, 1 if quick; those without a
+        checkpoint are left out.
+      show: is given each result as it is done.
+
+    Returns:
+      The results as they are stored in NAME.json; `report.tables_of` makes tables of one.
+
+    Raises:
+      ConfigError: a setting is outside its range, or there is no such suite, study or method.
+      PoolError: there is no such pool.
+    """
+    from cluttergen_jax.evaluation.comparison import open_runner
+    from cluttergen_jax.evaluation.running import imported_pools, run_suite, suite_folder
+    from cluttergen_jax.evaluation.studies.study import Scale
+    from cluttergen_jax.evaluation.studies.time import TIME
+    from cluttergen_jax.evaluation.suites import find_suite
+
+    check_workers("num_threads", num_threads)
+    if seeds is not None and not 1 <= seeds <= 100:
+        raise ConfigError(f"seeds = {seeds}", "1 to 100")
+    folder = suite_folder(suite, quick) if out is None else Path(out)
+    scale = Scale(quick, trials, seeds, tuple(pools), tuple(methods), seed, imported_pools())
+    planned = find_suite(suite, scale, only)
+    rows = [trial for each in planned if each.study is not TIME for trial in each.trials]
+    runner = open_runner(folder, rows, checkpoint, checkpoints, engine, num_threads, fresh)
+    return run_suite(runner, suite, planned, scale, folder, show)

@@ -1,0 +1,127 @@
+"""A bank of scenes from names and numbers."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cluttergen_jax.config import Containment, Engine, Method, Order
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.config import MIN_MARGIN
+
+if TYPE_CHECKING:
+    from cluttergen_jax.assets.support import Rectangle
+    from cluttergen_jax.generation.generate import GeneratedBank
+
+MAX_SCENES = 10_000_000
+_MOST = 2**32 - 1
+
+
+def generate(
+    out: str | Path = "out",
+    *,
+    pool: str | Path = "dining",
+    num_scenes: int = 20,
+    method: Method | None = None,
+    checkpoint: str | Path | None = None,
+    num_objects: int | None = None,
+    objects: Sequence[str] = (),
+    exclude: Sequence[str] = (),
+    support: str | Path = "table",
+    region: Rectangle | str | None = None,
+    containment: Containment = "center",
+    order: Order = "random",
+    max_attempts: int = 5,
+    min_margin: float = MIN_MARGIN,
+    repeat: bool = False,
+    start: str | None = None,
+    keep_out: Sequence[Rectangle | str] = (),
+    seed: int = 0,
+    engine: Engine = "auto",
+    num_threads: int = 0,
+    render: bool = True,
+    max_files: int = 1000,
+    overwrite: bool = False,
+) -> GeneratedBank:
+    """Samples scenes and saves them as a bank, failures included; `cluttergen generate`.
+
+    The same call continues an interrupted one, and mends what is damaged. Scene i of it is what
+    `make_sampler` makes of the key `jax.random.fold_in(jax.random.key(seed), i)`.
+
+    Args:
+      out: the bank's folder; an interrupted bank is continued.
+      pool: a pool's name or folder (`cluttergen list`), or several joined by +: dining+mine.
+      num_scenes: scenes to make, failures counted.
+      method: how poses are proposed: "random", "clear", "drop", or a trained policy: "policy",
+        "policy-clear", "ranked", "beta", "normal", "open_loop" or "short_memory". If not given: the
+        checkpoint's own; else "policy" where one is embedded for this pool, support and number of objects
+        that fills nine of ten scenes, else "clear".
+      checkpoint: the policy's folder; the embedded one for the pool if not given.
+      num_objects: objects per scene; all of the pool's (40 at most) if not given.
+      objects: names of the pool's objects to use; all of them if empty.
+      exclude: names of the pool's objects to leave out; exclude=("mug",) is the same as pool="dining~mug".
+      support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
+      region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
+        In Python also a `Rectangle`.
+      containment: what must lie in the region: the bounding box's "center", or its whole "footprint".
+      order: "random", or "fixed" to the pool's order.
+      max_attempts: attempts per object, 1 to 10.
+      min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
+        asks for nothing, as the paper does.
+      repeat: let objects stand there more than once.
+      start: a scene to start from, BANK:INDEX; its objects stay and count as neighbours.
+      keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.
+      seed: the same seed makes the same scenes, 0 to 4294967295.
+      engine: "auto", "native", "warp" or "jax".
+      num_threads: simulation threads of the native engine; 0 takes every core.
+      render: draw a picture of each scene that gets a file.
+      max_files: the first so many scenes get an MJCF file each (and a picture) if they succeed.
+      overwrite: begin anew if the folder holds another bank.
+
+    Returns:
+      The bank; printed, it tells how well it went.
+
+    Raises:
+      ConfigError, PoolError: as `make_sampler`.
+      BankError: the folder holds something else, cannot be written, or is being written by another process;
+        or the scene to start from cannot be read.
+    """
+    from cluttergen_jax.assets.rectangle_text import parse_keep_out, parse_region
+    from cluttergen_jax.assets.support_file import find_support
+    from cluttergen_jax.generation.generate import recipe_of, write_bank
+    from cluttergen_jax.generation.wiring import check_range, find_method, make_setup, problem_config
+    from cluttergen_jax.learning.methods import suited
+
+    check_range("num_scenes", num_scenes, 1, MAX_SCENES, 20)
+    check_range("seed", seed, 0, _MOST, 0)
+    if max_files < 0:
+        raise ConfigError(f"max_files = {max_files}", "0 or more", "max_files=0 for none")
+    boxes = [parse_keep_out(box) if isinstance(box, str) else box for box in keep_out]
+    config = problem_config(
+        pool=pool,
+        support=support,
+        num_objects=num_objects,
+        objects=objects,
+        exclude=exclude,
+        repeat=repeat,
+        region=parse_region(region, find_support(support).region) if isinstance(region, str) else region,
+        keep_out=boxes,
+        max_attempts=max_attempts,
+        containment=containment,
+        order=order,
+        min_margin=min_margin,
+        engine=engine,
+        num_threads=num_threads,
+    )
+    chosen = find_method(method, checkpoint, config)
+    config = dataclasses.replace(config, placement=suited(config.placement, chosen.checkpoint))
+    setup = make_setup(config, boxes, start)
+    recipe = recipe_of(setup.problem, chosen) | {
+        "start": start,
+        "keep_out": [box if isinstance(box, str) else dataclasses.asdict(box) for box in keep_out],
+        "checkpoint": None if checkpoint is None else str(checkpoint),
+        "seed": seed,
+    }
+    return write_bank(out, setup, chosen, recipe, num_scenes, render, max_files, overwrite)

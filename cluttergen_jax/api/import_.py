@@ -1,0 +1,132 @@
+"""Imports: from files to pools of measured bodies, and to supports."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cluttergen_jax.assets.config import MAX_TEXTURE, NUM_TRIALS, DecompositionConfig
+from cluttergen_jax.config import Axis, Tier
+
+if TYPE_CHECKING:
+    from cluttergen_jax.assets.support import SupportAsset
+    from cluttergen_jax.importing.run import ImportReport
+
+
+def import_pool(
+    sources: Sequence[str | Path] | str | Path,
+    pool: str,
+    *,
+    tier: Tier = "standard",
+    scale: float = 1.0,
+    up: Axis = "auto",
+    front: Axis = "auto",
+    density: float = 500.0,
+    mass: float | None = None,
+    max_texture: int = MAX_TEXTURE,
+    decomposition: DecompositionConfig | None = None,
+    trials: int = NUM_TRIALS,
+    jobs: int = 0,
+    friction: float | None = None,
+    licence: str = "",
+    attribution: str = "",
+    settings: str | Path | None = None,
+    add: bool = False,
+    force: bool = False,
+    progress: bool = True,
+) -> ImportReport:
+    """Makes a user pool of all objects that files and folders hold (`cluttergen import --pool`).
+
+    It works in processes of its own: a script calls it below `if __name__ == "__main__":`. An interrupted
+    import takes up where it stopped.
+
+    Args:
+      sources: files or folders; the word "ycb" stands for the 78 YCB objects (extra `ycb`).
+      pool: the new pool's name.
+      tier: "standard" (up to 32 convex parts), or "light" (one hull) for MJX in pure JAX.
+      scale: factor from the files' unit to metres.
+      up: the files' vertical axis; "auto" is y for GLTF, what a DAE file says, and z for all others.
+      front: the files' axis that becomes the objects' +x; "auto" is x, or -y where x is up.
+      density: kg/m^3, where the mass is not known.
+      mass: kilograms for every object, such as the paper's 0.1.
+      max_texture: pixels a side that an image may have; larger ones are shrunk.
+      decomposition: CoACD's parameters; the defaults of `DecompositionConfig` if not given.
+      trials: placements by which solo stability is measured.
+      jobs: worker processes; 0 takes one for each core.
+      friction: sliding coefficient of every object, instead of 0.5 wherever it touches something.
+      licence: on which terms the objects may be passed on, where their source does not say.
+      attribution: whom to name, where the licence asks for it.
+      settings: a TOML file of settings per object, in place of the objects.toml in each folder.
+      add: add to the pool, which exists; objects of equal names are refused, or replaced with `force`.
+      force: make everything again, and replace a pool, a support, or with `add` objects of that name.
+      progress: show a progress bar.
+
+    Returns:
+      What was made (`pool`), skipped, and what failed, and why: a file that is damaged fails alone.
+
+    Raises:
+      ConfigError, PoolError, AssetError, MissingExtraError: see `importing.run.import_sources`.
+    """
+    from cluttergen_jax.assets.body import BodyConfig
+    from cluttergen_jax.importing.readers import ReadOptions
+    from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
+
+    read = ReadOptions(
+        scale=scale,
+        up=up,
+        front=front,
+        density=density,
+        mass=mass,
+        friction=friction,
+        licence=licence,
+        attribution=attribution,
+        max_texture=max_texture,
+    )
+    config = ObjectConfig(read, BodyConfig(tier, decomposition or DecompositionConfig()), trials)
+    how = ImportConfig(config, jobs, force, progress, add, None if settings is None else Path(settings))
+    return import_sources([sources] if isinstance(sources, str | Path) else sources, pool, how)
+
+
+def import_support(
+    path: str | Path,
+    name: str | None = None,
+    *,
+    scale: float = 1.0,
+    up: Axis = "auto",
+    front: Axis = "auto",
+    max_texture: int = MAX_TEXTURE,
+    licence: str = "",
+    attribution: str = "",
+    force: bool = False,
+) -> SupportAsset:
+    """Makes a support of the user's own of one table with a level top (`cluttergen import --support`).
+
+    The arguments that are not explained here are those of `import_pool`.
+
+    Args:
+      path: instead of sources and a pool, the file of one table with a level top, 2 m across at most: a mesh,
+        URDF or MJCF, or a folder that holds one.
+      name: the new support's name; the file's own if not given.
+
+    Returns:
+      The support; its name is what `support` of `make_sampler` takes.
+
+    Raises:
+      AssetError: the file cannot be read, holds several objects, or has no level top to speak of.
+      ConfigError: an option is out of range.
+      PoolError: the name is not one, is taken by an embedded support, or by another support and `force` is
+        not set.
+    """
+    from cluttergen_jax.importing.readers import ReadOptions
+    from cluttergen_jax.importing.supports import write_table
+
+    options = ReadOptions(
+        scale=scale,
+        up=up,
+        front=front,
+        max_texture=max_texture,
+        licence=licence,
+        attribution=attribution,
+    )
+    return write_table(path, name, options, force)

@@ -1,0 +1,99 @@
+"""Pictures, films, contact sheets and measurements of scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from cluttergen_jax.api.text import parse_numbers, parse_size
+from cluttergen_jax.config import FilmFormat
+from cluttergen_jax.rendering.config import CameraView, FilmConfig
+
+if TYPE_CHECKING:
+    from cluttergen_jax.generation.sources.rendering import RenderReport
+
+
+def render(
+    source: str | Path,
+    out: str | Path = "out/pictures",
+    *,
+    scenes: Sequence[int] | str | None = None,
+    picture: bool = True,
+    sheet: bool = False,
+    turntable: bool = False,
+    replay: bool = False,
+    figure: bool = False,
+    depth: bool = False,
+    segmentation: bool = False,
+    points: bool = False,
+    size: tuple[int, int] | str | None = None,
+    view: CameraView | None = None,
+    whole: bool = False,
+    hulls: bool = False,
+    samples: int | None = None,
+    film: FilmFormat = "gif",
+    pace: FilmConfig | None = None,
+    columns: int = 4,
+) -> RenderReport:
+    """Draws scenes: pictures, films, contact sheets and measurements (`cluttergen render`).
+
+    Args:
+      source: a bank; one scene of it, BANK:INDEX or BANK/scenes/000003.xml; any MJCF file with free bodies;
+        or a checkpoint, whose policy then makes the scenes.
+      out: the folder for what is made; files are named after the scene.
+      scenes: numbers such as 0,3,7 or 0-9, or all; the first that stands if not given (12 of them on a
+        sheet). In Python also a list.
+      picture: draw a PNG of each scene.
+      sheet: all scenes on one contact sheet, sheet.png.
+      turntable: a film once around the scene.
+      replay: a film of the placement as it happened, failed attempts in red.
+      figure: the closed-loop figure: an object's failed attempts ringed in red, until it stands.
+      depth: a 16-bit PNG in millimetres along the optical axis (0: nothing there), and the NPZ file.
+      segmentation: an indexed PNG: 0 floor or nothing, 1 support, 2 + k object k; and the NPZ file.
+      points: a PLY point cloud of all surfaces: metres, world frame, colours, labels as above.
+      size: of pictures, WIDTHxHEIGHT in pixels; 1280x960, and 640x480 for films, if not given. In Python also
+        a pair.
+      view: from which side the scene is seen; the defaults of `CameraView` if not given.
+      whole: show the whole support instead of the objects and the region alone.
+      hulls: draw the collision parts instead of the surfaces.
+      samples: pictures averaged into one, for soft light; 32, and 10 for films, if not given.
+      film: "gif", or "mp4" (extra video).
+      pace: how fast films run; the defaults of `FilmConfig` if not given.
+      columns: of the contact sheet.
+
+    Raises:
+      PoolError, BankError, AssetError: there is no such source, no such scene, or none that stands.
+      ConfigError: a setting is out of range.
+      ClutterGenError: nothing can be drawn on this machine.
+    """
+    products = {
+        "picture": picture,
+        "sheet": sheet,
+        "turntable": turntable,
+        "replay": replay,
+        "figure": figure,
+        "depth": depth,
+        "segmentation": segmentation,
+        "points": points,
+    }
+    numbers = _numbers(scenes)
+    size = parse_size(size) if isinstance(size, str) else size
+    from cluttergen_jax.generation.sources.rendering import Rendering
+    from cluttergen_jax.rendering.scene_renderer import PictureConfig
+
+    return Rendering(
+        frozenset(name for name, is_asked in products.items() if is_asked),
+        Path(out),
+        size,
+        samples,
+        PictureConfig(view=view or CameraView(), whole=whole, hulls=hulls),
+        film,
+        pace or FilmConfig(),
+        columns,
+    ).make(str(source), numbers)
+
+
+def _numbers(scenes: Sequence[int] | str | None) -> Sequence[int] | Literal["all"] | None:
+    """Which scenes are asked for, from text or not."""
+    return (parse_numbers(scenes) or "all") if isinstance(scenes, str) else scenes

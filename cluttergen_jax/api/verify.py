@@ -1,0 +1,32 @@
+"""Whether saved scenes stand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cluttergen_jax.config import VerifyConfig
+
+if TYPE_CHECKING:
+    from cluttergen_jax.scene.bank.verify import VerificationReport
+
+
+def verify(path: str | Path, check: VerifyConfig | None = None, *, jobs: int = 0) -> VerificationReport:
+    """Checks that saved scenes stand: plain MuJoCo, everything awake; `cluttergen verify`.
+
+    Of a bank, its files are compared with the digests in bank.json as well: a scene of which a file was
+    changed does not count. What was found is written to verification.json in the bank's folder.
+
+    Args:
+      path: a bank, or one MJCF file with a keyframe called scene.
+      check: how long, and what counts as standing; the defaults of `VerifyConfig` if not given.
+      jobs: scenes simulated at a time; 0 takes every core.
+
+    Raises:
+      BankError: there is nothing to verify, or a file cannot be loaded or simulated.
+      UnsafePathError: a file of a bank names files outside of that bank.
+      ConfigError: `jobs` is out of range.
+    """
+    from cluttergen_jax.scene.bank.verify import verify_files
+
+    return verify_files(Path(path), check or VerifyConfig(), jobs)

@@ -1,0 +1,120 @@
+"""Options of a command, made from the signatures and docstrings of the API functions that it calls."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import types
+import typing
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, get_args, get_origin
+
+import tyro
+from docstring_parser import parse
+
+from cluttergen_jax.cli.flags import FLAGS, option_help
+from cluttergen_jax.errors import ConfigError
+
+_NOT_AN_OPTION = "show"
+
+
+class Options:
+    """What a command is given: a frozen dataclass whose fields are arguments of API functions."""
+
+    if typing.TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """The fields, which `options_from` makes."""
+
+    def call(
+        self,
+        function: Callable[..., Any],
+        where: str = "",
+        hint: str = "",
+        ignored: Sequence[str] = (),
+        **changes: Any,
+    ) -> Any:
+        """Calls a function with those of the options that it takes, and with `changes` in their place.
+
+        Args:
+          where, hint: what an error says of options that it does not take, and that were given.
+          ignored: options that it does not take, and that do no harm.
+
+        Raises:
+          ConfigError: such an option was given.
+        """
+        taken = inspect.signature(function).parameters
+        defaults = {field.name: field.default for field in dataclasses.fields(self)}  # type: ignore[arg-type]
+        given = {name: getattr(self, name) for name in defaults}
+        useless = [
+            f"--{FLAGS.get(name, name).replace('_', '-')}"
+            for name, value in given.items()
+            if name not in (*taken, *ignored) and value != defaults[name]
+        ]
+        if useless:
+            raise ConfigError(f"{', '.join(useless)} {where}", hint=hint)
+        return function(**{name: value for name, value in given.items() if name in taken} | changes)
+
+
+def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type], Any]:
+    """A decorator that gives a command the arguments of functions, with their defaults, as options.
+
+    What only one of several functions takes, and cannot do without, may be left out on the command line.
+
+    Args:
+      functions: where several take an argument, the first says what it is.
+      kinds: types in place of the functions' own, by argument: what is positional, has an alias, or is text
+        on the command line alone.
+    """
+
+    def decorate(command: type) -> type:
+        fields: dict[str, tuple[str, Any, Any]] = {}
+        docs: dict[str, str] = {}
+        for function in functions:
+            docs = _docs(function) | docs
+            for name, parameter in inspect.signature(function).parameters.items():
+                if name not in fields and name != _NOT_AN_OPTION:
+                    # One by one: some other annotation may name a type that takes long to import.
+                    kind = kinds.get(name) or _as_given(eval(parameter.annotation, function.__globals__))
+                    is_needed = all(name in inspect.signature(each).parameters for each in functions)
+                    fields[name] = (name, kind, _default(parameter.default, kind, is_needed))
+        # A dataclass has fields without a default first.
+        ordered = sorted(fields.values(), key=lambda field: field[2].default is not dataclasses.MISSING)
+        made = dataclasses.make_dataclass(
+            command.__name__, ordered, bases=(command,), frozen=True, namespace={"__doc__": command.__doc__}
+        )
+        for field in dataclasses.fields(made):
+            told = tyro.conf.arg(help=option_help(docs[field.name], made), name=FLAGS.get(field.name))
+            made.__annotations__[field.name] = field.type = Annotated[field.type, told]
+        return made
+
+    return decorate
+
+
+def _docs(function: Callable[..., Any]) -> dict[str, str]:
+    """What a docstring says of each argument."""
+    params = parse(function.__doc__ or "").params
+    return {name: each.description or "" for each in params for name in each.arg_name.split(", ")}
+
+
+def _as_given(kind: Any) -> Any:
+    """A type as a command line gives it: as text if a function takes it so, and sequences as tuples."""
+    if isinstance(kind, types.UnionType):
+        optional = [each for each in get_args(kind) if each is types.NoneType]
+        others = [each for each in get_args(kind) if each is not types.NoneType]
+        if str in others:
+            return str | None if optional else str
+        # A config of its defaults is what None stands for.
+        return others[0] if dataclasses.is_dataclass(others[0]) else kind
+    return types.GenericAlias(tuple, (*get_args(kind), ...)) if get_origin(kind) is Sequence else kind
+
+
+def _default(value: Any, kind: Any, is_needed: bool) -> Any:
+    """The field of an argument with its default, or one that has none where all functions need it."""
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        return dataclasses.field(default=kind())
+    if value is not inspect.Parameter.empty:
+        return dataclasses.field(default=value)
+    if is_needed:
+        return dataclasses.field()
+    return dataclasses.field(default=() if "tuple" in str(kind) else None)
