@@ -12,7 +12,7 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
-from cluttergen_jax.placement.scenes import Scenes
+from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.types import Array, Verdict
 
@@ -51,7 +51,7 @@ class Outcome:
       compile_seconds: wall time of tracing, compilation and a step in which no attempt is made.
     """
 
-    scenes: Scenes
+    scenes: SceneBatch
     attempts: Attempts
     seconds: float
     cpu_seconds: float
@@ -81,7 +81,7 @@ def run_episodes(
     key, place = jax.random.key(seed), np.arange(width)
     rollout.compile(sampler, key, place)
     compiled, cpu = time.perf_counter(), time.process_time()
-    scenes: list[Scenes] = []
+    scenes: list[SceneBatch] = []
     made: list[Attempts] = []
 
     def note(number: int, attempts: Attempts) -> None:

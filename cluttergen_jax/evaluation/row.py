@@ -94,7 +94,7 @@ def arrays_of(outcome: Outcome) -> dict[str, np.ndarray]:
     return {
         "object_index": scenes.object_index,
         "is_placed": scenes.is_placed,
-        "poses": scenes.T_world_object,
+        "poses": scenes.poses,
         "is_success": scenes.is_success,
         "is_filled": scenes.is_filled,
         "attempt_scene": attempts.scene,

@@ -41,7 +41,7 @@ def make_sampler(
     num_threads: int = 0,
     **unknown: Never,
 ) -> Sampler:
-    """A function `sample(key) -> SampledScene` that may be compiled, mapped, scanned and sharded.
+    """A function `sample(key) -> SceneBatch` that may be compiled, mapped, scanned and sharded.
 
     Nothing random is decided here: equal keys give equal scenes, within the limits that docs/contract.md
     names.

@@ -9,7 +9,7 @@ from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.reference import REFERENCES, parse_reference
-from cluttergen_jax.scene.bank.scene import chosen_records, read_scenes
+from cluttergen_jax.scene.bank.scene import chosen_rows, read_scenes
 from cluttergen_jax.scene.export import export_scenes
 
 _MANY = 10
@@ -54,7 +54,7 @@ def export(
             raise ConfigError(f"`scenes` beside the single scene {source}", "one of the two")
         scenes = [own]
     bank = read_bank(path)
-    total = len(chosen_records(bank, scenes))
+    total = len(chosen_rows(bank, scenes))
     read = read_scenes(bank, scenes)
     shown = read if total <= _MANY else tracked(read, "exporting", total, "scene")
     return export_scenes(shown, out, format, overwrite=overwrite, cameras=tuple(cameras))

@@ -21,7 +21,7 @@ from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.placement.rollout.record import Recorder
-from cluttergen_jax.placement.rollout.replay import Recording
+from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.reference import read_start
@@ -53,7 +53,7 @@ class ReplayContext:
         """What to say while a scene by `method` is made: the first is compiled."""
         return "" if method in self._used else COMPILING
 
-    def record(self, method: str, seed: int, index: int, title: str, width: int = 1) -> Recording:
+    def record(self, method: str, seed: int, index: int, title: str, width: int = 1) -> Replay:
         """Scene number `index` of `seed`, with its attempts; see `Recorder.record`."""
         recording = self.recorder(method, width).record(seed, index, title)
         self._used.add(method)
@@ -91,7 +91,7 @@ def replay_context_of(bank: Bank) -> ReplayContext:
     return ReplayContext(setup, {} if trained is None else {method: trained})
 
 
-def replay(bank: Bank, context: ReplayContext, index: int, stored: Recording) -> Recording:
+def replay(bank: Bank, context: ReplayContext, index: int, stored: Replay) -> Replay:
     """Scene number `index` of a bank with its attempts, made once more.
 
     Raises:
@@ -110,7 +110,7 @@ def replay(bank: Bank, context: ReplayContext, index: int, stored: Recording) ->
     return recording
 
 
-def _equal(recording: Recording, stored: Recording) -> bool:
+def _equal(recording: Replay, stored: Replay) -> bool:
     ends = {recording.names[i]: recording.poses[i] for i in recording.placed}
     kept = {stored.names[i]: stored.poses[i] for i in stored.placed}
     return set(ends) == set(kept) and all(np.array_equal(ends[name], kept[name]) for name in kept)

@@ -11,9 +11,10 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.generation.sources.replay import ReplayContext, replay, replay_context_of
 from cluttergen_jax.importing.readers.mjcf_scene import read_mjcf_scene
-from cluttergen_jax.placement.rollout.replay import Recording, still
+from cluttergen_jax.placement.rollout.replay import Replay, still
 from cluttergen_jax.placement.world import base_name
-from cluttergen_jax.scene.bank.bank import Bank, read_bank
+from cluttergen_jax.scene.bank import Bank, read_bank
+from cluttergen_jax.scene.bank.table import rows_of
 
 
 class BankSource:
@@ -54,7 +55,7 @@ class BankSource:
         """See `SceneSource`. Stored scenes come at once."""
         return self._context.notice(method) if method else ""
 
-    def still(self, number: int) -> Recording:
+    def still(self, number: int) -> Replay:
         """See `SceneSource`.
 
         Raises:
@@ -62,22 +63,20 @@ class BankSource:
         """
         if number not in self._place:
             raise BankError(f"{self.name} has no scene {number}", f"{min(self._place)} to {max(self._place)}")
-        row = self.bank.table.slice(self._place[number], 1).to_pylist()[0]
-        placed = np.array(row["is_placed"], bool)
-        names = [name for name, is_there in zip(row["objects"], placed, strict=True) if is_there]
+        row = next(rows_of(self.bank.table.slice(self._place[number], 1)))
         return still(
             title=f"{self.name}, scene {number}",
-            objects=[self._object(base_name(name)) for name in names],
-            names=names,
-            poses=np.array(row["poses"], np.float32).reshape(-1, 7)[placed],
+            objects=[self._object(base_name(name)) for name in row.objects],
+            names=row.objects,
+            poses=row.poses,
             support=self.bank.support,
             region=self._region,
-            is_success=row["is_success"],
-            verdict=row["verdict"],
-            drift=row["drift"],
+            is_success=row.is_success,
+            verdict=row.verdict,
+            drift=row.drift,
         )
 
-    def recorded(self, number: int) -> Recording:
+    def recorded(self, number: int) -> Replay:
         """See `SceneSource`.
 
         Raises:
@@ -86,7 +85,7 @@ class BankSource:
         """
         return replay(self.bank, self._context, number, self.still(number))
 
-    def sample(self, method: str, seed: int) -> Recording:
+    def sample(self, method: str, seed: int) -> Replay:
         """See `SceneSource`."""
         return self._context.record(method, seed, 0, f"{method}, seed {seed}")
 
@@ -129,11 +128,11 @@ class FileSource:
         """See `SceneSource`."""
         return ""
 
-    def still(self, number: int) -> Recording:
+    def still(self, number: int) -> Replay:
         """See `SceneSource`."""
         return self._still
 
-    def recorded(self, number: int) -> Recording:
+    def recorded(self, number: int) -> Replay:
         """How a file's scene came about, nobody knows.
 
         Raises:
@@ -144,6 +143,6 @@ class FileSource:
             "a scene of a bank, BANK:INDEX or BANK/scenes/NUMBER.xml",
         )
 
-    def sample(self, method: str, seed: int) -> Recording:
+    def sample(self, method: str, seed: int) -> Replay:
         """See `recorded`."""
         return self.recorded(seed)

@@ -47,7 +47,7 @@ class Attempt:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Replay:
     """A scene and, where it is known, how it came about.
 
     Attributes:
@@ -99,10 +99,10 @@ def still(
     is_success: bool = True,
     verdict: str = "",
     drift: float = 0.0,
-) -> Recording:
+) -> Replay:
     """A scene of which only the end is known: all `objects` at `poses` f32[K, 7]."""
     poses = np.asarray(poses, np.float32).reshape(-1, 7)
     is_placed = np.ones(len(poses), bool)
-    return Recording(
+    return Replay(
         title, tuple(objects), tuple(names), support, region, (), poses, is_placed, is_success, verdict, drift
     )

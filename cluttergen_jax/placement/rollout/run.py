@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cluttergen_jax.placement.rollout.blocks import BlockSampler
-from cluttergen_jax.placement.scenes import BLOCK_SIZE, Scenes
+from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.progress import COMPILING, Progress, interruptible
 from cluttergen_jax.types import Array
@@ -71,7 +71,7 @@ class Rollout:
         indices: np.ndarray,
         is_wanted: np.ndarray,
         on_step: Callable[[int, Any], None] = lambda number, seen: None,
-    ) -> Scenes:
+    ) -> SceneBatch:
         """The scenes of a block, NumPy arrays with leading axis N.
 
         Args:
@@ -103,7 +103,7 @@ def blocks_of(num_scenes: int) -> list[tuple[int, int]]:
 
 def sample_blocks(
     sampler: BlockSampler, blocks: Sequence[tuple[int, int]], seed: int, title: str = "placing"
-) -> Iterator[tuple[int, np.ndarray, Scenes]]:
+) -> Iterator[tuple[int, np.ndarray, SceneBatch]]:
     """Samples blocks, compiling once.
 
     Every block is computed at full width, so that a scene does not depend on how many were asked for.
