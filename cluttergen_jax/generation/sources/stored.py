@@ -10,11 +10,11 @@ import numpy as np
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.generation.sources.replay import ReplayContext, replay, replay_context_of
-from cluttergen_jax.importing.readers.mjcf_scene import read_mjcf_scene
-from cluttergen_jax.placement.rollout.replay import Replay, still
+from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.table import rows_of
+from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 
 
 class BankSource:
@@ -64,13 +64,14 @@ class BankSource:
         if number not in self._place:
             raise BankError(f"{self.name} has no scene {number}", f"{min(self._place)} to {max(self._place)}")
         row = next(rows_of(self.bank.table.slice(self._place[number], 1)))
-        return still(
+        return Replay(
             title=f"{self.name}, scene {number}",
-            objects=[self._object(base_name(name)) for name in row.objects],
+            objects=tuple(self._object(base_name(name)) for name in row.objects),
             names=row.objects,
             poses=row.poses,
             support=self.bank.support,
             region=self._region,
+            is_placed=np.ones(len(row.objects), bool),
             is_success=row.is_success,
             verdict=row.verdict,
             drift=row.drift,
@@ -114,13 +115,15 @@ class FileSource:
         self.numbers: tuple[int, ...] = (0,)
         self.methods: tuple[str, ...] = ()
         scene = read_mjcf_scene(path)
-        self._still = still(
-            self.name,
-            scene.objects,
-            scene.names,
-            scene.poses,
-            scene.support,
-            scene.support.region,
+        self._still = Replay(
+            title=self.name,
+            objects=scene.objects,
+            names=scene.names,
+            support=scene.support,
+            region=scene.support.region,
+            poses=scene.poses.astype(np.float32),
+            is_placed=np.ones(len(scene.names), bool),
+            is_success=True,
             verdict="not judged",
         )
 
@@ -133,7 +136,7 @@ class FileSource:
         return self._still
 
     def recorded(self, number: int) -> Replay:
-        """How a file's scene came about, nobody knows.
+        """Refused: a scene file does not tell how it was made.
 
         Raises:
           BankError: always.
