@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,17 +19,12 @@ from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import writing
 from cluttergen_jax.generation.files import write_files
-from cluttergen_jax.generation.wiring import (
-    Method,
-    check_range,
-    find_method,
-    make_setup,
-    problem_config,
-)
-from cluttergen_jax.learning.methods import FILTERED, checkpoint_hash, suited
+from cluttergen_jax.generation.make import set_up
+from cluttergen_jax.learning.methods import FILTERED, Method, checkpoint_hash, sampler_of
 from cluttergen_jax.placement.config import MIN_MARGIN, placement_record
 from cluttergen_jax.placement.problem import Problem, crowding
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
+from cluttergen_jax.placement.setup import check_range, config_of_arguments
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.stats import summary_of
@@ -49,10 +45,10 @@ _BETTER = {
 
 @dataclass(frozen=True, eq=False)
 class GeneratedBank(Bank):
-    """A bank as `generate` leaves it, with what there is to say of it; printed, it says all of that.
+    """A bank as `generate` leaves it; printed, it tells how well it went.
 
     Attributes:
-      notes: flagged objects, and a crowded region.
+      notes: flagged objects, and a crowded region: said (stderr) before the first scene is made.
       summary: successes, attempts and rejections.
       advice: what to try where few scenes succeed, else "".
       files_written: what was written beside the table, "" if nothing was.
@@ -64,9 +60,7 @@ class GeneratedBank(Bank):
     files_written: str = ""
 
     def __str__(self) -> str:
-        return "\n".join(
-            each for each in (*self.notes, self.summary, self.advice, self.files_written) if each
-        )
+        return "\n".join(filter(None, (self.summary, self.advice, self.files_written)))
 
 
 def generate(
@@ -125,25 +119,10 @@ def generate(
     if max_files < 0:
         raise ConfigError(f"max_files = {max_files}", "0 or more", "max_files=0 for none")
     boxes = [parse_keep_out(box) if isinstance(box, str) else box for box in keep_out]
-    config = problem_config(
-        pool=pool,
-        support=support,
-        num_objects=num_objects,
-        objects=objects,
-        exclude=exclude,
-        repeat=repeat,
-        region=parse_region(region, find_support(support).region) if isinstance(region, str) else region,
-        keep_out=boxes,
-        max_attempts=max_attempts,
-        containment=containment,
-        order=order,
-        min_margin=min_margin,
-        engine=engine,
-        num_threads=num_threads,
-    )
-    chosen = find_method(method, checkpoint, config)
-    config = dataclasses.replace(config, placement=suited(config.placement, chosen.checkpoint))
-    setup = make_setup(config, boxes, start)
+    if isinstance(region, str):
+        region = parse_region(region, find_support(support).region)
+    config = config_of_arguments(locals() | {"keep_out": boxes})
+    chosen, setup = set_up(config, method, checkpoint, boxes, start)
     problem = setup.problem
     recipe = recipe_of(problem, chosen) | {
         "start": start,
@@ -152,8 +131,10 @@ def generate(
         "seed": seed,
     }
     names = names_of(problem.world.objects)
-    sampler = setup.sampler(chosen)
+    sampler, notes = sampler_of(setup, chosen), tuple(_notes(problem))
     with BankWriter(out, recipe, num_scenes, names, problem.world.support, overwrite) as writer:
+        for note in notes:
+            print(note, file=sys.stderr, flush=True)
         started = time.perf_counter()
         num_new = run_blocks(sampler, problem, writer, num_scenes, seed)
         bank = read_bank(out)
@@ -166,7 +147,7 @@ def generate(
     return GeneratedBank(
         bank.path,
         read_bank(out).record,
-        notes=tuple(_notes(problem)),
+        notes=notes,
         summary=summary,
         advice=_advice(chosen.name, float(np.mean(bank.table["is_success"]))),
         files_written=written,

@@ -119,7 +119,8 @@ class Sampler:
         if not self.num_scene_points:
             return None, None
         seen = observe(self.problem.rules, episode, ObservationConfig(num_scene_points=self.num_scene_points))
-        return jax.vmap(episode.region.T_world_region.apply)(seen["scene_cloud"]), seen["scene_mask"]
+        cloud = jax.vmap(episode.region.T_world_region.apply)(jnp.asarray(seen["scene_cloud"]))
+        return cloud, jnp.asarray(seen["scene_mask"])
 
     @property
     def names(self) -> tuple[str, ...]:

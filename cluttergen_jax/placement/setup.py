@@ -1,20 +1,22 @@
-"""From names and numbers to a setup: the compiled world, what every episode begins with, and the method."""
+"""From names and numbers to a setup: the compiled problem, and what every episode begins with."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import inspect
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from numbers import Integral
 from pathlib import Path
 from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import composed, find_pool
 from cluttergen_jax.assets.reach import check_keep_out
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.generation.arguments import check_names, check_rectangles, check_whole
-from cluttergen_jax.learning.methods import choose_method, proposer_of, suited
-from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.problem import (
     Problem,
@@ -25,17 +27,12 @@ from cluttergen_jax.placement.problem import (
     make_problem,
 )
 from cluttergen_jax.placement.region import KeepOut
-from cluttergen_jax.placement.rollout import BlockSampler
+from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.placement.types import Start
-from cluttergen_jax.scene.bank.reference import read_start, start_of
+from cluttergen_jax.placement.world import World
 
-
-@dataclass(frozen=True)
-class Method:
-    """A method by name, and its checkpoint; None for a baseline."""
-
-    name: str
-    checkpoint: Checkpoint | None = None
+Standing = tuple[Sequence[ObjectAsset], np.ndarray]
+"""Objects that stand there when an episode begins, and their world poses f32[N, 7], metres, wxyz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,46 +49,33 @@ class Setup:
     keep_out: KeepOut
     start: Start
 
-    def sampler(self, method: Method) -> BlockSampler:
-        """Episodes of a method, which looks back on as much as it was trained with.
-
-        Raises:
-          PoolError, ConfigError: its checkpoint cannot be read, or is of another problem.
-        """
-        rules = self.problem.rules
-        rules = replace(rules, config=suited(rules.config, method.checkpoint))
-        propose = proposer_of(method.name, method.checkpoint, rules)
-        return BlockSampler(rules, propose, self.keep_out, self.start)
-
 
 def make_setup(
     config: ProblemConfig,
     keep_out: Sequence[Rectangle] = (),
-    start: str | None = None,
+    standing: Standing | None = None,
     assets: tuple[Sequence[ObjectAsset], SupportAsset] | None = None,
 ) -> Setup:
-    """Compiles the problem, around a saved scene if `start` names one ("BANK:INDEX").
+    """Compiles the problem, around objects that stand there already if there are any.
 
     Args:
       assets: objects and a support that are at hand, in place of those that `config` names.
 
     Raises:
       ConfigError: a box cannot meet the region, or `make_problem` refuses.
-      PoolError, BankError: something cannot be found or read.
+      PoolError: something cannot be found or read.
     """
-    standing, poses = read_start(start)
-    problem = compose(*assets, config, standing) if assets else make_problem(config, standing)
+    objects, poses = standing or ((), np.zeros((0, 7), np.float32))
+    problem = compose(*assets, config, objects) if assets else make_problem(config, objects)
     check_keep_out(keep_out, problem.region)
-    return Setup(problem, keep_out_of(keep_out), start_of(problem.world, standing, poses))
+    return Setup(problem, keep_out_of(keep_out), _start_of(problem.world, poses))
 
 
-def find_method(name: str | None, checkpoint: str | Path | None, config: ProblemConfig) -> Method:
-    """The method of that name; the one that fits the problem best if none is named.
-
-    Raises:
-      ConfigError, PoolError: see `learning.methods.choose_method`.
-    """
-    return Method(*choose_method(name, config.pool, config.support, config.placement.num_objects, checkpoint))
+def _start_of(world: World, poses: np.ndarray) -> Start:
+    """The start of episodes in a world whose last N objects stand at `poses` f32[N, 7]."""
+    index = world.num_objects - len(poses) + jnp.arange(len(poses))
+    empty = empty_start(world.num_objects)
+    return Start(empty.poses.at[index].set(poses), empty.is_placed.at[index].set(True))
 
 
 def problem_config(
@@ -138,6 +122,13 @@ def problem_config(
     )
 
 
+def config_of_arguments(given: Mapping[str, Any]) -> ProblemConfig:
+    """`problem_config` of those of a function's arguments (its `locals()`) that it takes."""
+    placement = {each.name for each in fields(PlacementConfig)}
+    taken = inspect.signature(problem_config).parameters.keys() | placement
+    return problem_config(**{name: value for name, value in given.items() if name in taken})
+
+
 def check_range(name: str, value: int, least: int, most: int, example: int) -> None:
     """Refuses what is no whole number from `least` to `most`.
 
@@ -147,3 +138,26 @@ def check_range(name: str, value: int, least: int, most: int, example: int) -> N
     check_whole(**{name: value})
     if not least <= value <= most:
         raise ConfigError(f"{name} = {value}", f"{least} to {most}", f"{name}={example}")
+
+
+def check_whole(**numbers: Any) -> None:
+    """Refuses what is no whole number; None is let through."""
+    for name, value in numbers.items():
+        if value is not None and (isinstance(value, bool) or not isinstance(value, Integral)):
+            raise ConfigError(f"{name} = {value!r}", "a whole number")
+
+
+def check_names(names: Sequence[str], argument: str) -> None:
+    """Refuses a single name, whose letters would be taken for names."""
+    if isinstance(names, str):
+        raise ConfigError(f"{argument} = {names!r}", "a sequence of names", f"{argument}=({names!r},)")
+
+
+def check_rectangles(region: Rectangle | None, keep_out: Sequence[Rectangle]) -> None:
+    """Refuses whatever else is given for the rectangles of `make_sampler`."""
+    if region is not None and not isinstance(region, Rectangle):
+        raise ConfigError(f"region = {region!r}", "a Rectangle", "Rectangle(half_extents=(0.2, 0.25))")
+    if isinstance(keep_out, Rectangle) or not all(isinstance(box, Rectangle) for box in keep_out):
+        raise ConfigError(
+            f"keep_out = {keep_out!r}", "a sequence of Rectangles", "keep_out=(Rectangle(...),)"
+        )

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.generation.sources.replay import ReplayContext
-from cluttergen_jax.generation.wiring import Setup
 from cluttergen_jax.learning.methods import checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.placement.rollout.replay import Replay
+from cluttergen_jax.placement.setup import Setup
 
 _MOST = 2**31 - 1
 """Numbers of scenes are seeds."""

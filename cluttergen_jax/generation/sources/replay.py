@@ -13,8 +13,7 @@ from cluttergen_jax.assets.rectangle_text import keep_out_box
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.generation.wiring import Method, Setup, make_setup
-from cluttergen_jax.learning.methods import checkpoint_of
+from cluttergen_jax.learning.methods import Method, checkpoint_of, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.placement.config import PlacementConfig
@@ -22,6 +21,7 @@ from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.placement.rollout.record import Recorder
 from cluttergen_jax.placement.rollout.replay import Replay
+from cluttergen_jax.placement.setup import Setup, make_setup
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.reference import read_start
@@ -62,7 +62,7 @@ class ReplayContext:
     def recorder(self, method: str, width: int = 1) -> Recorder:
         """Records episodes of a method; kept, for it is compiled at first use."""
         if (method, width) not in self._made:
-            sampler = self.setup.sampler(Method(method, self.checkpoints.get(method)))
+            sampler = sampler_of(self.setup, Method(method, self.checkpoints.get(method)))
             self._made[method, width] = Recorder(sampler, self.setup.problem.world, width)
         return self._made[method, width]
 
@@ -82,10 +82,11 @@ def replay_context_of(bank: Bank) -> ReplayContext:
         boxes = recipe.get("keep_out", ())
     except (KeyError, TypeError, ValueError) as error:
         raise BankError(f"{bank.path}: how it was made is not recorded whole ({error})") from error
-    standing, _ = read_start(recipe.get("start"))
-    objects = [bank.object(base_name(name)) for name in names[: len(names) - len(standing)]]
+    standing = read_start(recipe.get("start"))
+    num_placed = len(names) - (len(standing[0]) if standing else 0)
+    objects = [bank.object(base_name(name)) for name in names[:num_placed]]
     keep_out = [keep_out_box(entry) for entry in boxes]
-    setup = make_setup(config, keep_out, recipe.get("start"), (objects, bank.support))
+    setup = make_setup(config, keep_out, standing, (objects, bank.support))
     given = None if checkpoint is None else read_checkpoint(Path(checkpoint))
     trained = checkpoint_of(method, pool, given)
     return ReplayContext(setup, {} if trained is None else {method: trained})
