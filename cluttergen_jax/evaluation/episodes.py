@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import numpy as np
@@ -78,23 +77,19 @@ def run_episodes(
     """
     width = width_of(num_scenes)
     started = time.perf_counter()
-    key, place = jax.random.key(seed), np.arange(width)
-    rollout.compile(sampler, key, place)
+    key = jax.random.key(seed)
+    rollout.compile(sampler, key, np.arange(width))
     compiled, cpu = time.perf_counter(), time.process_time()
-    scenes: list[SceneBatch] = []
     made: list[Attempts] = []
 
-    def note(number: int, attempts: Attempts) -> None:
+    def note(indices: np.ndarray, number: int, attempts: Attempts) -> None:
         made.append(_kept(attempts.replace(scene=indices.astype(np.int32))))
         on_done(number)
 
-    for first in range(0, num_scenes, width):
-        indices, rows = first + place, min(width, num_scenes - first)
-        block = rollout.run(sampler, key, indices, place < rows, note)
-        scenes.append(jax.tree.map(lambda leaf, rows=rows: leaf[:rows], block))
+    scenes = rollout.run_all(sampler, key, num_scenes, width, note)
     return Outcome(
-        scenes=_joined(scenes),
-        attempts=_joined(made),
+        scenes=scenes,
+        attempts=jax.tree.map(lambda *leaves: np.concatenate(leaves), *made),
         seconds=time.perf_counter() - compiled,
         cpu_seconds=time.process_time() - cpu,
         compile_seconds=compiled - started,
@@ -117,7 +112,3 @@ def attempts_of(before: Episode, after: Episode, transition: Transition) -> Atte
 
 def _kept(attempts: Attempts) -> Attempts:
     return jax.tree.map(lambda leaf: leaf[attempts.is_made], attempts)
-
-
-def _joined(parts: list) -> Any:
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -91,6 +92,25 @@ class Rollout:
             left = int(num_left)
             on_step(before - left, seen)
         return interruptible(lambda: jax.device_get(self._finish(sampler, episodes)))
+
+    def run_all(
+        self,
+        sampler: BlockSampler,
+        key: Array,
+        num_scenes: int,
+        width: int = BLOCK_SIZE,
+        on_step: Callable[[np.ndarray, int, Any], None] = lambda indices, number, seen: None,
+    ) -> SceneBatch:
+        """Scenes 0 to num_scenes - 1, in blocks of `width`: NumPy arrays, as those of `run`.
+
+        Args:
+          on_step: as that of `run`, and before it which scenes the block's are, i64[width].
+        """
+        place, blocks = np.arange(width), []
+        for first in range(0, num_scenes, width):
+            is_wanted = first + place < num_scenes
+            blocks.append(self.run(sampler, key, first + place, is_wanted, partial(on_step, first + place)))
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:num_scenes], *blocks)
 
 
 def blocks_of(num_scenes: int) -> list[tuple[int, int]]:
