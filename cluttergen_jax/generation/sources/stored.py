@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cluttergen_jax.assets.rectangle_text import recorded_rectangle
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.generation.sources.replay import ReplayContext, replay, replay_context_of
@@ -98,9 +99,7 @@ class BankSource:
     def _region(self) -> Rectangle:
         """The queried region that the recipe names; the support's own in banks that name none."""
         region = (self.bank.record.get("recipe") or {}).get("region")
-        if not region:
-            return self.bank.support.region
-        return Rectangle(tuple(region["center"]), tuple(region["half_extents"]), float(region["yaw"]))
+        return recorded_rectangle(region) if region else self.bank.support.region
 
 
 class FileSource:
