@@ -1,4 +1,4 @@
-"""While something long runs: how far it is, on a terminal and in a log, and an ear for Ctrl-C."""
+"""Progress of long work, on a terminal and in a log, and Ctrl-C that ends it in good order."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ the command reference is what `--help` prints.
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import io
 import os
@@ -57,7 +58,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
     markdown = _LINK.sub(relinked, _without_code_links(markdown, source))
     if uri == "contributing.md":
-        markdown = markdown.replace("## Habits", _package_map() + "\n\n## Habits", 1)
+        # On the site the drawing stands where the file has its list.
+        markdown = re.sub(r"(?<=## Package layout\n\n)(?: {4}.+\n)+", _package_map() + "\n", markdown)
     return markdown
 
 
@@ -106,16 +108,12 @@ def _package_map() -> str:
     rows = []
     for height, layer in zip(range(len(layers) - 1, -1, -1), layers, strict=True):
         boxes = "".join(_box(name.strip()) for name in re.split(r"[|:]", layer))
-        style = "display:flex;gap:.5em;margin:.5em 0"
-        rows.append(f'<div style="{style}"><b style="width:1.5em">{height}</b>{boxes}</div>')
-    arrow = "<p>A package imports from the layers below it, and from no other of its own layer.</p>"
-    return f'<div class="package-map">{"".join(rows)}{arrow}</div>'
+        rows.append(f"<div><b>{height}</b>{boxes}</div>")
+    return f'<div class="package-map">{"".join(rows)}</div>'
 
 
 def _box(name: str) -> str:
     path = ROOT / "cluttergen_jax" / name
     path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-    found = re.match(r'"""(.+?)(?:"""|\n|:\s)', path.read_text(encoding="utf-8"))
-    about = found[1].replace("`", "") if found else ""
-    style = "flex:1;border:1px solid;border-radius:4px;padding:.4em .6em;font-size:.75rem"
-    return f'<div style="{style}"><b>{name}</b><br>{about}</div>'
+    first = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))).splitlines()[0]
+    return f"<div><b>{name}</b><br>{first.replace('`', '')}</div>"

@@ -1,4 +1,4 @@
-"""Every table and figure: trials, studies, suites of them, and reports.
+"""Evaluation: trials and their measures, studies (a table or figure each), suites of them, reports.
 
 trial: what one row asks. resolved: what its names stand for. checkpoints: where policies lie. episodes:
 running it. row: its figures. store: rows on disk, found again by content. runner: all of these.

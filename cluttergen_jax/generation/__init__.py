@@ -1,4 +1,4 @@
-"""Scenes as JAX functions: sampled afresh (`make_sampler`), or drawn from a saved bank (`load_bank`).
+"""Scenes as JAX functions, sampled afresh (`make_sampler`) or drawn from a bank (`load_bank`), and as banks.
 
 `generation.environments` makes environments in which scenes are placed an attempt at a time, for any trainer;
 it is imported by itself, as Brax takes a second to load.
