@@ -14,7 +14,7 @@ from cluttergen_jax.placement.brax_env import Env
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.placement.setup import check_range, check_whole, config_of_arguments, make_setup
+from cluttergen_jax.placement.setup import check_range, check_whole, make_setup, problem_config
 from cluttergen_jax.scene.bank.reference import read_start
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def make_env(
     check_whole(num_cells=num_cells, history_stride=history_stride, num_scene_points=num_scene_points)
     _check_choices(observation, action)
     observed = ObservationConfig(num_scene_points=num_scene_points, num_cells=num_cells)
-    config = config_of_arguments(locals())
+    config = problem_config(locals())
     setup = make_setup(config, keep_out, read_start(start))
     env: Env = PlacementEnv(
         setup.problem.rules,

@@ -24,7 +24,7 @@ from cluttergen_jax.learning.methods import FILTERED, Method, checkpoint_hash, s
 from cluttergen_jax.placement.config import MIN_MARGIN, placement_record
 from cluttergen_jax.placement.problem import Problem, crowding
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
-from cluttergen_jax.placement.setup import check_range, config_of_arguments
+from cluttergen_jax.placement.setup import check_range, problem_config
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.stats import summary_of
@@ -121,7 +121,7 @@ def generate(
     boxes = [parse_keep_out(box) if isinstance(box, str) else box for box in keep_out]
     if isinstance(region, str):
         region = parse_region(region, find_support(support).region)
-    config = config_of_arguments(locals() | {"keep_out": boxes})
+    config = problem_config(locals() | {"keep_out": boxes})
     chosen, setup = set_up(config, method, checkpoint, boxes, start)
     problem = setup.problem
     recipe = recipe_of(problem, chosen) | {

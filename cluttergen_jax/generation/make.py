@@ -14,7 +14,7 @@ from cluttergen_jax.learning.methods import Method, choose_method, sampler_of, s
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.problem import ProblemConfig
-from cluttergen_jax.placement.setup import Setup, check_range, check_whole, config_of_arguments, make_setup
+from cluttergen_jax.placement.setup import Setup, check_range, check_whole, make_setup, problem_config
 from cluttergen_jax.scene.bank.reference import read_start
 
 MAX_RETRIES = 10_000
@@ -82,7 +82,7 @@ def make_sampler(
     check_range("max_retries", max_retries, 0, MAX_RETRIES, 5)
     check_whole(num_scene_points=num_scene_points)
     ObservationConfig(num_scene_points=num_scene_points)
-    config = config_of_arguments(locals())
+    config = problem_config(locals())
     chosen, setup = set_up(config, method, checkpoint, keep_out, start)
     return Sampler(
         problem=setup.problem,

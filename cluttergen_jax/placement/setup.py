@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from numbers import Integral
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -78,55 +76,38 @@ def _start_of(world: World, poses: np.ndarray) -> Start:
     return Start(empty.poses.at[index].set(poses), empty.is_placed.at[index].set(True))
 
 
-def problem_config(
-    *,
-    pool: str | Path,
-    support: str | Path,
-    num_objects: int | None,
-    objects: Sequence[str],
-    exclude: Sequence[str],
-    repeat: bool,
-    region: Rectangle | None,
-    keep_out: Sequence[Rectangle],
-    max_attempts: int,
-    engine: str,
-    num_threads: int,
-    change: str = "none",
-    **placement: Any,
-) -> ProblemConfig:
+def problem_config(given: Mapping[str, Any]) -> ProblemConfig:
     """What `make_sampler`, `make_env` and `generate` are given alike, checked before anything is compiled.
+
+    Args:
+      given: the arguments of one of them by name, its `locals()`; what is of no concern here is passed over.
 
     Raises:
       ConfigError: an argument is of a wrong type, out of range, or contradicts another.
       PoolError: there is no such pool.
     """
-    check_whole(num_objects=num_objects, max_attempts=max_attempts, num_threads=num_threads)
+    objects, exclude, num_objects = given["objects"], given["exclude"], given["num_objects"]
+    check_whole(**{name: given[name] for name in ("num_objects", "max_attempts", "num_threads")})
     check_names(objects, "objects")
     check_names(exclude, "exclude")
-    check_rectangles(region, keep_out)
-    name = composed(pool, exclude)
-    available = len(objects) or len(find_pool(name))
+    check_rectangles(given["region"], given["keep_out"])
+    pool = composed(given["pool"], exclude)
+    available = len(objects) or len(find_pool(pool))
     if num_objects is None:
         num_objects = min(available, MAX_SLOTS)
-    check_number(num_objects, available, name, repeat)
-    return ProblemConfig(
-        pool=name,
-        objects=tuple(objects),
-        repeat=repeat,
-        support=str(support),
-        region=region,
-        change=change,
-        engine=engine,
-        num_threads=num_threads,
-        placement=PlacementConfig(num_objects=num_objects, max_attempts=max_attempts, **placement),
-    )
+    check_number(num_objects, available, pool, given["repeat"])
+    placement = PlacementConfig(**_fields_in(given, PlacementConfig) | {"num_objects": num_objects})
+    found = {
+        "pool": pool,
+        "objects": tuple(objects),
+        "support": str(given["support"]),
+        "placement": placement,
+    }
+    return ProblemConfig(**_fields_in(given, ProblemConfig) | found)
 
 
-def config_of_arguments(given: Mapping[str, Any]) -> ProblemConfig:
-    """`problem_config` of those of a function's arguments (its `locals()`) that it takes."""
-    placement = {each.name for each in fields(PlacementConfig)}
-    taken = inspect.signature(problem_config).parameters.keys() | placement
-    return problem_config(**{name: value for name, value in given.items() if name in taken})
+def _fields_in(given: Mapping[str, Any], kind: type[PlacementConfig] | type[ProblemConfig]) -> dict[str, Any]:
+    return {each.name: given[each.name] for each in fields(kind) if each.name in given}
 
 
 def check_range(name: str, value: int, least: int, most: int, example: int) -> None:
