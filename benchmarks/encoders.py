@@ -18,8 +18,8 @@ import tyro
 
 from benchmarks.section import prose, report, table
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.learning.agents import PoseAgent
 from cluttergen_jax.learning.networks.config import NetworkConfig
-from cluttergen_jax.learning.ppo.pose_agent import PoseAgent
 from cluttergen_jax.learning.training.presets import paper
 
 _HISTORY = (5, 21)

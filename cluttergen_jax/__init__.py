@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.generation.sources.rendering import render
     from cluttergen_jax.generation.sources.viewing import view
     from cluttergen_jax.importing.run import import_pool
-    from cluttergen_jax.importing.table import import_support
+    from cluttergen_jax.importing.supports import import_support
     from cluttergen_jax.learning.training.pretrain import pretrain
     from cluttergen_jax.learning.training.suite_run import train_suite
     from cluttergen_jax.learning.training.train import train
@@ -108,7 +108,7 @@ _MODULES = {
     "evaluation.comparison": ("evaluate",),
     "evaluation.running": ("evaluate_suite",),
     "importing.run": ("import_pool",),
-    "importing.table": ("import_support",),
+    "importing.supports": ("import_support",),
     "placement.region": ("KeepOut", "make_region"),
     "placement.rollout.replay": ("Replay",),
     "placement.scenes": ("SceneBatch",),

@@ -10,8 +10,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from cluttergen_jax.evaluation.document import document, read_results
-from cluttergen_jax.evaluation.report import shown_pictures
+from cluttergen_jax.evaluation.report import document, read_results, shown_pictures
 
 HERE = Path(__file__).parent
 FOLDER, PAGE = HERE / "results", HERE / "results.md"

@@ -17,8 +17,7 @@ from mujoco import mjx
 
 import cluttergen_jax as cg
 from cluttergen_jax.learning.networks.distributions import Beta
-from cluttergen_jax.learning.ppo.config import PPOConfig
-from cluttergen_jax.learning.ppo.ppo import PPO
+from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig
 
 SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 

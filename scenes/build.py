@@ -2,7 +2,22 @@
 
 from pathlib import Path
 
-from cluttergen_jax.importing.embedded import build_scenes
+from cluttergen_jax.assets.modeller.catalog import POOLS, make_shape
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.pool import Pool, write_pool
+from cluttergen_jax.importing.solo import measured_object
+
+LICENCE = "Apache-2.0"
+
+
+def built(family: str, pool: str) -> ObjectAsset:
+    """A family's object of canonical proportions, measured."""
+    asset = measured_object(make_shape(family))
+    print(f"{pool}/{asset.name}: {len(asset.parts)} parts, solo {asset.quality.solo_rate}")
+    return asset
+
 
 if __name__ == "__main__":
-    build_scenes(Path(__file__).parent / "pools")
+    for name, families in POOLS.items():
+        pool = Pool(name, tuple(built(family, name) for family in families), licence=LICENCE)
+        write_pool(Path(__file__).parent / "pools" / name, pool, overwrite=True)

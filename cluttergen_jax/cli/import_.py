@@ -94,7 +94,7 @@ class Import:
     def _import_support(self, path: str) -> int:
         if self.sources or self.pool is not None:
             raise ConfigError("--support together with sources or --pool", "one of them", "two commands")
-        from cluttergen_jax.importing.table import import_support, user_supports
+        from cluttergen_jax.importing.supports import import_support, user_supports
 
         ignored = ("sources", "pool", "support", "decomposition", "jobs", "progress", *_OF_OBJECTS)
         support = import_support(path, **keywords(self, without=ignored))

@@ -13,7 +13,7 @@ from cluttergen_jax.assets.pool import composed
 from cluttergen_jax.config import check_workers
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.evaluation.cells import SPEED, Column, Row, asked, number, share, share_of, table_of
-from cluttergen_jax.evaluation.checkpoints import Checkpoints
+from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store, json_bytes
 from cluttergen_jax.evaluation.studies.study import grid

@@ -1,4 +1,4 @@
-"""The machine that made a table: what speeds depend on, and nothing else about it."""
+"""Provenance of a table: versions, and the machine on which speeds depend."""
 
 from __future__ import annotations
 

@@ -1,9 +1,11 @@
-"""What a trial's names stand for (assets, a policy) and the key of its row, each found once."""
+"""A trial with what it names (pool, support, checkpoint) and the key of its row, each found once."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -12,11 +14,141 @@ from typing import Any
 from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.evaluation.checkpoints import Checkpoints
+from cluttergen_jax.config import VARIANTS
+from cluttergen_jax.errors import ClutterGenError, ConfigError, PoolError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.trial import Trial, key_of
-from cluttergen_jax.learning.methods import checkpoint_hash
-from cluttergen_jax.learning.ppo.checkpoint import read_record
+from cluttergen_jax.learning.methods import METHODS, checkpoint_of
+from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
+from cluttergen_jax.learning.training.suite import DEFAULT_ATTEMPTS, DEFAULT_OBJECTS
+from cluttergen_jax.placement.baselines import BASELINES
+
+
+class MissingCheckpointError(PoolError):
+    """A row's policy has not been trained; `hint` is the command that does it."""
+
+
+@dataclass(frozen=True)
+class Checkpoints:
+    """Finds policies.
+
+    Attributes:
+      folder: of training runs, POOL-VARIANT[-attemptsA][-SEED], each with its `policy`; None takes embedded
+        checkpoints.
+      path: the one checkpoint of all learned methods; goes before everything else. A row whose method it
+        was not trained as has none.
+    """
+
+    folder: Path | None = None
+    path: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.folder is not None and not self.folder.is_dir():
+            raise ConfigError(
+                f"checkpoints = {str(self.folder)!r}",
+                "a folder of training runs, such as runs",
+                "cluttergen train, which makes runs/POOL-VARIANT-SEED",
+            )
+
+    def find(self, trial: Trial) -> Checkpoint | None:
+        """The trial's policy; None for a baseline.
+
+        Raises:
+          MissingCheckpointError: there is none, or its record is damaged.
+          ConfigError: there is no such method.
+        """
+        if trial.method not in METHODS or trial.method in BASELINES:
+            checkpoint_of(trial.method, trial.pool)
+            return None
+        found = self._given(trial) or self._in_folder(trial) or self._embedded(trial)
+        if found is None:
+            raise MissingCheckpointError(
+                f"no checkpoint for method {trial.method!r} on pool {trial.pool!r}", hint=train_command(trial)
+            )
+        return found
+
+    def run_folder(self, trial: Trial) -> Path | None:
+        """The training run behind a learned trial, with its progress; None if it is not there."""
+        for name in _names(trial):
+            if self.folder is not None and (self.folder / name / "progress.csv").is_file():
+                return self.folder / name
+        return None
+
+    def _given(self, trial: Trial) -> Checkpoint | None:
+        if self.path is None:
+            return None
+        try:
+            return checkpoint_of(trial.method, trial.pool, read_checkpoint(self.path))
+        except ConfigError as error:
+            given = _without_folder(error.given, self.path)
+            raise MissingCheckpointError(given, hint=train_command(trial)) from error
+
+    def _in_folder(self, trial: Trial) -> Checkpoint | None:
+        if self.folder is None:
+            return None
+        places = [self.folder / name / inner for name in _names(trial) for inner in ("policy", "")]
+        place = next((place for place in places if (place / "weights.npz").is_file()), None)
+        with usable(place, trial):
+            return None if place is None else read_checkpoint(place)
+
+    def _embedded(self, trial: Trial) -> Checkpoint | None:
+        """The embedded ones are of training seed 0; a given folder hides them."""
+        if self.folder is not None or trial.training_seed != 0:
+            return None
+        try:
+            return checkpoint_of(trial.method, trial.pool)
+        except PoolError:
+            return None
+
+
+@contextmanager
+def usable(given: Checkpoint | Path | None, trial: Trial) -> Iterator[None]:
+    """A checkpoint that cannot be used makes a row that is missing: the suite goes on.
+
+    A record of an older version may lack settings, or hold some that no network knows any more.
+    """
+    try:
+        yield
+    except (ClutterGenError, TypeError, KeyError) as error:
+        if given is None:
+            raise
+        path = given.path if isinstance(given, Checkpoint) else given
+        reason = error.given if isinstance(error, ClutterGenError) else f"{type(error).__name__}: {error}"
+        text = _without_folder(f"checkpoint {path} cannot be used: {reason}", path)
+        raise MissingCheckpointError(text, hint=train_command(trial)) from error
+
+
+def _without_folder(text: str, path: Path) -> str:
+    """Results name no folders."""
+    return text.replace(str(path), f"{path.parent.name}/{path.name}")
+
+
+def _names(trial: Trial) -> list[str]:
+    """Run folders that a trial's policy may be in, the best first.
+
+    One trained with the trial's attempts goes before one trained with the usual number.
+    """
+    pool = trial.pool_name
+    # Methods that are no variant of the network act with the weights of the full method.
+    variants = dict.fromkeys((trial.method, trial.method if trial.method in VARIANTS else "policy"))
+    attempts = "" if trial.attempts == DEFAULT_ATTEMPTS else f"-attempts{trial.attempts}"
+    stems = [f"{pool}-{variant}{extra}" for extra in dict.fromkeys((attempts, "")) for variant in variants]
+    endings = (f"-{trial.training_seed}", *([""] if trial.training_seed == 0 else []))
+    return [f"{stem}{ending}" for stem in stems for ending in endings]
+
+
+def train_command(trial: Trial) -> str:
+    """The command that trains what a row lacks."""
+    variant = trial.method if trial.method in VARIANTS else "policy"
+    words = [f"cluttergen train --pool {trial.pool} --variant {variant}"]
+    if trial.training_seed:
+        words.append(f"--seed {trial.training_seed}")
+    if trial.num_objects < DEFAULT_OBJECTS:
+        # Who was trained with more objects fills smaller scenes too; but a pool may have no more.
+        words.append(f"--num-objects {trial.num_objects}")
+    if trial.attempts != DEFAULT_ATTEMPTS:
+        words.append(f"--attempts {trial.attempts} --out runs/{_names(trial)[0]}")
+    return " ".join(words)
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +156,7 @@ class ResolvedTrial:
     """A trial with everything that it names.
 
     Attributes:
-      checkpoint: the policy's folder; None for a baseline. policy_record: how it was trained.
+      checkpoint: its policy; None for a baseline.
       sources: hashes of what the trial names, and versions: all that decides its row beside the trial.
       key: of its row (`trial.key_of`).
     """
@@ -32,8 +164,7 @@ class ResolvedTrial:
     trial: Trial
     pool: Pool
     support: SupportAsset
-    checkpoint: Path | None
-    policy_record: dict[str, Any] | None
+    checkpoint: Checkpoint | None
     sources: dict[str, Any]
     key: str
 
@@ -46,16 +177,17 @@ class ResolvedTrial:
     @property
     def is_cut(self) -> bool:
         """Whether attempts end as soon as they are decided: baselines' do, a policy's as in its training."""
-        return (self.policy_record or {}).get("stability", {}).get("stop_when_decided", True)
+        record = self.checkpoint.record if self.checkpoint else {}
+        return record.get("stability", {}).get("stop_when_decided", True)
 
     @property
     def policy(self) -> dict[str, Any] | None:
         """What a row says of how its policy was trained; None for a baseline."""
-        record = self.policy_record
-        if record is None:
+        if self.checkpoint is None:
             return None
+        record = self.checkpoint.record
         known = {name: record[name] for name in ("variant", "preset", "seed", "attempts") if name in record}
-        head = record["network"].get("head") if "network" in record else None
+        head = record["network"].get("head")
         return known | {"max_attempts": record["placement"]["max_attempts"], "head": head}
 
 
@@ -90,12 +222,11 @@ class Resolver:
         sources = {
             "pool": pool.hash,
             "support": _support_hash(support),
-            "checkpoint": checkpoint and checkpoint_hash(checkpoint),
+            "checkpoint": checkpoint and checkpoint.hash,
             "engine": self._engine,
             "versions": versions(),
         }
-        record = None if checkpoint is None else read_record(checkpoint)
-        return ResolvedTrial(trial, pool, support, checkpoint, record, sources, key_of(trial, sources))
+        return ResolvedTrial(trial, pool, support, checkpoint, sources, key_of(trial, sources))
 
 
 def _support_hash(support: SupportAsset) -> str:

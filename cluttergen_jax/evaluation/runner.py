@@ -1,25 +1,26 @@
-"""Runs trials and keeps their rows: worlds, what is compiled and what trials name are made once."""
+"""The runner of trials: makes and keeps their rows, with worlds and compiled programs made once."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError, train_command
-from cluttergen_jax.evaluation.episodes import Outcome, attempts_of, run_episodes
-from cluttergen_jax.evaluation.resolved import ResolvedTrial, Resolver
-from cluttergen_jax.evaluation.row import arrays_of, figures_of
+from cluttergen_jax.evaluation.episodes import Outcome, arrays_of, attempts_of, figures_of, run_episodes
+from cluttergen_jax.evaluation.resolved import (
+    Checkpoints,
+    MissingCheckpointError,
+    ResolvedTrial,
+    Resolver,
+    usable,
+)
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.methods import proposer_of, suited
-from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import SwappablePhysics
 from cluttergen_jax.physics.native import NativePhysics
@@ -97,7 +98,7 @@ class Runner:
         """The trial's row: from disk, or made now.
 
         Returns:
-          `trial`, `sources`, `policy` and `figures` (`row.figures_of`; `paper` among them is the looser
+          `trial`, `sources`, `policy` and `figures` (`episodes.figures_of`; `paper` among them is the looser
           count); or `trial`, `missing` and `hint` if its checkpoint is missing.
         """
         known = self.stored_row(trial)
@@ -133,7 +134,7 @@ class Runner:
         self.say(f"[{self._num_done} of {self._num_rows} rows, {self.progress.times()}] {title}: {text}")
 
     def arrays(self, trial: Trial) -> dict[str, np.ndarray]:
-        """The scenes and attempts of a trial (`row.arrays_of`), made now if they are not there.
+        """The scenes and attempts of a trial (`episodes.arrays_of`), made now if they are not there.
 
         Raises:
           MissingCheckpointError: its policy has not been trained.
@@ -175,9 +176,9 @@ class Runner:
         Raises:
           MissingCheckpointError: its checkpoint cannot be used here.
         """
-        rules = self.setup(resolved, judge_neighbours).rules
-        with _usable(resolved):
-            propose = proposer_of(resolved.trial.method, _stored_policy(resolved), rules)
+        trial, rules = resolved.trial, self.setup(resolved, judge_neighbours).rules
+        with usable(resolved.checkpoint, trial):
+            propose = proposer_of(trial.method, resolved.checkpoint, rules)
         return BlockSampler(rules, propose)
 
     def setup(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> Problem:
@@ -186,8 +187,8 @@ class Runner:
         stability = StabilityConfig(
             stop_when_decided=resolved.is_cut and not trial.whole_attempts, judge_neighbours=judge_neighbours
         )
-        with _usable(resolved):
-            config = suited(base.rules.config, _stored_policy(resolved))
+        with usable(resolved.checkpoint, trial):
+            config = suited(base.rules.config, resolved.checkpoint)
         # Stable steps, as the paper counts them, need whole attempts; a policy that was trained on attempts
         # cut off as soon as they were decided reads histories of that length.
         is_longer = resolved.is_cut and trial.whole_attempts
@@ -238,31 +239,6 @@ class Runner:
                 self._setups.popitem(last=False)
         self._setups.move_to_end(config)
         return self._setups[config]
-
-
-def _stored_policy(resolved: ResolvedTrial) -> Checkpoint | None:
-    return None if resolved.checkpoint is None else read_checkpoint(resolved.checkpoint)
-
-
-@contextmanager
-def _usable(resolved: ResolvedTrial) -> Iterator[None]:
-    """A checkpoint that cannot be used makes a row that is missing: the suite goes on.
-
-    A record of an older version may lack settings, or hold some that no network knows any more.
-    """
-    try:
-        yield
-    except (ClutterGenError, TypeError, KeyError) as error:
-        checkpoint = resolved.checkpoint
-        if checkpoint is None:
-            raise
-        # Results name no folders.
-        name = f"{checkpoint.parent.name}/{checkpoint.name}"
-        given = error.given if isinstance(error, ClutterGenError) else f"{type(error).__name__}: {error}"
-        raise MissingCheckpointError(
-            f"checkpoint {name} cannot be used: {given.replace(str(checkpoint), name)}",
-            hint=train_command(resolved.trial),
-        ) from error
 
 
 def _missing(trial: Trial, error: MissingCheckpointError) -> Row:

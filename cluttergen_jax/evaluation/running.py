@@ -1,4 +1,4 @@
-"""Runs suites and their studies: trials, measures, pictures; the result of a study is plain JSON."""
+"""Runs of suites and their studies: trials, measures, pictures; a result is plain JSON."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ from typing import Any
 from cluttergen_jax.assets.pool import find_pool, list_pools
 from cluttergen_jax.config import check_workers
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.checkpoints import MissingCheckpointError
 from cluttergen_jax.evaluation.comparison import open_runner
-from cluttergen_jax.evaluation.document import document
 from cluttergen_jax.evaluation.machine import machine
-from cluttergen_jax.evaluation.published import IMPORTED, OBJECTS
-from cluttergen_jax.evaluation.report import write_report
+from cluttergen_jax.evaluation.report import document, write_report
+from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import FORMAT
 from cluttergen_jax.evaluation.studies.study import Measure, Result, Scale, Study
+from cluttergen_jax.evaluation.studies.table1 import IMPORTED, OBJECTS
 from cluttergen_jax.evaluation.studies.time import TIME
 from cluttergen_jax.evaluation.suites import FORMER_NAMES, find_suite
 from cluttergen_jax.evaluation.trial import Trial

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.evaluation.published import IMPORTED
 from cluttergen_jax.evaluation.studies.acceptance import ACCEPTANCE
 from cluttergen_jax.evaluation.studies.attempts import ATTEMPTS
 from cluttergen_jax.evaluation.studies.closed_loop import CLOSED_LOOP
@@ -15,7 +14,6 @@ from cluttergen_jax.evaluation.studies.diversity import DIVERSITY
 from cluttergen_jax.evaluation.studies.diversity_maps import DIVERSITY_MAPS
 from cluttergen_jax.evaluation.studies.fig1a import FIG1A
 from cluttergen_jax.evaluation.studies.furniture import FURNITURE
-from cluttergen_jax.evaluation.studies.imported import IMPORTED_GROUPS
 from cluttergen_jax.evaluation.studies.learning_curves import LEARNING_CURVES
 from cluttergen_jax.evaluation.studies.margin import MARGIN
 from cluttergen_jax.evaluation.studies.relations import RELATIONS
@@ -23,7 +21,7 @@ from cluttergen_jax.evaluation.studies.robustness import ROBUSTNESS
 from cluttergen_jax.evaluation.studies.steps_by_attempt import STEPS_BY_ATTEMPT
 from cluttergen_jax.evaluation.studies.study import Scale, Study, of_methods
 from cluttergen_jax.evaluation.studies.survival import MARGIN_SURVIVAL, SURVIVAL
-from cluttergen_jax.evaluation.studies.table1 import TABLE1
+from cluttergen_jax.evaluation.studies.table1 import IMPORTED, IMPORTED_GROUPS, TABLE1
 from cluttergen_jax.evaluation.studies.table2 import TABLE2
 from cluttergen_jax.evaluation.studies.time import TIME
 from cluttergen_jax.evaluation.trial import Trial

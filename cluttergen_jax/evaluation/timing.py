@@ -25,7 +25,7 @@ def main(text: str) -> dict[str, Any]:
     if hasattr(os, "sched_setaffinity"):
         # Before the imports, since threads keep the cores that they were born with.
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: order["cores"]])
-    from cluttergen_jax.evaluation.checkpoints import Checkpoints
+    from cluttergen_jax.evaluation.resolved import Checkpoints
     from cluttergen_jax.evaluation.runner import Runner
     from cluttergen_jax.evaluation.store import Store
     from cluttergen_jax.evaluation.trial import Trial

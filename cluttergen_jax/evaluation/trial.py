@@ -1,4 +1,4 @@
-"""What one row of a table asks: a method, objects on a support, judged how, and how often."""
+"""A trial, what one row of a table asks: a method, objects on a support, judged how, and how often."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import writing
 from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.generation.make import set_up
-from cluttergen_jax.learning.methods import FILTERED, Method, checkpoint_hash, sampler_of
+from cluttergen_jax.learning.methods import FILTERED, Method, sampler_of
 from cluttergen_jax.placement.config import MIN_MARGIN, placement_record
 from cluttergen_jax.placement.problem import Problem, crowding
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
@@ -165,7 +165,7 @@ def recipe_of(problem: Problem, method: Method) -> dict[str, Any]:
         "placement": placement_record(problem.config.placement),
         "region": dataclasses.asdict(problem.region),
         "method": method.name,
-        "checkpoint_hash": None if method.checkpoint is None else checkpoint_hash(method.checkpoint.path),
+        "checkpoint_hash": method.checkpoint and method.checkpoint.hash,
         "block_size": BLOCK_SIZE,
         "names": problem.world.names,
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax")},

@@ -1,4 +1,4 @@
-"""Many objects: found, made in parallel or taken from the cache, and written as a pool."""
+"""Many objects: found, made by worker processes or taken from the cache, and written as a pool."""
 
 from __future__ import annotations
 
@@ -13,16 +13,58 @@ from cluttergen_jax.assets.config import MAX_TEXTURE, DecompositionConfig
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import NAME_PATTERN, object_hash
 from cluttergen_jax.assets.pool import ALL, EMBEDDED, Pool, read_pool, user_pool_folder, user_root, write_pool
-from cluttergen_jax.config import check_workers
+from cluttergen_jax.config import check_positive, check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.planning import YCB, Failure, Planned, plan_all
 from cluttergen_jax.importing.processes import run_all
-from cluttergen_jax.importing.readers import ReadOptions, Skipped
+from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, read_shape
 from cluttergen_jax.importing.readers.axes import UpAxis
-from cluttergen_jax.importing.solo import NUM_TRIALS
-from cluttergen_jax.importing.worker import Job, ObjectConfig, run_job
+from cluttergen_jax.importing.solo import NUM_TRIALS, measured_object
+from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.progress import Progress
+
+
+@dataclass(frozen=True)
+class ObjectConfig:
+    """All that decides what an imported body is.
+
+    Attributes:
+      read: unit, axis, density and mass.
+      body: tier and decomposition.
+      trials: placements by which solo stability is measured.
+    """
+
+    read: ReadOptions = field(default_factory=ReadOptions)
+    body: BodyConfig = field(default_factory=BodyConfig)
+    trials: int = NUM_TRIALS
+
+    def __post_init__(self) -> None:
+        check_positive(self, "trials")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One object to be made and stored in the cache under `key`."""
+
+    source: ObjectFile
+    key: str
+    config: ObjectConfig
+
+
+def run_job(job: Job) -> str:
+    """Makes the object and caches it. The empty string, or why it could not be made."""
+    try:
+        # Rest and ball test look at the poses themselves, so MuJoCo's own log has nothing to add.
+        with silent_log():
+            shape = read_shape(job.source, job.config.read)
+            asset = measured_object(shape, job.config.body, job.config.trials)
+            cache.store(job.key, replace(asset, flags=(*job.source.notes, *asset.flags)))
+    except ClutterGenError as error:
+        return str(error)
+    except Exception as error:  # One object that nobody foresaw must not end a run of hundreds.
+        return f"{job.source.path}: {type(error).__name__}: {error}"
+    return ""
 
 
 @dataclass(frozen=True)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 from cluttergen_jax.assets.pool import without_exclusions
 from cluttergen_jax.config import VARIANTS
-from cluttergen_jax.errors import ConfigError, PoolError, closest
+from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
-from cluttergen_jax.learning.policies.filtered import FilteredPolicy
-from cluttergen_jax.learning.policies.policy import TrainedPolicy, load_policy
-from cluttergen_jax.learning.ppo.checkpoint import read_record
+from cluttergen_jax.learning.policies.policy import FilteredPolicy, TrainedPolicy, load_policy
 from cluttergen_jax.placement.baselines import BASELINES, Clear, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.rollout import BlockSampler
@@ -101,22 +98,6 @@ def _check_variant(method: str, given: Checkpoint) -> None:
         "a policy of poses" if method == FILTERED else f"method {variant!r}",
         f"method={variant!r}",
     )
-
-
-def checkpoint_hash(checkpoint: Path) -> str:
-    """Hex digest of a policy's weights and record.
-
-    Raises:
-      PoolError: there is no policy in that folder.
-    """
-    read_record(checkpoint)
-    try:
-        files = [(checkpoint / name).read_bytes() for name in ("record.json", "weights.npz")]
-    except OSError as error:
-        raise PoolError(
-            f"{checkpoint} holds no policy ({error.strerror})", hint="the folder `policy` of a run"
-        ) from error
-    return hashlib.sha256(b"".join(hashlib.sha256(data).digest() for data in files)).hexdigest()
 
 
 def suited(placement: PlacementConfig, checkpoint: Checkpoint | None) -> PlacementConfig:

@@ -91,14 +91,25 @@ def _add_options(root: ET.Element, stability: StabilityConfig, contact: ContactC
     )
     # Older MuJoCo (3.3) makes one contact of two faces unless it is told otherwise, and scenes creep.
     ET.SubElement(option, "flag", multiccd="enable")
-    ET.SubElement(
-        ET.SubElement(root, "default"),
-        "geom",
-        friction=_text(contact.friction),
-        solref=_text(contact.solref),
-        solimp=_text(contact.solimp),
-        condim=str(contact.condim),
-    )
+    ET.SubElement(ET.SubElement(root, "default"), "geom", contact_attributes(contact))
+
+
+def contact_attributes(contact: ContactConfig) -> dict[str, str]:
+    """A geom's attributes in MJCF that say how it touches."""
+    return {
+        "friction": _text(contact.friction),
+        "solref": _text(contact.solref),
+        "solimp": _text(contact.solimp),
+        "condim": str(contact.condim),
+    }
+
+
+def own_contact_attributes(asset: ObjectAsset, contact: ContactConfig) -> dict[str, str]:
+    """What replaces or joins them where an object has a friction of its own."""
+    if asset.friction is None:
+        return {}
+    friction, priority = own_contact(asset.friction, contact.friction)
+    return {"friction": _text(friction), "priority": str(priority)}
 
 
 def _add_visual(root: ET.Element) -> None:
@@ -175,10 +186,7 @@ def _add_body(
         mass=_text([asset.mass]),
         fullinertia=_text(inertia),
     )
-    own: dict[str, str] = {}
-    if asset.friction is not None:
-        friction, priority = own_contact(asset.friction, contact.friction)
-        own = {"friction": _text(friction), "priority": str(priority)}
+    own = own_contact_attributes(asset, contact)
     for index in range(len(asset.parts)):
         ET.SubElement(
             body, "geom", own, type="mesh", mesh=f"{asset.name}/part-{index}", group=str(COLLISION_GROUP)

@@ -181,9 +181,9 @@ def test_swept_bar_has_the_volume_of_a_cylinder() -> None:
 
 def test_flat_and_crowded_parts_are_refused() -> None:
     with pytest.raises(AssetError, match="without volume"):
-        parts.hull_part([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)])
+        parts.hull([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)])
     with pytest.raises(AssetError, match="at most 32"):
-        parts.disc_part([(0.1, 0.0), (0.1, 0.1)], num=20)
+        parts.disc([(0.1, 0.0), (0.1, 0.1)], num=20)
 
 
 def test_empty_solid_is_refused() -> None:

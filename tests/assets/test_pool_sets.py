@@ -12,8 +12,7 @@ from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.importing import run
-from cluttergen_jax.importing.run import ImportConfig, import_sources
-from cluttergen_jax.importing.worker import ObjectConfig
+from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
 from cluttergen_jax.learning.methods import choose_method
 from cluttergen_jax.learning.training.train import TrainConfig
 from cluttergen_jax.scene.bank import read_bank

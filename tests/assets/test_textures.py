@@ -22,8 +22,8 @@ from cluttergen_jax.assets.support_file import read_support, support_hash, write
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.importing.cache import source_digest
-from cluttergen_jax.importing.readers import ReadOptions, Source, find_sources, read_source, survey
-from cluttergen_jax.importing.support_import import support_from_mesh
+from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, find_sources, read_source, survey
+from cluttergen_jax.importing.supports import support_from_mesh
 from cluttergen_jax.rendering.viewer.scene_nodes import textured_mesh
 from cluttergen_jax.scene.bank.bank import read_bank
 from cluttergen_jax.scene.bank.writer import BankWriter
@@ -331,7 +331,7 @@ def test_ycb_downloads_bear_its_terms(place, kind, tmp_path):
     path = tmp_path / place
     textured.write_obj(path.parent, path.stem, "texture_map.png")
     (source,) = find_sources(tmp_path)
-    assert isinstance(source, Source)
+    assert isinstance(source, ObjectFile)
     (shape,) = read_source(path)
     assert_upright(shape.pieces[0])
     assert (shape.provenance.licence == "CC BY 4.0") == (kind is not None)

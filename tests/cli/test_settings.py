@@ -20,7 +20,7 @@ from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.importing.readers import ReadOptions
-from cluttergen_jax.importing.worker import ObjectConfig
+from cluttergen_jax.importing.run import ObjectConfig
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.scene import Scene

@@ -9,8 +9,13 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.evaluation.episodes import Attempts, attempts_of, run_episodes
-from cluttergen_jax.evaluation.row import figures_of, steps_by_attempt
+from cluttergen_jax.evaluation.episodes import (
+    Attempts,
+    attempts_of,
+    figures_of,
+    run_episodes,
+    steps_by_attempt,
+)
 from cluttergen_jax.evaluation.studies.fig1a import at_least
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_blocks
 from tests.helpers.problems import HalfTable, made_up_rules

@@ -9,7 +9,7 @@ import cluttergen_jax
 from cluttergen_jax.cli.evaluate import Evaluate
 from cluttergen_jax.cli.main import run
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.checkpoints import Checkpoints
+from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.running import command_of
 from cluttergen_jax.evaluation.store import Store

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.evaluation.checkpoints import Checkpoints, MissingCheckpointError
+from cluttergen_jax.evaluation.resolved import Checkpoints, MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial, key_of
@@ -120,6 +120,7 @@ def test_missing_checkpoints_are_rows_of_their_own(runner, tmp_path):
 def test_checkpoints_are_found_by_pool_variant_and_seed(tmp_path):
     record = {
         "format": 1,
+        "network": {},
         "placement": {"max_attempts": 5, "history_stride": 12},
         "stability": {"stop_when_decided": True},
     }
@@ -130,19 +131,23 @@ def test_checkpoints_are_found_by_pool_variant_and_seed(tmp_path):
         (folder / "weights.npz").write_bytes(b"weights")
     found = Checkpoints(folder=tmp_path)
     policy = dataclasses.replace(SMALL, method="policy")
-    assert found.find(policy) == tmp_path / "dining-policy-0/policy"
-    assert found.find(dataclasses.replace(policy, training_seed=1)) == tmp_path / "dining-policy-1/policy"
-    assert found.find(dataclasses.replace(policy, method="normal")) == tmp_path / "dining-normal"
+    assert found.find(policy).path == tmp_path / "dining-policy-0/policy"
+    assert (
+        found.find(dataclasses.replace(policy, training_seed=1)).path == tmp_path / "dining-policy-1/policy"
+    )
+    assert found.find(dataclasses.replace(policy, method="normal")).path == tmp_path / "dining-normal"
     with pytest.raises(MissingCheckpointError):
         found.find(dataclasses.replace(policy, training_seed=2))
     other = dataclasses.replace(policy, attempts=2)
-    assert found.find(other) == tmp_path / "dining-policy-0/policy"
+    assert found.find(other).path == tmp_path / "dining-policy-0/policy"
     (tmp_path / "dining-policy-0").rename(tmp_path / "dining-policy-attempts2-0")
-    assert found.find(other) == tmp_path / "dining-policy-attempts2-0/policy"
+    assert found.find(other).path == tmp_path / "dining-policy-attempts2-0/policy"
     # What cannot be used is said in the row, and the suite goes on.
-    record = Runner(Store(tmp_path / "results"), found).row(other)
-    assert "cannot be used" in record["missing"]
-    assert str(tmp_path) not in record["missing"]
+    for damage in ({}, {"network": None}):
+        (tmp_path / "dining-policy-attempts2-0/policy/record.json").write_text(json.dumps(record | damage))
+        row = Runner(Store(tmp_path / "results"), found).row(other)
+        assert "cannot be used" in row["missing"]
+        assert str(tmp_path) not in row["missing"]
 
 
 def test_pool_errors_are_pool_errors(runner):

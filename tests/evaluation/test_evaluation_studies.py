@@ -9,15 +9,14 @@ import pytest
 
 from cluttergen_jax.assets.support_file import list_supports
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation import published
-from cluttergen_jax.evaluation.document import document, read_results
 from cluttergen_jax.evaluation.measures.survival import PEERS
-from cluttergen_jax.evaluation.report import tables_of
+from cluttergen_jax.evaluation.report import document, read_results, tables_of
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.running import run_study
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.studies import furniture, table1, table2
-from cluttergen_jax.evaluation.studies.study import Findings, Scale, Study, each_standing, grid, row_of
+from cluttergen_jax.evaluation.studies.findings import Findings, each_standing, row_of
+from cluttergen_jax.evaluation.studies.study import Scale, Study, grid
 from cluttergen_jax.evaluation.studies.survival import SURVIVAL
 from cluttergen_jax.evaluation.suites import FORMER_NAMES, STUDIES, SUITES, find_suite
 from cluttergen_jax.evaluation.trial import Trial
@@ -56,8 +55,8 @@ def test_suites_have_trials_at_every_scale(suite):
 
 def test_suites_ask_what_the_paper_asked():
     studies = {study.name: study.trials for study in find_suite("paper", Scale())}
-    assert {t.pool for t in studies["table1"]} == set(published.GROUP_OF_POOL)
-    twins = {published.TWINS.get(t.method, t.method) for t in studies["table1"]}
+    assert {t.pool for t in studies["table1"]} == set(table1.GROUP_OF_POOL)
+    twins = {table1.TWINS.get(t.method, t.method) for t in studies["table1"]}
     assert twins == set(table1.PAPER)
     assert {t.trials for t in studies["table1"]} == {1000}
     assert {t.change for t in studies["table2"]} == set(table2.PAPER)

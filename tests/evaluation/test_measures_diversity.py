@@ -11,17 +11,15 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.arrangement import by_object, region_positions
 from cluttergen_jax.evaluation.measures.diversity import (
     at_equal_count,
-    nearest_distance,
-    plan_box_area,
-    plan_entropy,
-    scene_kernel,
-    vendi_score,
-)
-from cluttergen_jax.evaluation.measures.embedding import (
     embed,
     independent_distance,
     moment_root,
+    nearest_distance,
+    plan_box_area,
+    plan_entropy,
     scene_distances,
+    scene_kernel,
+    vendi_score,
 )
 from tests.helpers.worlds import box
 

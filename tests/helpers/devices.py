@@ -51,8 +51,8 @@ def probe() -> None:
 
 def real() -> None:
     """Three objects in MuJoCo's C engine, which is called from both devices."""
-    from cluttergen_jax.learning.ppo.config import PPOConfig
-    from cluttergen_jax.learning.ppo.pose_agent import PoseAgent
+    from cluttergen_jax.learning.agents import PoseAgent
+    from cluttergen_jax.learning.ppo.ppo import PPOConfig
     from tests.helpers.problems import trio_problem
     from tests.helpers.runs import SMALL
 

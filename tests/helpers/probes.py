@@ -8,8 +8,7 @@ import jax.numpy as jnp
 from brax.envs.base import Env, State
 
 from cluttergen_jax.learning.networks.distributions import Beta
-from cluttergen_jax.learning.ppo.config import PPOConfig
-from cluttergen_jax.learning.ppo.ppo import PPO
+from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig
 from cluttergen_jax.types import Array
 
 

@@ -11,7 +11,7 @@ import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
 from cluttergen_jax.learning.networks.config import NetworkConfig
-from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.learning.ppo.ppo import PPOConfig
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.run import Run, RunConfig
 from tests.helpers.problems import made_up_rules

@@ -18,8 +18,7 @@ from cluttergen_jax.cli.inspect_ import Inspect
 from cluttergen_jax.errors import AssetError, PoolError
 from cluttergen_jax.importing import cache, run
 from cluttergen_jax.importing.readers import ReadOptions, find_sources
-from cluttergen_jax.importing.run import ImportConfig, import_sources
-from cluttergen_jax.importing.worker import ObjectConfig
+from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
 
 QUICK = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
 

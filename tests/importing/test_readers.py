@@ -9,7 +9,8 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import cleaned, joined
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape, read_source, ycb_sources
+from cluttergen_jax.importing.planning import ycb_sources
+from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape, read_source
 from cluttergen_jax.importing.readers.materials import GREY
 
 SIZE = np.array([0.06, 0.04, 0.11])

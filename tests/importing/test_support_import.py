@@ -12,7 +12,7 @@ from cluttergen_jax.assets.overhead import cover, largest_rectangle, look_down
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import primitives
-from cluttergen_jax.importing.support_import import support_from_mesh
+from cluttergen_jax.importing.supports import support_from_mesh
 
 FURNITURE = [name for name in SUPPORTS if name != "table"]
 SOURCE = Provenance("test", "Apache-2.0")

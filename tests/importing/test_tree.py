@@ -8,7 +8,7 @@ import trimesh
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.readers import find_sources, read_shape, survey
-from cluttergen_jax.importing.worker import ObjectConfig
+from cluttergen_jax.importing.run import ObjectConfig
 
 URDF = """<robot name="r"><link name="a"><visual><geometry><mesh filename="{}"/></geometry></visual></link>
 </robot>"""

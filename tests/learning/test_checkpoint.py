@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.errors import PoolError
+from cluttergen_jax.learning.agents import ENCODER
 from cluttergen_jax.learning.ppo.checkpoint import read_policy, save_policy
-from cluttergen_jax.learning.ppo.pose_agent import ENCODER
-from cluttergen_jax.learning.training.encoder_weights import with_encoder
+from cluttergen_jax.learning.training.run import with_encoder
 
 KERNEL, BIAS = "params/actor/kernel", "params/actor/bias"
 LIKE = {

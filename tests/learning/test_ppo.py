@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.learning.ppo.advantages import generalised_advantages
 from cluttergen_jax.learning.ppo.checkpoint import read_state, save_state
-from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.learning.ppo.ppo import PPOConfig, generalised_advantages
 from tests.helpers.probes import Bandit, Coin, Constant, Late, Tiny, learner, train
 
 

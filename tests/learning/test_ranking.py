@@ -15,10 +15,8 @@ from cluttergen_jax.learning.networks.ranking import RankerConfig
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.policies.policy import TrainedPolicy, load_policy
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
-from cluttergen_jax.learning.ppo.config import PPOConfig
-from cluttergen_jax.learning.ppo.ppo import PPO
-from cluttergen_jax.learning.ranking.candidates import PATCH_SIDE
-from cluttergen_jax.learning.ranking.env import RankingEnv
+from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig
+from cluttergen_jax.learning.ranking_env import PATCH_SIDE, RankingEnv
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.region import action_scale

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.learning.agents import PoseAgent
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.policies.policy import load_policy
 from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_record
-from cluttergen_jax.learning.ppo.pose_agent import PoseAgent
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig, observe

@@ -10,7 +10,7 @@ import pytest
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.config import VARIANTS
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.checkpoints import Checkpoints
+from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.suites import Scale, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy, save_state

@@ -85,7 +85,7 @@ def test_an_update_that_is_not_finite_is_the_last_and_its_place_is_named(sick, i
     assert len(rows) == 1
     assert int(after.num_updates) == 1
     found = updates.where_not_finite(ill(state, illness), len(rows))
-    assert found.startswith(f"{where} (agent/ppo.py:")
+    assert found.startswith(f"{where} (learning/ppo/ppo.py:")
     assert not jax.config.jax_debug_nans
 
 

@@ -15,8 +15,7 @@ from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.memory import check_memory, free_bytes
-from cluttergen_jax.learning.training.metrics_log import MetricsLog, read_rows
-from cluttergen_jax.learning.training.wandb_log import WandbLog
+from cluttergen_jax.learning.training.metrics_log import MetricsLog, WandbLog, read_rows
 from tests.helpers.runs import PPO, Stopping, compiled_once, make_run
 
 __all__ = ["compiled_once"]

@@ -13,8 +13,8 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation.measures.certificate import certificates
+from cluttergen_jax.evaluation.measures.robustness import TiltConfig, tilt
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.evaluation.measures.tilt import TiltConfig, tilt
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.physics.mjx_margin import support_margins

@@ -62,8 +62,7 @@ class Scenes:
 @pytest.fixture(scope="module")
 def viewer(tmp_path_factory):
     pytest.importorskip("viser", reason="the extra viewer is not installed")
-    from cluttergen_jax.rendering.viewer.server import open_server
-    from cluttergen_jax.rendering.viewer.viewer import Viewer
+    from cluttergen_jax.rendering.viewer.viewer import Viewer, open_server
 
     server = open_server("127.0.0.1", 0, "test")
     viewer = Viewer(Scenes(), server, 0, tmp_path_factory.mktemp("shots"))

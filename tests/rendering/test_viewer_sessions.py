@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from cluttergen_jax.rendering.viewer.server import open_server
-from cluttergen_jax.rendering.viewer.viewer import Viewer
+from cluttergen_jax.rendering.viewer.viewer import Viewer, open_server
 from tests.helpers.recordings import cubes
 
 PATIENCE = 60

@@ -18,7 +18,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.rendering.assets import render_scene
-from cluttergen_jax.rendering.camera import View
+from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import gl_context
 from cluttergen_jax.scene.export import export_scenes
 from tests.assets.test_textures import assert_upright
@@ -124,7 +124,7 @@ def test_robosuites_models_show_the_image_upright(format, folder_of):
 def test_own_pictures_show_the_image_upright():
     asset = textured.asset()
     pose = np.array([[0, 0, 0.015, 1, 0, 0, 0]])
-    view = View(azimuth=90, elevation=-90)
+    view = CameraView(azimuth=90, elevation=-90)
     picture = render_scene([asset], pose, None, camera=view, close=True, width=200, height=200, samples=1)
     assert_colours(picture, (100, 100), 30)
 

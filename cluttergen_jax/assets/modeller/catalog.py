@@ -8,23 +8,18 @@ from collections.abc import Mapping
 import numpy as np
 
 from cluttergen_jax.assets.modeller import (
-    appliances,
     bathroom,
-    cartons,
     computing,
     containers,
     cookware,
-    crockery,
     curios,
-    drinkware,
     gadgets,
     homeware,
     lamps,
-    millwork,
     organizers,
     paper,
     stationery,
-    teapot,
+    tableware,
     utensils,
 )
 from cluttergen_jax.assets.modeller.draw import Family
@@ -34,26 +29,26 @@ from cluttergen_jax.errors import PoolError
 _POOLS: Mapping[str, Mapping[str, Family]] = {
     # What stands on a laid table.
     "dining": {
-        "mug": drinkware.mug,
-        "bowl": crockery.bowl,
-        "dinner_plate": crockery.dinner_plate,
-        "water_glass": drinkware.water_glass,
-        "wine_glass": drinkware.wine_glass,
+        "mug": tableware.mug,
+        "bowl": tableware.bowl,
+        "dinner_plate": tableware.dinner_plate,
+        "water_glass": tableware.water_glass,
+        "wine_glass": tableware.wine_glass,
         "bottle": containers.bottle,
         "soup_can": containers.soup_can,
-        "cereal_box": cartons.cereal_box,
-        "pepper_mill": millwork.pepper_mill,
+        "cereal_box": containers.cereal_box,
+        "pepper_mill": tableware.pepper_mill,
         "fork": utensils.fork,
     },
     # What lies on a worktop.
     "kitchen": {
         "pot": cookware.pot,
         "frying_pan": cookware.frying_pan,
-        "teapot": teapot.teapot,
+        "teapot": tableware.teapot,
         "colander": cookware.colander,
-        "toaster": appliances.toaster,
+        "toaster": cookware.toaster,
         "jar": containers.jar,
-        "milk_carton": cartons.milk_carton,
+        "milk_carton": containers.milk_carton,
         "knife": utensils.knife,
         "wooden_spoon": utensils.wooden_spoon,
         "cutting_board": utensils.cutting_board,

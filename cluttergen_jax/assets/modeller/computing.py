@@ -7,29 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from manifold3d import Manifold
 
+from cluttergen_jax.assets.modeller import palette as rgb
+from cluttergen_jax.assets.modeller import parts as part
+from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.draw import Rng, choose, made, shade, vary
 from cluttergen_jax.assets.modeller.lettering import lettering
-from cluttergen_jax.assets.modeller.palette import (
-    BLACK,
-    BLUE,
-    BRIGHT,
-    CHARCOAL,
-    DARK,
-    GREEN,
-    GREY,
-    NAVY,
-    ORANGE,
-    PAPER,
-    RED,
-    SILVER,
-    SKY,
-    STEEL,
-    TEAL,
-    WHITE,
-    YELLOW,
-)
-from cluttergen_jax.assets.modeller.parts import box_part, hull_part, turned
-from cluttergen_jax.assets.modeller.solids import box, cylinder, hull, piece, rounded_box, smooth_path, union
 from cluttergen_jax.assets.shape import Shape
 
 DISPLAY = (0.70, 0.80, 0.66)
@@ -40,7 +22,7 @@ def key(width: float, depth: float, height: float, center: Sequence[float]) -> M
     corners = [(sx * width / 2, sy * depth / 2) for sx in (-1, 1) for sy in (-1, 1)]
     low = [(center[0] + x, center[1] + y, -0.0005) for x, y in corners]
     high = [(center[0] + 0.8 * x, center[1] + 0.8 * y, height) for x, y in corners]
-    return hull(low + high)
+    return cad.hull(low + high)
 
 
 def key_grid(
@@ -88,30 +70,39 @@ def laptop(rng: Rng = None) -> Shape:
         return solid.rotate(pose["rotate"]).translate(pose["move"])
 
     screen_size = (width, lid, 0.96 * depth)
-    screen = box((0.93 * width, 0.002, 0.82 * depth), (0, -lid / 2), 0.10 * depth)
+    screen = cad.box((0.93 * width, 0.002, 0.82 * depth), (0, -lid / 2), 0.10 * depth)
     windows = [
-        (box((0.40 * width, 0.002, 0.46 * depth), (-0.16 * width, -lid / 2 - 0.0006), 0.33 * depth), WHITE),
-        (box((0.40 * width, 0.002, 0.06 * depth), (-0.16 * width, -lid / 2 - 0.0010), 0.76 * depth), ORANGE),
-        (box((0.24 * width, 0.002, 0.30 * depth), (0.24 * width, -lid / 2 - 0.0006), 0.42 * depth), YELLOW),
+        (
+            cad.box((0.40 * width, 0.002, 0.46 * depth), (-0.16 * width, -lid / 2 - 0.0006), 0.33 * depth),
+            rgb.WHITE,
+        ),
+        (
+            cad.box((0.40 * width, 0.002, 0.06 * depth), (-0.16 * width, -lid / 2 - 0.0010), 0.76 * depth),
+            rgb.ORANGE,
+        ),
+        (
+            cad.box((0.24 * width, 0.002, 0.30 * depth), (0.24 * width, -lid / 2 - 0.0006), 0.42 * depth),
+            rgb.YELLOW,
+        ),
     ]
     deck = (0.86 * width, 0.42 * depth)
     grid = key_grid(13, 5, deck, 0.0016, (0, 0.16 * depth))
     grid[4][3:9] = [key(0.44 * deck[0], 0.84 * deck[1] / 5, 0.0016, (-0.03 * width, -0.008 * depth))]
-    keys = union(*[one for row in grid for one in row]).translate((0, 0, base))
-    pad = box((0.34 * width, 0.27 * depth, 0.001), (0, -0.29 * depth), base - 0.0006)
-    shell = rounded_box((width, depth, base), 0.003) + raised(rounded_box(screen_size, 0.003))
+    keys = cad.union(*[one for row in grid for one in row]).translate((0, 0, base))
+    pad = cad.box((0.34 * width, 0.27 * depth, 0.001), (0, -0.29 * depth), base - 0.0006)
+    shell = cad.rounded_box((width, depth, base), 0.003) + raised(cad.rounded_box(screen_size, 0.003))
     return made(
         name="laptop",
         pieces=(
-            piece(shell, shade(rng, (SILVER, GREY, CHARCOAL, STEEL, NAVY))),
-            piece(keys, shade(rng, (BLACK, CHARCOAL), 0.02)),
-            piece(pad, GREY if rng is None else shade(rng, (STEEL, GREY))),
-            piece(raised(screen), choose(rng, (NAVY, TEAL, BLACK))),
-            *[piece(raised(solid), color) for solid, color in windows],
+            cad.piece(shell, shade(rng, (rgb.SILVER, rgb.GREY, rgb.CHARCOAL, rgb.STEEL, rgb.NAVY))),
+            cad.piece(keys, shade(rng, (rgb.BLACK, rgb.CHARCOAL), 0.02)),
+            cad.piece(pad, rgb.GREY if rng is None else shade(rng, (rgb.STEEL, rgb.GREY))),
+            cad.piece(raised(screen), choose(rng, (rgb.NAVY, rgb.TEAL, rgb.BLACK))),
+            *[cad.piece(raised(solid), color) for solid, color in windows],
         ),
         parts=(
-            box_part((width, depth, base)),
-            turned(box_part(screen_size), pose["rotate"], pose["move"]),
+            part.box((width, depth, base)),
+            part.turned(part.box(screen_size), pose["rotate"], pose["move"]),
         ),
         mass=vary(rng, 1.4, 0.15),
     )
@@ -122,14 +113,14 @@ def mouse(rng: Rng = None) -> Shape:
     size = np.array([vary(rng, 0.063, 0.1), vary(rng, 0.108, 0.1), vary(rng, 0.037, 0.1)])
     # Each level: height, share of width, share of length, and how far it sits back.
     levels = np.array([(0, 0.90, 0.93, 0), (0.30, 1, 1, 0), (0.68, 0.84, 0.84, 0.03), (1, 0.40, 0.36, 0.09)])
-    body = hull(_mouse_skin(smooth_path(levels, 13), 40) * size)
-    core = hull(_mouse_skin(smooth_path(levels, 13), 40) * size * (0.90, 0.93, 0.93))
+    body = cad.hull(_mouse_skin(cad.smooth_path(levels, 13), 40) * size)
+    core = cad.hull(_mouse_skin(cad.smooth_path(levels, 13), 40) * size * (0.90, 0.93, 0.93))
     seam = 0.06 * size[1]
-    groove = box((0.0018, 0.6 * size[1], 1.0), (0, seam - 0.3 * size[1]), 0.45 * size[2])
-    split = box((1.0, 0.0016, 1.0), (0, seam), 0.45 * size[2])
+    groove = cad.box((0.0018, 0.6 * size[1], 1.0), (0, seam - 0.3 * size[1]), 0.45 * size[2])
+    split = cad.box((1.0, 0.0016, 1.0), (0, seam), 0.45 * size[2])
     # Buttons and body are thin over a core: faces deep inside would be sampled as if they were seen.
-    front = (body - core) ^ box((1.0, 1.0, 1.0), (0, seam - 0.5), 0.45 * size[2])
-    wheel = cylinder(0.012, 0.008, -0.004, segments=24).rotate((0, 90, 0))
+    front = (body - core) ^ cad.box((1.0, 1.0, 1.0), (0, seam - 0.5), 0.45 * size[2])
+    wheel = cad.cylinder(0.012, 0.008, -0.004, segments=24).rotate((0, 90, 0))
     wheel = wheel.translate((0, -0.24 * size[1], 0.60 * size[2])) - core
     feet = _mouse_skin(levels[:1], 4)
     lifted = _mouse_skin(levels, 8) + (0, 0, 0.03) * (np.arange(32) < 8)[:, None]
@@ -138,11 +129,14 @@ def mouse(rng: Rng = None) -> Shape:
         name="mouse",
         label="computer mouse",
         pieces=(
-            piece(body - front - ((groove + split) - core), shade(rng, (CHARCOAL, WHITE, GREY, *BRIGHT[:2]))),
-            piece(front - groove - split, shade(rng, (GREY, CHARCOAL, BLACK))),
-            piece(wheel, shade(rng, (RED, BLUE, GREEN, BLACK))),
+            cad.piece(
+                body - front - ((groove + split) - core),
+                shade(rng, (rgb.CHARCOAL, rgb.WHITE, rgb.GREY, *rgb.BRIGHT[:2])),
+            ),
+            cad.piece(front - groove - split, shade(rng, (rgb.GREY, rgb.CHARCOAL, rgb.BLACK))),
+            cad.piece(wheel, shade(rng, (rgb.RED, rgb.BLUE, rgb.GREEN, rgb.BLACK))),
         ),
-        parts=(hull_part(outline),),
+        parts=(part.hull(outline),),
         mass=vary(rng, 0.10, 0.2),
     )
 
@@ -182,12 +176,18 @@ def keyboard(rng: Rng = None) -> Shape:
         name="keyboard",
         label="computer keyboard",
         pieces=(
-            piece(hull(corners), shade(rng, (CHARCOAL, BLACK, SILVER, NAVY))),
-            piece(_on_slope(union(*plain), front, back, slope), shade(rng, (WHITE, PAPER, SKY), 0.03)),
-            piece(_on_slope(union(*grey), front, back, slope), shade(rng, (GREY, TEAL))),
-            piece(_on_slope(union(*accent), front, back, slope), shade(rng, (ORANGE, RED, BLUE, GREEN))),
+            cad.piece(cad.hull(corners), shade(rng, (rgb.CHARCOAL, rgb.BLACK, rgb.SILVER, rgb.NAVY))),
+            cad.piece(
+                _on_slope(cad.union(*plain), front, back, slope),
+                shade(rng, (rgb.WHITE, rgb.PAPER, rgb.SKY), 0.03),
+            ),
+            cad.piece(_on_slope(cad.union(*grey), front, back, slope), shade(rng, (rgb.GREY, rgb.TEAL))),
+            cad.piece(
+                _on_slope(cad.union(*accent), front, back, slope),
+                shade(rng, (rgb.ORANGE, rgb.RED, rgb.BLUE, rgb.GREEN)),
+            ),
         ),
-        parts=(hull_part(np.concatenate([corners, tops])),),
+        parts=(part.hull(np.concatenate([corners, tops])),),
         mass=vary(rng, 0.65, 0.2),
     )
 
@@ -198,8 +198,8 @@ def calculator(rng: Rng = None) -> Shape:
     front, back = 0.015, vary(rng, 0.034, 0.2)
     corners, slope = wedge(width, depth, front, back)
     grid = key_grid(4, 5, (0.86 * width, 0.58 * depth), 0.005, (0, -0.16 * depth))
-    frame = box((0.84 * width, 0.21 * depth, 0.003), (0, 0.31 * depth), -0.001)
-    glass = box((0.76 * width, 0.15 * depth, 0.001), (0, 0.31 * depth), 0.0016)
+    frame = cad.box((0.84 * width, 0.21 * depth, 0.003), (0, 0.31 * depth), -0.001)
+    glass = cad.box((0.76 * width, 0.15 * depth, 0.001), (0, 0.31 * depth), 0.0016)
     number = "".join(
         str(d) for d in ([1, 2, 3, 4, 5] if rng is None else rng.choice([0, 1, 2, 3, 4, 5, 7, 8, 9], 5))
     )
@@ -207,22 +207,22 @@ def calculator(rng: Rng = None) -> Shape:
     operators = [grid[j][3] for j in range(4)]
     numbers = [grid[j][i] for j in range(1, 5) for i in range(3)]
     tinted = [
-        (union(*numbers), shade(rng, (WHITE, PAPER), 0.02)),
-        (union(*operators), GREY),
-        (union(*grid[0][:3]), shade(rng, (RED, ORANGE))),
-        (grid[4][3], shade(rng, (ORANGE, BLUE, GREEN))),
-        (frame, BLACK),
+        (cad.union(*numbers), shade(rng, (rgb.WHITE, rgb.PAPER), 0.02)),
+        (cad.union(*operators), rgb.GREY),
+        (cad.union(*grid[0][:3]), shade(rng, (rgb.RED, rgb.ORANGE))),
+        (grid[4][3], shade(rng, (rgb.ORANGE, rgb.BLUE, rgb.GREEN))),
+        (frame, rgb.BLACK),
         (glass, DISPLAY),
-        (digits, BLACK),
+        (digits, rgb.BLACK),
     ]
     tops = corners[corners[:, 2] > 0] * (0.86, 0.88, 1) + (0, 0, 0.003)
     return made(
         name="calculator",
         pieces=(
-            piece(hull(corners), shade(rng, (CHARCOAL, NAVY, TEAL, *BRIGHT))),
-            *[piece(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
+            cad.piece(cad.hull(corners), shade(rng, (rgb.CHARCOAL, rgb.NAVY, rgb.TEAL, *rgb.BRIGHT))),
+            *[cad.piece(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
         ),
-        parts=(hull_part(np.concatenate([corners, tops])),),
+        parts=(part.hull(np.concatenate([corners, tops])),),
         mass=vary(rng, 0.22, 0.2),
     )
 
@@ -233,35 +233,37 @@ def desk_phone(rng: Rng = None) -> Shape:
     front, back = 0.028, vary(rng, 0.066, 0.15)
     corners, slope = wedge(width, depth, front, back)
     pad = key_grid(3, 4, (0.36 * width, 0.40 * depth), 0.005, (0.22 * width, -0.20 * depth))
-    display = box((0.42 * width, 0.22 * depth, 0.006), (0.22 * width, 0.24 * depth), -0.001)
-    glass = box((0.38 * width, 0.17 * depth, 0.001), (0.22 * width, 0.24 * depth), 0.0046)
+    display = cad.box((0.42 * width, 0.22 * depth, 0.006), (0.22 * width, 0.24 * depth), -0.001)
+    glass = cad.box((0.38 * width, 0.17 * depth, 0.001), (0.22 * width, 0.24 * depth), 0.0046)
     time = lettering("12:45", 0.07 * depth).translate((0.22 * width, 0.24 * depth, 0.0056))
     left, reach = -0.26 * width, 0.42 * depth
     ends = [((0.050, 0.050, 0.030), (left, s * reach), -0.001) for s in (-1, 1)]
     grip = ((0.036, 2 * reach, 0.017), (left, 0), 0.020)
-    cradle = box((0.024, 0.020, 0.027), (left, 0), -0.001)
-    handset = union(*[rounded_box(size, 0.008, at, z) for size, at, z in (*ends, grip)])
+    cradle = cad.box((0.024, 0.020, 0.027), (left, 0), -0.001)
+    handset = cad.union(*[cad.rounded_box(size, 0.008, at, z) for size, at, z in (*ends, grip)])
     turn, lift = (slope, 0, 0), (0, 0, (front + back) / 2)
     tinted = [
-        (union(*[one for row in pad for one in row]), WHITE),
-        (display, BLACK),
+        (cad.union(*[one for row in pad for one in row]), rgb.WHITE),
+        (display, rgb.BLACK),
         (glass, DISPLAY),
-        (time, BLACK),
-        (cradle - handset, BLACK),
-        (handset, shade(rng, (RED, CHARCOAL, GREY, BLACK))),
+        (time, rgb.BLACK),
+        (cradle - handset, rgb.BLACK),
+        (handset, shade(rng, (rgb.RED, rgb.CHARCOAL, rgb.GREY, rgb.BLACK))),
     ]
     return made(
         name="desk_phone",
         label="desk telephone",
         pieces=(
-            piece(hull(corners), shade(rng, (CHARCOAL, *DARK, RED, GREEN, PAPER))),
-            *[piece(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
+            cad.piece(
+                cad.hull(corners), shade(rng, (rgb.CHARCOAL, *rgb.DARK, rgb.RED, rgb.GREEN, rgb.PAPER))
+            ),
+            *[cad.piece(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
         ),
         parts=(
-            hull_part(corners),
-            *[turned(box_part(size, at, z), turn, lift) for size, at, z in (*ends, grip)],
-            turned(
-                box_part(*((0.40 * width, 0.22 * depth, 0.006), (0.22 * width, 0.24 * depth), -0.001)),
+            part.hull(corners),
+            *[part.turned(part.box(size, at, z), turn, lift) for size, at, z in (*ends, grip)],
+            part.turned(
+                part.box(*((0.40 * width, 0.22 * depth, 0.006), (0.22 * width, 0.24 * depth), -0.001)),
                 turn,
                 lift,
             ),

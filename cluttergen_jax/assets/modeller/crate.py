@@ -8,8 +8,8 @@ import numpy as np
 from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.modeller.parts import box_part, hull_part
-from cluttergen_jax.assets.modeller.solids import hull, to_mesh
+from cluttergen_jax.assets.modeller import parts as part
+from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.shape import Cavity
 
 
@@ -41,23 +41,23 @@ class Crate:
 
     def _inside(self, low: float, high: float) -> Manifold:
         """The space between the walls from one height to another."""
-        return hull(np.concatenate([self.outline(z, self.wall) for z in (low, high)]))
+        return cad.hull(np.concatenate([self.outline(z, self.wall) for z in (low, high)]))
 
     def solid(self) -> Manifold:
         """Floor and walls."""
-        block = hull(np.concatenate([self.outline(0.0), self.outline(self.height)]))
+        block = cad.hull(np.concatenate([self.outline(0.0), self.outline(self.height)]))
         return block - self._inside(self.floor, self.height * 1.2)
 
     def cavity(self, low: float | None = None) -> Cavity:
         """The space inside, from the floor (or from `low`) up to the rim's plane."""
         inside = self._inside(self.floor if low is None else low, self.height)
-        return Cavity(to_mesh(inside), (0.0, 0.0, self.height))
+        return Cavity(cad.to_mesh(inside), (0.0, 0.0, self.height))
 
     def parts(self) -> tuple[Mesh, ...]:
         """A floor and four walls; only the floor reaches the table."""
-        floor = box_part((self.width, self.depth, self.floor))
+        floor = part.box((self.width, self.depth, self.floor))
         low = self.floor / 2
         rings = [self.outline(low), self.outline(self.height)]
         rings += [self.outline(low, self.wall), self.outline(self.height, self.wall)]
-        walls = [hull_part(np.concatenate([ring[[k, (k + 1) % 4]] for ring in rings])) for k in range(4)]
+        walls = [part.hull(np.concatenate([ring[[k, (k + 1) % 4]] for ring in rings])) for k in range(4)]
         return (floor, *walls)

@@ -5,47 +5,10 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
+from cluttergen_jax.assets.modeller import palette as rgb
+from cluttergen_jax.assets.modeller import parts as part
+from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.draw import Rng, choose, made, shade, vary
-from cluttergen_jax.assets.modeller.palette import (
-    BLACK,
-    BLUE,
-    BRIGHT,
-    CHARCOAL,
-    CRIMSON,
-    DARK_WOOD,
-    GOLD,
-    GREEN,
-    NAVY,
-    RED,
-    SILVER,
-    SKY,
-    STEEL,
-    WHITE,
-    WOOD,
-    YELLOW,
-)
-from cluttergen_jax.assets.modeller.parts import (
-    ball_part,
-    box_part,
-    corners_of,
-    disc_part,
-    hull_part,
-    swept_parts,
-    turned,
-    upright_part,
-)
-from cluttergen_jax.assets.modeller.solids import (
-    above,
-    box,
-    cylinder,
-    hull,
-    piece,
-    revolve,
-    rounded_rect,
-    tube,
-    union,
-    upright,
-)
 from cluttergen_jax.assets.shape import Shape
 
 # Rough outlines of the continents, each a few convex patches of (longitude, latitude) in degrees.
@@ -69,50 +32,55 @@ LAND = (
     ((96, 4), (118, 6), (117, -4), (105, -7)),
 )
 
-GROUND = (GREEN, (0.83, 0.72, 0.45), (0.62, 0.66, 0.33))
+GROUND = (rgb.GREEN, (0.83, 0.72, 0.45), (0.62, 0.66, 0.33))
 
 
 def globe(rng: Rng = None) -> Shape:
     """A terrestrial globe, its axis tilted in a half ring on a round foot."""
     radius = vary(rng, 0.082, 0.15)
     foot, middle = 0.86 * radius, 2.05 * radius
-    sea = shade(rng, (BLUE, NAVY, SKY))
+    sea = shade(rng, (rgb.BLUE, rgb.NAVY, rgb.SKY))
     spin = (0.0, 0.0, -65.0 if rng is None else float(rng.uniform(0, 360)))
     tilt, at = (0.0, 23.4, 0.0), (0.0, 0.0, middle)
     skin = Manifold.sphere(radius, 64) - Manifold.sphere(radius - 0.003, 48)
     film = Manifold.sphere(radius + 0.0007, 96) - Manifold.sphere(radius - 0.0012, 48)
-    caps = union(*[box((1, 1, 1), z=z) for z in (0.955 * radius, -1 - 0.93 * radius)])
-    land = (union(*[_cone(patch, 3 * radius) for patch in LAND]) ^ film).rotate(spin) - caps
+    caps = cad.union(*[cad.box((1, 1, 1), z=z) for z in (0.955 * radius, -1 - 0.93 * radius)])
+    land = (cad.union(*[_cone(patch, 3 * radius) for patch in LAND]) ^ film).rotate(spin) - caps
     ice = (Manifold.sphere(radius + 0.0012, 96) - Manifold.sphere(radius - 0.0018, 48)) ^ caps
     reach, bar = radius + 0.008, 0.0045
     turns = np.radians(np.linspace(-90, 90, 25))
     arc = np.column_stack([reach * np.cos(turns), 0 * turns, reach * np.sin(turns)])
-    ring = tube(arc, bar)
-    pins = union(*[cylinder(0.003, 0.014, z=z, segments=16) for z in (radius - 0.002, -radius - 0.012)])
+    ring = cad.tube(arc, bar)
+    pins = cad.union(
+        *[cad.cylinder(0.003, 0.014, z=z, segments=16) for z in (radius - 0.002, -radius - 0.012)]
+    )
     lowest = middle - reach
     base = [(0.0, 0.0), (foot, 0.0), (foot, 0.008), (0.35 * foot, 0.020), (0.0, 0.020)]
     neck = lowest - bar + 0.003
     stem = [(0.0, 0.014), (0.020, 0.014), (0.009, 0.030), (0.007, neck), (0.0, neck)]
-    brass = shade(rng, (GOLD, SILVER, STEEL))
+    brass = shade(rng, (rgb.GOLD, rgb.SILVER, rgb.STEEL))
     coarse = np.radians(np.linspace(-90, 90, 6))
     bow = np.column_stack([1.03 * reach * np.cos(coarse), 0 * coarse, 1.03 * reach * np.sin(coarse)])
     return made(
         name="globe",
         pieces=(
-            piece(skin.rotate(tilt).translate(at), sea),
-            piece(
+            cad.piece(skin.rotate(tilt).translate(at), sea),
+            cad.piece(
                 (land - ice).rotate(tilt).translate(at),
                 shade(rng, GROUND),
             ),
-            piece(ice.rotate(tilt).translate(at), WHITE),
-            piece(union(ring, pins).rotate(tilt).translate(at), brass),
-            piece(union(revolve(base), revolve(stem)), shade(rng, (DARK_WOOD, WOOD, CHARCOAL))),
+            cad.piece(ice.rotate(tilt).translate(at), rgb.WHITE),
+            cad.piece(cad.union(ring, pins).rotate(tilt).translate(at), brass),
+            cad.piece(
+                cad.union(cad.revolve(base), cad.revolve(stem)),
+                shade(rng, (rgb.DARK_WOOD, rgb.WOOD, rgb.CHARCOAL)),
+            ),
         ),
         parts=(
-            disc_part([(foot, 0.0), (0.62 * foot, 0.018)], 14, is_standing=True),
-            disc_part([(0.012, 0.010), (0.008, lowest)], 6),
-            ball_part(radius, at),
-            *[turned(cell, tilt, at) for cell in swept_parts(bow, bar)],
+            part.disc([(foot, 0.0), (0.62 * foot, 0.018)], 14, is_standing=True),
+            part.disc([(0.012, 0.010), (0.008, lowest)], 6),
+            part.ball(radius, at),
+            *[part.turned(cell, tilt, at) for cell in part.sweep(bow, bar)],
         ),
         mass=vary(rng, 0.65, 0.2),
     )
@@ -122,7 +90,7 @@ def _cone(patch: tuple[tuple[float, float], ...], reach: float) -> Manifold:
     """All that lies behind a patch of the sphere, as seen from its centre."""
     lon, lat = np.radians(np.array(patch, np.float64)).T
     rays = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
-    return hull(np.concatenate([reach * rays, np.zeros((1, 3))]))
+    return cad.hull(np.concatenate([reach * rays, np.zeros((1, 3))]))
 
 
 def eyeglasses(rng: Rng = None) -> Shape:
@@ -133,14 +101,14 @@ def eyeglasses(rng: Rng = None) -> Shape:
     size = (lens[0] + 2 * rim, lens[1] + 2 * rim)
     middle = (size[0] / 2 + gap, size[1] / 2)
     corner = choose(rng, (0.014, 0.006, 0.019))
-    outline, coarse = rounded_rect(*size, corner + rim), rounded_rect(*size, corner + rim, 2)
-    pane = rounded_rect(*lens, corner)
+    outline, coarse = cad.rounded_rect(*size, corner + rim), cad.rounded_rect(*size, corner + rim, 2)
+    pane = cad.rounded_rect(*lens, corner)
     rims, panes, parts = [], [], []
     for side in (-1, 1):
         shift = np.array([side * middle[0], middle[1]])
-        rims.append(upright(outline + shift, deep) - upright(pane + shift, 1.0))
-        panes.append(upright(pane + shift, 0.002))
-        parts.append(upright_part(coarse + shift, deep))
+        rims.append(cad.upright(outline + shift, deep) - cad.upright(pane + shift, 1.0))
+        panes.append(cad.upright(pane + shift, 0.002))
+        parts.append(part.upright(coarse + shift, deep))
         hinge = middle[0] + size[0] / 2 - 0.004
         tall, top = 0.0045, 0.78 * size[1]
         # Three stations of a temple: hinge, the bend behind the ear, the tip with its flat foot.
@@ -149,18 +117,18 @@ def eyeglasses(rng: Rng = None) -> Shape:
         sections = [[(side * (x + w), y, z + h) for w, h in corners] for x, y, z in stations]
         foot = [(x, y + 0.008, z) for x, y, z in sections[2]]
         cells = [sections[0] + sections[1], sections[1] + sections[2] + foot]
-        rims += [hull(cell) for cell in cells]
-        parts += [hull_part(cell) for cell in cells]
+        rims += [cad.hull(cell) for cell in cells]
+        parts += [part.hull(cell) for cell in cells]
     bridge = ((2 * gap + 0.006, deep - 0.001, 0.006), (0, 0), 0.62 * size[1])
-    frame = union(*rims, box(*bridge))
-    tint = shade(rng, (SKY, (0.25, 0.27, 0.30), (0.55, 0.40, 0.25)))
+    frame = cad.union(*rims, cad.box(*bridge))
+    tint = shade(rng, (rgb.SKY, (0.25, 0.27, 0.30), (0.55, 0.40, 0.25)))
     return made(
         name="eyeglasses",
         pieces=(
-            piece(frame, shade(rng, (BLACK, CRIMSON, DARK_WOOD, NAVY))),
-            piece(union(*panes) - frame, tint, 0.45),
+            cad.piece(frame, shade(rng, (rgb.BLACK, rgb.CRIMSON, rgb.DARK_WOOD, rgb.NAVY))),
+            cad.piece(cad.union(*panes) - frame, tint, 0.45),
         ),
-        parts=(*parts, box_part(*bridge)),
+        parts=(*parts, part.box(*bridge)),
         mass=vary(rng, 0.035, 0.2),
     )
 
@@ -179,39 +147,41 @@ def toy_car(rng: Rng = None) -> Shape:
     glazed = np.maximum(cabin, (-1.0, waist - 0.004))
     middle = np.mean(glazed, axis=0)
     panes = middle + (glazed - middle) * (0.74, 0.62)
-    post = box((0.006, 1, 1), (middle[0], 0))
-    glass = union(upright(panes, 0.86 * width + 0.0016) - upright(panes, 0.86 * width - 0.001) - post)
+    post = cad.box((0.006, 1, 1), (middle[0], 0))
+    glass = cad.union(
+        cad.upright(panes, 0.86 * width + 0.0016) - cad.upright(panes, 0.86 * width - 0.001) - post
+    )
     shield = [(0.55, 0.18), (0.55, 0.82)]
     front, rear = ((_along(cabin[a], cabin[b], waist), np.array(cabin[b])) for a, b in ((0, 3), (1, 2)))
     for bottom, top in (front, rear):
         across = np.array([bottom + (top - bottom) * share for _, share in shield])
         outline = [(x + dx, z) for x, z in across for dx in (-0.0012, 0.0012)]
-        glass += hull(upright_part(outline, 0.66 * width).vertices)
+        glass += cad.hull(part.upright(outline, 0.66 * width).vertices)
     # The wheels are cut flat at the table: a twelve-sided tread with one side down.
     axle = wheel * np.cos(np.pi / 12)
     hubs = [nose + 0.23 * length, tail - 0.23 * length]
     places = [(x, s * (width / 2 - 0.002)) for x in hubs for s in (-1, 1)]
     tread = 0.014
-    tyres = [above(_roller(wheel, tread).translate((x, y, axle))) for x, y in places]
+    tyres = [cad.above(_roller(wheel, tread).translate((x, y, axle))) for x, y in places]
     caps = [_roller(0.5 * wheel, tread + 0.002).translate((x, y, axle)) for x, y in places]
     lamp = _roller(0.0055, 0.003).rotate((0, 0, 90))
-    lamps = union(*[lamp.translate((nose + 0.0015, s * 0.3 * width, 0.62 * waist)) for s in (-1, 1)])
-    shell = union(upright(body, width), upright(cabin, 0.86 * width))
-    paint = shade(rng, (RED, *BRIGHT))
-    roller = turned(disc_part([(wheel, -tread / 2), (wheel, tread / 2)], 12, np.pi / 12), (90, 0, 0))
-    rollers = [turned(roller, (0, 0, 0), (x, y, axle)) for x, y in places]
+    lamps = cad.union(*[lamp.translate((nose + 0.0015, s * 0.3 * width, 0.62 * waist)) for s in (-1, 1)])
+    shell = cad.union(cad.upright(body, width), cad.upright(cabin, 0.86 * width))
+    paint = shade(rng, (rgb.RED, *rgb.BRIGHT))
+    roller = part.turned(part.disc([(wheel, -tread / 2), (wheel, tread / 2)], 12, np.pi / 12), (90, 0, 0))
+    rollers = [part.turned(roller, (0, 0, 0), (x, y, axle)) for x, y in places]
     return made(
         name="toy_car",
         pieces=(
-            piece(shell, paint),
-            piece(glass, SKY),
-            piece(union(*tyres) - shell, BLACK),
-            piece(union(*caps) - union(*tyres) - shell, STEEL),
-            piece(lamps - shell, YELLOW),
+            cad.piece(shell, paint),
+            cad.piece(glass, rgb.SKY),
+            cad.piece(cad.union(*tyres) - shell, rgb.BLACK),
+            cad.piece(cad.union(*caps) - cad.union(*tyres) - shell, rgb.STEEL),
+            cad.piece(lamps - shell, rgb.YELLOW),
         ),
         parts=(
-            upright_part(body, width),
-            upright_part(cabin, 0.86 * width),
+            part.upright(body, width),
+            part.upright(cabin, 0.86 * width),
             *rollers,
         ),
         mass=vary(rng, 0.20, 0.25),
@@ -226,24 +196,26 @@ def photo_frame(rng: Rng = None) -> Shape:
     sink = -0.006
 
     def leaning(solid: Manifold) -> Manifold:
-        return above(solid.rotate(turn).translate((0, 0, sink)))
+        return cad.above(solid.rotate(turn).translate((0, 0, sink)))
 
-    rim = box((width, thick, height), (0, thick / 2))
+    rim = cad.box((width, thick, height), (0, thick / 2))
     inside = (width - 2 * border, height - 2 * border)
-    rim_open = rim - box((inside[0], 0.006, inside[1]), (0, 0.0), border)
-    mat = box((inside[0] - 0.0005, 0.0015, inside[1] - 0.0005), (0, 0.0026), border + 0.0002)
+    rim_open = rim - cad.box((inside[0], 0.006, inside[1]), (0, 0.0), border)
+    mat = cad.box((inside[0] - 0.0005, 0.0015, inside[1] - 0.0005), (0, 0.0026), border + 0.0002)
     view = (inside[0] - 0.024, inside[1] - 0.030)
     low, left = border + 0.015, -view[0] / 2
-    sky = upright([(left, low), (-left, low), (-left, low + view[1]), (left, low + view[1])], 0.001, 0.0014)
+    sky = cad.upright(
+        [(left, low), (-left, low), (-left, low + view[1]), (left, low + view[1])], 0.001, 0.0014
+    )
     share = 0.30 if rng is None else float(rng.uniform(0.2, 0.45))
     hills = []
     for y, skyline in ((0.0010, (0.30, share + 0.28, 0.22)), (0.0006, (0.10, share, 0.24))):
         peak = (0.2 if y > 0.0008 else -0.2) * view[0]
         outline = [(left, 0), (-left, 0), *zip((-left, peak, left), view[1] * np.array(skyline), strict=True)]
-        hills.append(upright(np.add(outline, (0, low)), 0.001, y))
-    sun = cylinder(0.13 * view[0], 0.001).rotate((90, 0, 0))
+        hills.append(cad.upright(np.add(outline, (0, low)), 0.001, y))
+    sun = cad.cylinder(0.13 * view[0], 0.001).rotate((90, 0, 0))
     sun = sun.translate((-0.24 * view[0], 0.0010, low + 0.76 * view[1]))
-    scene = ((sky, SKY), (hills[0], NAVY), (hills[1], GREEN), (sun, YELLOW))
+    scene = ((sky, rgb.SKY), (hills[0], rgb.NAVY), (hills[1], rgb.GREEN), (sun, rgb.YELLOW))
     slope = np.tan(np.radians(lean))
     top = 0.66 * height
     heel = top * slope + thick / np.cos(np.radians(lean))
@@ -255,12 +227,15 @@ def photo_frame(rng: Rng = None) -> Shape:
     return made(
         name="photo_frame",
         pieces=(
-            piece(leaning(rim_open), shade(rng, (DARK_WOOD, WOOD, GOLD, BLACK, WHITE, SILVER))),
-            piece(leaning(mat), WHITE),
-            *[piece(leaning(solid), color) for solid, color in scene],
-            piece(hull(strut) - back, BLACK),
+            cad.piece(
+                leaning(rim_open),
+                shade(rng, (rgb.DARK_WOOD, rgb.WOOD, rgb.GOLD, rgb.BLACK, rgb.WHITE, rgb.SILVER)),
+            ),
+            cad.piece(leaning(mat), rgb.WHITE),
+            *[cad.piece(leaning(solid), color) for solid, color in scene],
+            cad.piece(cad.hull(strut) - back, rgb.BLACK),
         ),
-        parts=(corners_of(back), hull_part(strut)),
+        parts=(part.corners_of(back), part.hull(strut)),
         mass=vary(rng, 0.35, 0.2),
     )
 
@@ -273,4 +248,4 @@ def _along(low: tuple[float, float], high: tuple[float, float], z: float) -> np.
 
 def _roller(radius: float, width: float) -> Manifold:
     """A disc around the origin with its axis along y."""
-    return cylinder(radius, width, -width / 2).rotate((90, 0, 0))
+    return cad.cylinder(radius, width, -width / 2).rotate((90, 0, 0))

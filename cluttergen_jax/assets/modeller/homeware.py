@@ -5,35 +5,11 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
+from cluttergen_jax.assets.modeller import palette as rgb
+from cluttergen_jax.assets.modeller import parts as part
+from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.crate import Crate
 from cluttergen_jax.assets.modeller.draw import Rng, made, shade, vary
-from cluttergen_jax.assets.modeller.palette import (
-    BLACK,
-    BLUE,
-    BRIGHT,
-    CREAM,
-    GREEN,
-    GREY,
-    PINK,
-    RED,
-    SKY,
-    TEAL,
-    TERRACOTTA,
-    WHITE,
-    WOOD,
-)
-from cluttergen_jax.assets.modeller.parts import box_part, disc_part, hull_part, ring_sectors, swept_parts
-from cluttergen_jax.assets.modeller.solids import (
-    box,
-    cylinder,
-    ellipse,
-    extrude,
-    hull,
-    piece,
-    revolve,
-    sweep,
-    union,
-)
 from cluttergen_jax.assets.modeller.vessel import Vessel
 from cluttergen_jax.assets.shape import Shape
 
@@ -43,36 +19,38 @@ KRAFT = (0.72, 0.55, 0.36)
 def tissue_box(rng: Rng = None) -> Shape:
     """A box of paper tissues, one of them pulled half out."""
     width, depth, height = vary(rng, 0.225, 0.1), vary(rng, 0.115, 0.1), vary(rng, 0.078, 0.2)
-    slot = extrude(ellipse(0.30 * width, 0.24 * depth), 0.0012, height - 0.0006)
-    ring = extrude(ellipse(0.33 * width, 0.29 * depth), 0.0010, height - 0.0006)
-    ring = ring - extrude(ellipse(0.30 * width, 0.24 * depth), 1.0)
+    slot = cad.extrude(cad.ellipse(0.30 * width, 0.24 * depth), 0.0012, height - 0.0006)
+    ring = cad.extrude(cad.ellipse(0.33 * width, 0.29 * depth), 0.0010, height - 0.0006)
+    ring = ring - cad.extrude(cad.ellipse(0.30 * width, 0.24 * depth), 1.0)
     wave = np.linspace(-0.5, 0.5, 25)
     crest = height * (0.42 + 0.10 * np.cos(wave * 4 * np.pi))
     skin = 0.0007
     band = [(width * x, z) for x, z in zip(wave, crest, strict=True)]
     band = [(-width, 0.0), (width, 0.0), (width, band[-1][1]), *band[::-1], (-width, band[0][1])]
-    shell = box((width + 2 * skin, depth + 2 * skin, height), z=0.0) - box(
+    shell = cad.box((width + 2 * skin, depth + 2 * skin, height), z=0.0) - cad.box(
         (width - skin, depth - skin, 2.0), z=-0.5
     )
-    lower = shell ^ extrude(band, 1.0, -0.5).rotate((90, 0, 0))
+    lower = shell ^ cad.extrude(band, 1.0, -0.5).rotate((90, 0, 0))
     knots = _tuft(0.26 * width, height)
     cells = []
     for i, j in np.ndindex(knots.shape[0] - 1, knots.shape[1] - 1):
         cell = knots[i : i + 2, j : j + 2].reshape(-1, 3)
-        cells.append(hull(np.concatenate([np.add(cell, (0, s * 0.0012, 0)) for s in (-1, 1)])))
+        cells.append(cad.hull(np.concatenate([np.add(cell, (0, s * 0.0012, 0)) for s in (-1, 1)])))
     coarse = knots[[0, 3, 6, 8, 11, 14]][:, [0, -1]].reshape(-1, 3)
     return made(
         name="tissue_box",
         pieces=(
-            piece(box((width, depth, height)), shade(rng, (SKY, PINK, CREAM, *BRIGHT))),
-            piece(lower, shade(rng, (BLUE, TEAL, RED, GREEN))),
-            piece(ring, WHITE),
-            piece(slot - ring, GREY),
-            piece(union(*cells), WHITE),
+            cad.piece(
+                cad.box((width, depth, height)), shade(rng, (rgb.SKY, rgb.PINK, rgb.CREAM, *rgb.BRIGHT))
+            ),
+            cad.piece(lower, shade(rng, (rgb.BLUE, rgb.TEAL, rgb.RED, rgb.GREEN))),
+            cad.piece(ring, rgb.WHITE),
+            cad.piece(slot - ring, rgb.GREY),
+            cad.piece(cad.union(*cells), rgb.WHITE),
         ),
         parts=(
-            box_part((width, depth, height)),
-            hull_part(np.concatenate([np.add(coarse, (0, s * 0.0012, 0)) for s in (-1, 1)])),
+            part.box((width, depth, height)),
+            part.hull(np.concatenate([np.add(coarse, (0, s * 0.0012, 0)) for s in (-1, 1)])),
         ),
         mass=vary(rng, 0.22, 0.25),
     )
@@ -91,12 +69,12 @@ def tape_roll(rng: Rng = None) -> Shape:
     """A roll of parcel tape lying flat, with its core and a loose end."""
     outer, width = vary(rng, 0.054, 0.12), vary(rng, 0.048, 0.1)
     inner = min(vary(rng, 0.038, 0.06), outer - 0.010)
-    tape = revolve([(inner + 0.002, 0.0), (outer, 0.0), (outer, width), (inner + 0.002, width)], 64)
-    core = revolve([(inner, 0.0), (inner + 0.0021, 0.0), (inner + 0.0021, width), (inner, width)], 64)
-    seam = cylinder(outer - 0.004, 0.0008, width - 0.0004) - cylinder(outer - 0.006, 1.0)
+    tape = cad.revolve([(inner + 0.002, 0.0), (outer, 0.0), (outer, width), (inner + 0.002, width)], 64)
+    core = cad.revolve([(inner, 0.0), (inner + 0.0021, 0.0), (inner + 0.0021, width), (inner, width)], 64)
+    seam = cad.cylinder(outer - 0.004, 0.0008, width - 0.0004) - cad.cylinder(outer - 0.006, 1.0)
     end = np.array([(outer - 0.0006, 0), (outer - 0.0002, 0.008), (outer - 0.0002, 0.014), (outer, 0.019)])
     tab = [
-        hull([(x + t, y, z) for x, y in end[k : k + 2] for t in (-0.0006, 0.0006) for z in (0.0, width)])
+        cad.hull([(x + t, y, z) for x, y in end[k : k + 2] for t in (-0.0006, 0.0006) for z in (0.0, width)])
         for k in range(3)
     ]
     section = [(inner, 0.0), (1.03 * outer, 0.0), (1.03 * outer, width), (inner, width)]
@@ -104,14 +82,14 @@ def tape_roll(rng: Rng = None) -> Shape:
         name="tape_roll",
         label="roll of tape",
         pieces=(
-            piece(
-                tape + (union(*tab) - cylinder(outer - 0.0005, 1.0)),
-                shade(rng, (KRAFT, SKY, RED, GREEN, GREY)),
+            cad.piece(
+                tape + (cad.union(*tab) - cad.cylinder(outer - 0.0005, 1.0)),
+                shade(rng, (KRAFT, rgb.SKY, rgb.RED, rgb.GREEN, rgb.GREY)),
             ),
-            piece(core, CREAM if rng is None else shade(rng, (CREAM, WHITE))),
-            piece(seam, BLACK),
+            cad.piece(core, rgb.CREAM if rng is None else shade(rng, (rgb.CREAM, rgb.WHITE))),
+            cad.piece(seam, rgb.BLACK),
         ),
-        parts=ring_sectors(section, 8),
+        parts=part.ring_sectors(section, 8),
         mass=vary(rng, 0.16, 0.25),
     )
 
@@ -127,15 +105,15 @@ def flower_pot(rng: Rng = None) -> Shape:
     dish = foot + 0.018
     saucer = [(0.0, 0.0), (foot + 0.004, 0.0), (dish, 0.014), (dish - 0.003, 0.014)]
     saucer += [(foot + 0.002, 0.004), (0.0, 0.004)]
-    clay = shade(rng, (TERRACOTTA, TERRACOTTA, (0.86, 0.82, 0.74), TEAL))
+    clay = shade(rng, (rgb.TERRACOTTA, rgb.TERRACOTTA, (0.86, 0.82, 0.74), rgb.TEAL))
     return made(
         name="flower_pot",
         pieces=(
-            piece(revolve(saucer) + pot.solid(), clay),
-            piece(_trim(pot, band, height), (0.86 * clay[0], 0.86 * clay[1], 0.86 * clay[2])),
+            cad.piece(cad.revolve(saucer) + pot.solid(), clay),
+            cad.piece(_trim(pot, band, height), (0.86 * clay[0], 0.86 * clay[1], 0.86 * clay[2])),
         ),
         parts=(
-            disc_part([(foot + 0.004, 0.0), (dish, floor)], 14, is_standing=True),
+            part.disc([(foot + 0.004, 0.0), (dish, floor)], 14, is_standing=True),
             *pot.parts(8)[1:],
         ),
         cavity=pot.cavity(),
@@ -149,8 +127,8 @@ def _trim(pot: Vessel, low: float, high: float) -> Manifold:
     for z in (low + 0.25 * (high - low), low + 0.75 * (high - low)):
         radius = pot.outer_radius(z)
         section = 0.001 * np.array([(-1.0, 0.0), (0.9, 0.0), (0.9, 3.0), (-1.0, 3.0)])
-        rings.append(revolve(np.add(section, (radius, z))))
-    return union(*rings)
+        rings.append(cad.revolve(np.add(section, (radius, z))))
+    return cad.union(*rings)
 
 
 def basket(rng: Rng = None) -> Shape:
@@ -167,19 +145,19 @@ def basket(rng: Rng = None) -> Shape:
         return np.add(grow * arch, (0, 0, tub.height - 0.010))
 
     edge = tub.height - 0.010
-    rim = hull(np.concatenate([tub.outline(z, -0.003) for z in (edge, tub.height)]))
-    rim = rim - hull(np.concatenate([tub.outline(z, 0.003) for z in (edge - 0.001, tub.height + 0.001)]))
-    handle = sweep(bow(25, 1.0), flat) - hull(
+    rim = cad.hull(np.concatenate([tub.outline(z, -0.003) for z in (edge, tub.height)]))
+    rim = rim - cad.hull(np.concatenate([tub.outline(z, 0.003) for z in (edge - 0.001, tub.height + 0.001)]))
+    handle = cad.sweep(bow(25, 1.0), flat) - cad.hull(
         np.concatenate([tub.outline(z, 0.001) for z in (0.0, tub.height)])
     )
     return made(
         name="basket",
         pieces=(
-            piece(tub.solid(), shade(rng, (KRAFT, (0.62, 0.44, 0.27), CREAM))),
-            piece(_weave(tub, edge), shade(rng, (CREAM, WOOD, TEAL, WHITE))),
-            piece(union(handle, rim), shade(rng, (WOOD, (0.50, 0.33, 0.20)))),
+            cad.piece(tub.solid(), shade(rng, (KRAFT, (0.62, 0.44, 0.27), rgb.CREAM))),
+            cad.piece(_weave(tub, edge), shade(rng, (rgb.CREAM, rgb.WOOD, rgb.TEAL, rgb.WHITE))),
+            cad.piece(cad.union(handle, rim), shade(rng, (rgb.WOOD, (0.50, 0.33, 0.20)))),
         ),
-        parts=(*tub.parts(), *swept_parts(bow(6, 1.03), flat)),
+        parts=(*tub.parts(), *part.sweep(bow(6, 1.03), flat)),
         cavity=tub.cavity(),
         mass=vary(rng, 0.40, 0.25),
     )
@@ -197,5 +175,5 @@ def _weave(tub: Crate, top: float, rows: int = 7) -> Manifold:
             for i in range(j % 2, columns, 2):
                 shares = np.array([i, i + 1])[:, None] / columns
                 ends = [(1 - shares) * ring[wall] + shares * ring[(wall + 1) % 4] for ring in rings]
-                strands.append(hull(np.concatenate(ends)))
-    return union(*strands)
+                strands.append(cad.hull(np.concatenate(ends)))
+    return cad.union(*strands)

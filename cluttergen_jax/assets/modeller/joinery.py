@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from manifold3d import Manifold
 
+from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made_by
-from cluttergen_jax.assets.modeller.solids import Rgb, box, hull, piece, union
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
 
@@ -26,7 +26,7 @@ _STRIPS_PER_SIDE = 6
 _STRIP_CROWDING = 1.35
 
 
-def darker(color: Rgb, factor: float) -> Rgb:
+def darker(color: cad.Rgb, factor: float) -> cad.Rgb:
     """A colour with every channel multiplied by `factor`, at most white."""
     red, green, blue = (min(factor * channel, 1.0) for channel in color)
     return red, green, blue
@@ -90,7 +90,7 @@ def plate(outline: np.ndarray, low: float, top: float, bevel: float = 0.003) -> 
     half = np.abs(outline).max(0)
     inner = outline * (1 - bevel / half)
     layers = [(inner, low), (outline, low + bevel), (outline, top - bevel), (inner, top)]
-    return hull(np.concatenate([np.column_stack([rim, np.full(len(rim), z)]) for rim, z in layers]))
+    return cad.hull(np.concatenate([np.column_stack([rim, np.full(len(rim), z)]) for rim, z in layers]))
 
 
 def board(size: Sequence[float], center: Sequence[float], low: float, bevel: float = 0.002) -> Manifold:
@@ -103,7 +103,7 @@ def board(size: Sequence[float], center: Sequence[float], low: float, bevel: flo
 def bar(start: Sequence[float], end: Sequence[float], width: float, depth: float) -> Manifold:
     """A leg whose ends are cut level: a rectangle `width` x `depth` (x, y) led from `start` to `end`."""
     corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]) * (width / 2, depth / 2, 0)
-    return hull(np.concatenate([corners + np.asarray(point) for point in (start, end)]))
+    return cad.hull(np.concatenate([corners + np.asarray(point) for point in (start, end)]))
 
 
 def round_leg(
@@ -112,7 +112,7 @@ def round_leg(
     """A tapered round leg between two points, its ends cut level."""
     turns = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     ring = np.column_stack([np.cos(turns), np.sin(turns), np.zeros(24)])
-    return hull(
+    return cad.hull(
         np.concatenate([ring * foot_radius + np.asarray(foot), ring * head_radius + np.asarray(head)])
     )
 
@@ -123,16 +123,25 @@ def mirrored(x: float, y: float) -> list[tuple[float, float]]:
 
 
 def square_legs(
-    x: float, y: float, side: float, height: float, color: Rgb
+    x: float, y: float, side: float, height: float, color: cad.Rgb
 ) -> tuple[tuple[Box, ...], tuple[Piece, ...]]:
     """Four upright square legs centred on (+-x, +-y)."""
     places = mirrored(x, y)
-    solids = [box((side, side, height), place) for place in places]
-    return tuple(slab((side, side, height), place, 0.0) for place in places), (piece(union(*solids), color),)
+    solids = [cad.box((side, side, height), place) for place in places]
+    return tuple(slab((side, side, height), place, 0.0) for place in places), (
+        cad.piece(cad.union(*solids), color),
+    )
 
 
 def planks(
-    rng: Rng, width: float, depths: Sequence[float], gap: float, y: float, low: float, high: float, color: Rgb
+    rng: Rng,
+    width: float,
+    depths: Sequence[float],
+    gap: float,
+    y: float,
+    low: float,
+    high: float,
+    color: cad.Rgb,
 ) -> tuple[tuple[Box, ...], tuple[Piece, ...]]:
     """Boards along x, side by side from `y` onwards with gaps, each a little lighter or darker.
 
@@ -146,7 +155,7 @@ def planks(
         center = (0.0, y + depth / 2)
         size = (width, depth, high - low)
         boxes.append(slab(size, center, low))
-        pieces.append(piece(board(size, center, low), darker(color, noise.uniform(0.93, 1.05))))
+        pieces.append(cad.piece(board(size, center, low), darker(color, noise.uniform(0.93, 1.05))))
         y += depth + gap
     return tuple(boxes), tuple(pieces)
 

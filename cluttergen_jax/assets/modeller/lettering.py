@@ -6,7 +6,7 @@ import itertools
 
 from manifold3d import Manifold
 
-from cluttergen_jax.assets.modeller.solids import box, union
+from cluttergen_jax.assets.modeller import solids as cad
 
 # Five rows of each letter, top to bottom; a mark is a filled cell.
 _GLYPHS = {
@@ -53,7 +53,7 @@ def lettering(text: str, height: float, relief: float = 0.0006) -> Manifold:
         for row, line in enumerate(glyph):
             bars += [
                 # Cells reach a little over their neighbours, so that letters are joined at corners too.
-                box(
+                cad.box(
                     (cell * (len(run) + 0.1), cell * 1.1, 2 * relief),
                     (cell * (pen + start + len(run) / 2), cell * (4.5 - row)),
                     -relief,
@@ -61,7 +61,7 @@ def lettering(text: str, height: float, relief: float = 0.0006) -> Manifold:
                 for start, run in _runs(line)
             ]
         pen += len(glyph[0]) + 1
-    return union(*bars).translate((-cell * (pen - 1) / 2, -height / 2, 0.0))
+    return cad.union(*bars).translate((-cell * (pen - 1) / 2, -height / 2, 0.0))
 
 
 def _runs(line: str) -> list[tuple[int, str]]:

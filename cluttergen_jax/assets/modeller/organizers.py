@@ -5,35 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.modeller import palette as rgb
+from cluttergen_jax.assets.modeller import parts as part
+from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.crate import Crate
 from cluttergen_jax.assets.modeller.draw import Rng, made, shade, vary
-from cluttergen_jax.assets.modeller.palette import (
-    BLACK,
-    BLUE,
-    BRIGHT,
-    CHARCOAL,
-    DARK,
-    DARK_WOOD,
-    GREY,
-    PAPER,
-    RED,
-    TEAL,
-    WHITE,
-    WOOD,
-    YELLOW,
-)
-from cluttergen_jax.assets.modeller.parts import box_part, hull_part, swept_parts, upright_part
-from cluttergen_jax.assets.modeller.solids import (
-    Rgb,
-    box,
-    ellipse,
-    hull,
-    piece,
-    revolve,
-    sweep,
-    to_mesh,
-    union,
-)
 from cluttergen_jax.assets.modeller.vessel import Vessel
 from cluttergen_jax.assets.shape import Cavity, Piece, Shape
 
@@ -54,17 +30,20 @@ def pencil_cup(rng: Rng = None) -> Shape:
         (0.78 * height, -0.001),
         (0.62 * height, -0.001),
     ]
-    band = revolve([(cup.outer_radius(z) + out, z) for z, out in levels])
-    pieces = [piece(cup.solid(), shade(rng, (TEAL, *BRIGHT, CHARCOAL))), piece(band, WHITE)]
+    band = cad.revolve([(cup.outer_radius(z) + out, z) for z, out in levels])
+    pieces = [
+        cad.piece(cup.solid(), shade(rng, (rgb.TEAL, *rgb.BRIGHT, rgb.CHARCOAL))),
+        cad.piece(band, rgb.WHITE),
+    ]
     parts = list(cup.parts(8))
-    for angle, length, color in ((5.0, 0.165, YELLOW), (1.9, 0.150, RED)):
+    for angle, length, color in ((5.0, 0.165, rgb.YELLOW), (1.9, 0.150, rgb.RED)):
         start = _around(angle + vary(rng, 0.5, 0.5), foot - 0.010, 0.0068)
         along = _around(angle, rim - 0.0085, height) - start
-        solids, part = _pencil(
-            start, along / np.linalg.norm(along), vary(rng, length, 0.1), shade(rng, (color, *BRIGHT))
+        solids, core = _pencil(
+            start, along / np.linalg.norm(along), vary(rng, length, 0.1), shade(rng, (color, *rgb.BRIGHT))
         )
         pieces += solids
-        parts.append(part)
+        parts.append(core)
     return made(
         name="pencil_cup",
         pieces=tuple(pieces),
@@ -78,18 +57,18 @@ def _around(angle: float, radius: float, z: float) -> np.ndarray:
     return np.array([radius * np.cos(angle), radius * np.sin(angle), z])
 
 
-def _pencil(start: np.ndarray, end: np.ndarray, length: float, color: Rgb) -> tuple[list[Piece], Mesh]:
+def _pencil(start: np.ndarray, end: np.ndarray, length: float, color: cad.Rgb) -> tuple[list[Piece], Mesh]:
     """A sharpened pencil of a given length from `start` towards `end`, and its part."""
     along = (end - start) / np.linalg.norm(end - start)
     stations = [start + along * s for s in (0.0, length - 0.022, length - 0.006, length)]
-    outline = ellipse(0.004, 0.004, 6)
+    outline = cad.ellipse(0.004, 0.004, 6)
     pieces = [
-        piece(sweep(stations[:2], outline), color),
-        piece(sweep(stations[1:3], outline, scales=[1.0, 0.35]), RAW_WOOD),
-        piece(sweep(stations[2:], outline, scales=[0.35, 0.1]), BLACK),
+        cad.piece(cad.sweep(stations[:2], outline), color),
+        cad.piece(cad.sweep(stations[1:3], outline, scales=[1.0, 0.35]), RAW_WOOD),
+        cad.piece(cad.sweep(stations[2:], outline, scales=[0.35, 0.1]), rgb.BLACK),
     ]
-    cells = swept_parts([stations[0], stations[1], stations[3]], outline, scales=[1.0, 1.0, 0.1])
-    return pieces, hull_part(np.concatenate([cell.vertices for cell in cells]))
+    cells = part.sweep([stations[0], stations[1], stations[3]], outline, scales=[1.0, 1.0, 0.1])
+    return pieces, part.hull(np.concatenate([cell.vertices for cell in cells]))
 
 
 def pen_holder(rng: Rng = None) -> Shape:
@@ -98,42 +77,46 @@ def pen_holder(rng: Rng = None) -> Shape:
     shelf = 0.16 * crate.width
     wall = ((0.003, crate.depth - 0.006, 0.86 * crate.height), (shelf, 0), 0.002)
     left, right = shelf + 0.0035, crate.width / 2 - 0.006
-    stripe = [box((crate.width + 0.001, crate.depth + 0.001, 0.010), z=0.80 * crate.height)]
-    stripe.append(stripe[0] - box((crate.width - 0.001, crate.depth - 0.001, 1.0)))
+    stripe = [cad.box((crate.width + 0.001, crate.depth + 0.001, 0.010), z=0.80 * crate.height)]
+    stripe.append(stripe[0] - cad.box((crate.width - 0.001, crate.depth - 0.001, 1.0)))
     pieces = [
-        piece(crate.solid() + box(*wall), shade(rng, (CHARCOAL, *DARK, *BRIGHT, WOOD))),
-        piece(stripe[1], shade(rng, (GREY, WHITE, YELLOW))),
+        cad.piece(
+            crate.solid() + cad.box(*wall), shade(rng, (rgb.CHARCOAL, *rgb.DARK, *rgb.BRIGHT, rgb.WOOD))
+        ),
+        cad.piece(stripe[1], shade(rng, (rgb.GREY, rgb.WHITE, rgb.YELLOW))),
     ]
-    parts = [*crate.parts(), box_part(*wall)]
+    parts = [*crate.parts(), part.box(*wall)]
     top = crate.height + vary(rng, 0.048, 0.2)
-    for y, drift, color in ((-0.30, -0.10, BLUE), (-0.08, 0.04, RED)):
+    for y, drift, color in ((-0.30, -0.10, rgb.BLUE), (-0.08, 0.04, rgb.RED)):
         start = np.array([right - 0.004, y * crate.depth, crate.floor + 0.001])
         end = np.array([left + 0.004, (y + drift) * crate.depth, top - 0.01 * (y < -0.2)])
-        solids, part = _pen(start, end, shade(rng, (color, *BRIGHT)))
+        solids, core = _pen(start, end, shade(rng, (color, *rgb.BRIGHT)))
         pieces += solids
-        parts.append(part)
+        parts.append(core)
     edge = [(left + 0.0015, crate.floor - 0.001), (left + 0.0045, crate.floor - 0.001)]
     outline = [*edge, (right - 0.001, top + 0.012), (right - 0.004, top + 0.012)]
     flat = {"depth": 0.026, "y": 0.5 * crate.depth - 0.020}
-    ruler = hull(upright_part(outline, **flat).vertices)
+    ruler = cad.hull(part.upright(outline, **flat).vertices)
     return made(
         name="pen_holder",
-        pieces=(*pieces, piece(ruler - box(*wall), YELLOW)),
-        parts=(*parts, upright_part(outline, **flat)),
+        pieces=(*pieces, cad.piece(ruler - cad.box(*wall), rgb.YELLOW)),
+        parts=(*parts, part.upright(outline, **flat)),
         cavity=Cavity(
-            to_mesh(hull(crate.cavity().solid.vertices) - box(*wall)),
+            cad.to_mesh(cad.hull(crate.cavity().solid.vertices) - cad.box(*wall)),
             ((shelf - crate.width / 2) / 2, 0.0, crate.height),
         ),
         mass=vary(rng, 0.30, 0.2),
     )
 
 
-def _pen(start: np.ndarray, end: np.ndarray, color: Rgb) -> tuple[list[Piece], Mesh]:
+def _pen(start: np.ndarray, end: np.ndarray, color: cad.Rgb) -> tuple[list[Piece], Mesh]:
     """A pen with its cap up, and its part."""
     neck = start + 0.62 * (end - start)
-    outline = ellipse(0.0042, 0.0042, 12)
-    barrel, cap = sweep(np.stack([start, neck]), 0.9 * outline), sweep(np.stack([neck, end]), outline)
-    return [piece(barrel, WHITE), piece(cap, color)], swept_parts(np.stack([start, end]), 0.0042)[0]
+    outline = cad.ellipse(0.0042, 0.0042, 12)
+    barrel, cap = cad.sweep(np.stack([start, neck]), 0.9 * outline), cad.sweep(np.stack([neck, end]), outline)
+    return [cad.piece(barrel, rgb.WHITE), cad.piece(cap, color)], part.sweep(np.stack([start, end]), 0.0042)[
+        0
+    ]
 
 
 def letter_tray(rng: Rng = None) -> Shape:
@@ -154,20 +137,22 @@ def letter_tray(rng: Rng = None) -> Shape:
         ((0.86 * inner, depth - 3.5 * wall, thick), (0.03 * inner, 0), z + wall)
         for z, thick in ((0.0, 1.6 * sheets), (step, sheets))
     ]
-    frame = union(*[hull(panel) for panel in panels], *[box(*cell) for cell in (back, *shelves, *lips)])
+    frame = cad.union(
+        *[cad.hull(panel) for panel in panels], *[cad.box(*cell) for cell in (back, *shelves, *lips)]
+    )
     floor = step + wall
-    inside = box((inner, depth - 2 * wall, height - floor), z=floor) - box(*papers[1])
+    inside = cad.box((inner, depth - 2 * wall, height - floor), z=floor) - cad.box(*papers[1])
     return made(
         name="letter_tray",
         pieces=(
-            piece(frame, shade(rng, (WOOD, *DARK, DARK_WOOD, TEAL))),
-            piece(box(*papers[0]), WHITE),
-            piece(box(*papers[1]), shade(rng, (PAPER, WHITE), 0.02)),
+            cad.piece(frame, shade(rng, (rgb.WOOD, *rgb.DARK, rgb.DARK_WOOD, rgb.TEAL))),
+            cad.piece(cad.box(*papers[0]), rgb.WHITE),
+            cad.piece(cad.box(*papers[1]), shade(rng, (rgb.PAPER, rgb.WHITE), 0.02)),
         ),
         parts=(
-            *[hull_part(panel) for panel in panels],
-            *[box_part(*cell) for cell in (back, *shelves, *lips, *papers)],
+            *[part.hull(panel) for panel in panels],
+            *[part.box(*cell) for cell in (back, *shelves, *lips, *papers)],
         ),
-        cavity=Cavity(to_mesh(inside), (0.0, 0.0, height)),
+        cavity=Cavity(cad.to_mesh(inside), (0.0, 0.0, height)),
         mass=vary(rng, 1.1, 0.2),
     )

@@ -21,7 +21,7 @@ from cluttergen_jax.errors import AssetError
 LIFT = 0.0012
 
 
-def hull_part(points: Sequence[Sequence[float]] | np.ndarray) -> Mesh:
+def hull(points: Sequence[Sequence[float]] | np.ndarray) -> Mesh:
     """The convex hull of points f64[N, 3], reduced to its corners.
 
     Raises:
@@ -41,21 +41,21 @@ def hull_part(points: Sequence[Sequence[float]] | np.ndarray) -> Mesh:
     return Mesh.points(corners)
 
 
-def box_part(size: Sequence[float], center: Sequence[float] = (0, 0), z: float = 0.0) -> Mesh:
+def box(size: Sequence[float], center: Sequence[float] = (0, 0), z: float = 0.0) -> Mesh:
     """A box of `size` (x, y, z) standing on height `z`, centred on `center` (x, y)."""
     signs = np.array([(x, y, s) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for s in (0, 1)])
-    return hull_part(signs * np.asarray(size) + np.array([center[0], center[1], z]))
+    return hull(signs * np.asarray(size) + np.array([center[0], center[1], z]))
 
 
-def prism_part(polygon: Points2, height: float, z: float = 0.0, top: float = 1.0) -> Mesh:
+def prism(polygon: Points2, height: float, z: float = 0.0, top: float = 1.0) -> Mesh:
     """The hull of a polygon drawn up from `z` to `z + height`; `top` scales its upper outline."""
     outline = np.asarray(polygon, np.float64)
     low = np.column_stack([outline, np.full(len(outline), z)])
     high = np.column_stack([outline * top, np.full(len(outline), z + height)])
-    return hull_part(np.concatenate([low, high]))
+    return hull(np.concatenate([low, high]))
 
 
-def disc_part(
+def disc(
     profile: Points2,
     num: int = 12,
     phase: float = 0.0,
@@ -78,7 +78,7 @@ def disc_part(
         (radius, low), *others = profile
         feet, profile = [_ring(radius, low, 4, phase)], [(radius, low + LIFT), *others]
     rings = [_ring(radius, z, num, phase) if radius > 0 else [[0.0, 0.0, z]] for radius, z in profile]
-    return hull_part(np.concatenate([*feet, *rings]) + np.array([center[0], center[1], 0.0]))
+    return hull(np.concatenate([*feet, *rings]) + np.array([center[0], center[1], 0.0]))
 
 
 def ring_sectors(
@@ -106,10 +106,10 @@ def ring_sectors(
     ]
     if np.isclose(stop - start, 2 * np.pi):
         edges[-1] = edges[0]  # sin(2 pi) is not quite 0: a gap, however fine, would show up as two more faces
-    return tuple(hull_part(np.concatenate([edges[k], edges[k + 1]])) for k in range(num))
+    return tuple(hull(np.concatenate([edges[k], edges[k + 1]])) for k in range(num))
 
 
-def swept_parts(
+def sweep(
     path: Sequence[Sequence[float]] | np.ndarray,
     section: Points2 | float,
     side: Sequence[float] = (0, 1, 0),
@@ -123,7 +123,7 @@ def swept_parts(
     """
     outline = ellipse(section, section, 6) if isinstance(section, int | float) else section
     rings = section_rings(path, outline, side, scales)
-    return tuple(hull_part(np.concatenate([rings[k], rings[k + 1]])) for k in range(len(rings) - 1))
+    return tuple(hull(np.concatenate([rings[k], rings[k + 1]])) for k in range(len(rings) - 1))
 
 
 def thinned(path: np.ndarray, num_cells: int, bulge: float = 0.0) -> np.ndarray:
@@ -141,16 +141,16 @@ def thinned(path: np.ndarray, num_cells: int, bulge: float = 0.0) -> np.ndarray:
     return stations
 
 
-def upright_part(outline: Points2, depth: float, y: float = 0.0) -> Mesh:
+def upright(outline: Points2, depth: float, y: float = 0.0) -> Mesh:
     """The hull of an outline of (x, z) given `depth` along y, centred on `y`; see `solids.upright`."""
     flat = np.asarray(outline, np.float64)
     faces = [
         np.column_stack([flat[:, 0], np.full(len(flat), y + s * depth), flat[:, 1]]) for s in (-0.5, 0.5)
     ]
-    return hull_part(np.concatenate(faces))
+    return hull(np.concatenate(faces))
 
 
-def ball_part(radius: float, center: Sequence[float]) -> Mesh:
+def ball(radius: float, center: Sequence[float]) -> Mesh:
     """A ball as 32 corners, which lie outside its surface by about as much as the faces lie inside."""
     golden = (1 + 5**0.5) / 2
     signs = (-1.0, 1.0)
@@ -159,12 +159,12 @@ def ball_part(radius: float, center: Sequence[float]) -> Mesh:
     corners = [np.roll(corner, turn) for corner in cyclic for turn in range(3)]
     corners += [np.array((a, b, c)) for a in signs for b in signs for c in signs]
     directions = np.stack([corner / np.linalg.norm(corner) for corner in corners])
-    return hull_part(1.03 * radius * directions + np.asarray(center))
+    return hull(1.03 * radius * directions + np.asarray(center))
 
 
 def corners_of(solid: Manifold) -> Mesh:
     """The hull of a solid that has few corners."""
-    return hull_part(to_mesh(solid).vertices)
+    return hull(to_mesh(solid).vertices)
 
 
 def turned(part: Mesh, degrees: Sequence[float], shift: Sequence[float] = (0, 0, 0)) -> Mesh:

@@ -6,39 +6,10 @@ import numpy as np
 from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.modeller import palette as rgb
+from cluttergen_jax.assets.modeller import parts as part
+from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.draw import Rng, made, shade, vary
-from cluttergen_jax.assets.modeller.palette import (
-    BLACK,
-    BLUE,
-    BRIGHT,
-    CHARCOAL,
-    DARK,
-    GREY,
-    RED,
-    STEEL,
-    TEAL,
-    WHITE,
-)
-from cluttergen_jax.assets.modeller.parts import (
-    box_part,
-    disc_part,
-    hull_part,
-    ring_sectors,
-    turned,
-    upright_part,
-)
-from cluttergen_jax.assets.modeller.solids import (
-    box,
-    cylinder,
-    difference,
-    ellipse,
-    extrude,
-    hull,
-    piece,
-    rounded_rect,
-    union,
-    upright,
-)
 from cluttergen_jax.assets.shape import Shape
 
 TAPE = (0.93, 0.86, 0.62)
@@ -64,20 +35,20 @@ def stapler(rng: Rng = None) -> Shape:
         (tail - 0.006, high + 0.025),
     ]
     lid += [(nose + 0.035, low + 0.030), (nose + 0.010, low + 0.026), (nose, low + 0.018)]
-    anvil = box((0.022, 0.6 * width, 0.002), (nose + 0.018, 0), 0.0092)
-    metal = union(upright(pivot, 0.36 * width), anvil, upright(rail, 0.7 * width))
+    anvil = cad.box((0.022, 0.6 * width, 0.002), (nose + 0.018, 0), 0.0092)
+    metal = cad.union(cad.upright(pivot, 0.36 * width), anvil, cad.upright(rail, 0.7 * width))
     return made(
         name="stapler",
         pieces=(
-            piece(upright(base, width + 0.004), shade(rng, (CHARCOAL, BLACK, GREY))),
-            piece(metal, STEEL),
-            piece(upright(lid, width), shade(rng, (RED, TEAL, *BRIGHT, CHARCOAL))),
+            cad.piece(cad.upright(base, width + 0.004), shade(rng, (rgb.CHARCOAL, rgb.BLACK, rgb.GREY))),
+            cad.piece(metal, rgb.STEEL),
+            cad.piece(cad.upright(lid, width), shade(rng, (rgb.RED, rgb.TEAL, *rgb.BRIGHT, rgb.CHARCOAL))),
         ),
         parts=(
-            upright_part(base, width + 0.004),
-            upright_part(pivot, 0.36 * width),
-            upright_part(rail, 0.7 * width),
-            upright_part(lid, width),
+            part.upright(base, width + 0.004),
+            part.upright(pivot, 0.36 * width),
+            part.upright(rail, 0.7 * width),
+            part.upright(lid, width),
         ),
         mass=vary(rng, 0.28, 0.2),
     )
@@ -97,33 +68,35 @@ def tape_dispenser(rng: Rng = None) -> Shape:
     side = width / 2 - 0.005
     slot = 2 * (side - 0.0048)
     # The roll is solid but for a recess on either side, where its core shows above the cheeks.
-    cover = upright(cheek, 1.0)
+    cover = cad.upright(cheek, 1.0)
     recesses = [_wheel(roll - 0.010, 0.004, hub).translate((0, s * slot / 2, 0)) - cover for s in (-1, 1)]
     core = _wheel(roll - 0.0095, slot - 0.002, hub) - _wheel(roll - 0.014, 1.0, hub) - cover
-    spool = difference(_wheel(roll, slot, hub), *recesses)
-    cheeks = [upright(cheek, 0.010, s * side) for s in (-1, 1)]
-    frame = union(upright(base, width), upright(post, slot + 0.006), *cheeks)
+    spool = cad.difference(_wheel(roll, slot, hub), *recesses)
+    cheeks = [cad.upright(cheek, 0.010, s * side) for s in (-1, 1)]
+    frame = cad.union(cad.upright(base, width), cad.upright(post, slot + 0.006), *cheeks)
     # The tape's free end runs from the roll to the teeth; its part is thicker, below.
     ends = ((nose + 0.015, 0.0495), (hub[0] - 0.2 * roll, hub[1] + 0.97 * roll))
     strip, tongue = ([(x, z + t) for x, z in ends for t in (below, 0.0003)] for below in (-0.0003, -0.0025))
     tooth = [(x, s * 0.002, z) for x, z in ((0.003, 0.047), (0.010, 0.050)) for s in (-1, 1)]
-    comb = hull([*tooth, (0.001, 0, 0.054)])
+    comb = cad.hull([*tooth, (0.001, 0, 0.054)])
     teeth = [comb.translate((nose, float(y), 0)) for y in np.linspace(-0.4, 0.4, 9) * slot]
-    ribbon = hull(upright_part(strip, 0.72 * slot).vertices)
+    ribbon = cad.hull(part.upright(strip, 0.72 * slot).vertices)
     return made(
         name="tape_dispenser",
         pieces=(
-            piece(frame, shade(rng, (CHARCOAL, *DARK, *BRIGHT))),
-            piece(union(spool, ribbon), TAPE),
-            piece(core, WHITE),
-            piece(union(*teeth), STEEL),
+            cad.piece(frame, shade(rng, (rgb.CHARCOAL, *rgb.DARK, *rgb.BRIGHT))),
+            cad.piece(cad.union(spool, ribbon), TAPE),
+            cad.piece(core, rgb.WHITE),
+            cad.piece(cad.union(*teeth), rgb.STEEL),
         ),
         parts=(
-            upright_part(base, width),
-            upright_part(post, slot + 0.006),
-            turned(disc_part([(roll, -slot / 2), (roll, slot / 2)], 14), (90, 0, 0), (hub[0], 0, hub[1])),
-            *[upright_part(cheek, 0.010, s * side) for s in (-1, 1)],
-            upright_part(tongue, 0.72 * slot),
+            part.upright(base, width),
+            part.upright(post, slot + 0.006),
+            part.turned(
+                part.disc([(roll, -slot / 2), (roll, slot / 2)], 14), (90, 0, 0), (hub[0], 0, hub[1])
+            ),
+            *[part.upright(cheek, 0.010, s * side) for s in (-1, 1)],
+            part.upright(tongue, 0.72 * slot),
         ),
         mass=vary(rng, 0.75, 0.2),
     )
@@ -131,14 +104,14 @@ def tape_dispenser(rng: Rng = None) -> Shape:
 
 def _wheel(radius: float, width: float, center: tuple[float, float]) -> Manifold:
     """A disc with its axis along y, around (x, z)."""
-    return cylinder(radius, width, -width / 2).rotate((90, 0, 0)).translate((center[0], 0, center[1]))
+    return cad.cylinder(radius, width, -width / 2).rotate((90, 0, 0)).translate((center[0], 0, center[1]))
 
 
 def hole_punch(rng: Rng = None) -> Shape:
     """A two-hole punch on a punched sheet, its paper slot towards -y."""
     width, depth = vary(rng, 0.118, 0.1), vary(rng, 0.104, 0.1)
     rise = vary(rng, 0.060, 0.1)
-    tray = extrude(rounded_rect(width, depth, 0.010), 0.012)
+    tray = cad.extrude(cad.rounded_rect(width, depth, 0.010), 0.012)
     back, front = depth / 2 - 0.012, -depth / 2 + 0.034
     bar = ((0.86 * width, 0.030, 0.016), (0, back - 0.019), 0.020)
     wall = ((0.86 * width, 0.014, 0.026), (0, back - 0.008), 0.010)
@@ -146,22 +119,22 @@ def hole_punch(rng: Rng = None) -> Shape:
     profile: list[tuple[float, ...]] = [(0.92, back + 0.006, 0.030, 0.042)]
     profile += [(0.90, front + 0.008, rise, rise + 0.009), (0.66, front - 0.008, rise + 0.001, rise + 0.008)]
     lever = [(s * w * width / 2, y, z) for s in (-1, 1) for w, y, *levels in profile for z in levels]
-    lid = hull(lever)
+    lid = cad.hull(lever)
     places = [s * 0.30 * width for s in (-1, 1)]
-    pins = [cylinder(0.0075, 0.026, z=0.018, center=(x, back - 0.030), segments=24) for x in places]
-    rests = [box((0.008, 0.034, 0.026), (s * 0.45 * width, back - 0.014), 0.010) for s in (-1, 1)]
-    holes = [cylinder(0.0055, 1.0, center=(x, -0.36 * depth), segments=24) for x in places]
-    sheet = difference(box((0.80 * width, 0.84 * depth, 0.0015), (0, -0.07 * depth), 0.012), *holes)
-    metal = union(box(*bar), box(*wall), *pins, *rests) - lid - tray
+    pins = [cad.cylinder(0.0075, 0.026, z=0.018, center=(x, back - 0.030), segments=24) for x in places]
+    rests = [cad.box((0.008, 0.034, 0.026), (s * 0.45 * width, back - 0.014), 0.010) for s in (-1, 1)]
+    holes = [cad.cylinder(0.0055, 1.0, center=(x, -0.36 * depth), segments=24) for x in places]
+    sheet = cad.difference(cad.box((0.80 * width, 0.84 * depth, 0.0015), (0, -0.07 * depth), 0.012), *holes)
+    metal = cad.union(cad.box(*bar), cad.box(*wall), *pins, *rests) - lid - tray
     return made(
         name="hole_punch",
         pieces=(
-            piece(tray, shade(rng, (CHARCOAL, BLACK, GREY))),
-            piece(metal, STEEL),
-            piece(sheet - metal, WHITE),
-            piece(lid, shade(rng, (BLUE, *BRIGHT, CHARCOAL))),
+            cad.piece(tray, shade(rng, (rgb.CHARCOAL, rgb.BLACK, rgb.GREY))),
+            cad.piece(metal, rgb.STEEL),
+            cad.piece(sheet - metal, rgb.WHITE),
+            cad.piece(lid, shade(rng, (rgb.BLUE, *rgb.BRIGHT, rgb.CHARCOAL))),
         ),
-        parts=(box_part((width, depth, 0.012)), box_part(*bar), box_part(*wall), hull_part(lever)),
+        parts=(part.box((width, depth, 0.012)), part.box(*bar), part.box(*wall), part.hull(lever)),
         mass=vary(rng, 0.38, 0.2),
     )
 
@@ -171,27 +144,30 @@ def scissors(rng: Rng = None) -> Shape:
     size, opening = vary(rng, 1.0, 0.12), vary(rng, 8.0, 0.4)
     blade = 0.001 * size * np.array([(-8, -12), (8, -12), (8, 20), (0.5, 100), (-2, 100), (-8, 24)])
     loop, bar, thick = np.array([0.021, 0.029]) * size, 0.0075, 0.009
-    ring = extrude(ellipse(*loop), thick) - extrude(ellipse(*(loop - bar)), 1.0, -0.5)
+    ring = cad.extrude(cad.ellipse(*loop), thick) - cad.extrude(cad.ellipse(*(loop - bar)), 1.0, -0.5)
     inner = 1 - bar / loop[0]
     section = [(1.10, 0), (1.10, thick), (inner, thick), (inner, 0)]
     stretch = np.diag([*loop, 1.0])
-    cells = [cell.transformed(stretch, np.zeros(3)) for cell in ring_sectors(section, 4, np.pi / 4)]
+    cells = [cell.transformed(stretch, np.zeros(3)) for cell in part.ring_sectors(section, 4, np.pi / 4)]
     grips, blades, parts = [], [], []
     for side, z in ((-1, 0.0), (1, 0.003)):
         turn, spin = (0.0, 0.0, side * opening), (0.0, 0.0, -side * 14.0)
         outline = blade * (side, 1)
-        blades.append(extrude(outline, 0.003, z).rotate(turn))
+        blades.append(cad.extrude(outline, 0.003, z).rotate(turn))
         # Each blade runs on through the pivot into the loop of the other side.
         center = np.array([side * 0.025, -0.072]) * size
         roots = np.array([(8, -8), (-8, -8), (side * 25 - 10, -42), (side * 25 + 10, -46)]) * 0.001 * size
-        grips += [ring.rotate(spin).translate((*center, 0)), hull(_flat(roots, 0.0, thick).vertices)]
-        parts += [turned(_flat(outline, z, 0.003), turn), _flat(roots, 0.0, thick)]
-        parts += [turned(cell, spin, (*center, 0.0)) for cell in cells]
-    handles = union(*grips)
-    steel = union(*blades, cylinder(0.0045 * size, 0.0085, segments=24))
+        grips += [ring.rotate(spin).translate((*center, 0)), cad.hull(_flat(roots, 0.0, thick).vertices)]
+        parts += [part.turned(_flat(outline, z, 0.003), turn), _flat(roots, 0.0, thick)]
+        parts += [part.turned(cell, spin, (*center, 0.0)) for cell in cells]
+    handles = cad.union(*grips)
+    steel = cad.union(*blades, cad.cylinder(0.0045 * size, 0.0085, segments=24))
     return made(
         name="scissors",
-        pieces=(piece(handles, shade(rng, (RED, *BRIGHT, CHARCOAL))), piece(steel - handles, STEEL)),
+        pieces=(
+            cad.piece(handles, shade(rng, (rgb.RED, *rgb.BRIGHT, rgb.CHARCOAL))),
+            cad.piece(steel - handles, rgb.STEEL),
+        ),
         parts=tuple(parts),
         mass=vary(rng, 0.075, 0.2),
     )
@@ -199,4 +175,4 @@ def scissors(rng: Rng = None) -> Shape:
 
 def _flat(outline: np.ndarray, z: float, height: float) -> Mesh:
     """The prism over the convex hull of an outline."""
-    return hull_part([(x, y, level) for level in (z, z + height) for x, y in outline])
+    return part.hull([(x, y, level) for level in (z, z + height) for x, y in outline])

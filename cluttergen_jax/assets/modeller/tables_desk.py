@@ -4,21 +4,9 @@ from __future__ import annotations
 
 from manifold3d import Manifold
 
+from cluttergen_jax.assets.modeller import joinery
+from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.draw import Rng, shade, vary
-from cluttergen_jax.assets.modeller.joinery import (
-    DARK_STEEL,
-    METALS,
-    PAINTS,
-    WOODS,
-    bar,
-    block,
-    board,
-    darker,
-    slab,
-    square_legs,
-    table,
-)
-from cluttergen_jax.assets.modeller.solids import box, cylinder, extrude, piece, union
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 
 
@@ -33,28 +21,31 @@ def l_desk(rng: Rng = None) -> SupportAsset:
     feet = [(-x + 0.06, y - 0.06), (x - 0.06, y - 0.06), (x - 0.06, inner + 0.06), (-x + 0.06, -y + 0.06)]
     feet += [(-x + limb - 0.06, -y + 0.06)]
     rails = [
-        box((width - 0.12, 0.03, 0.045), (0, y - 0.06), low - 0.045),
-        box((0.03, reach - 0.12, 0.045), (-x + 0.06, 0), low - 0.045),
-        box((0.03, depth - 0.12, 0.045), (x - 0.06, y - depth / 2), low - 0.045),
-        box((limb - 0.12, 0.03, 0.045), (-x + limb / 2, -y + 0.06), low - 0.045),
+        cad.box((width - 0.12, 0.03, 0.045), (0, y - 0.06), low - 0.045),
+        cad.box((0.03, reach - 0.12, 0.045), (-x + 0.06, 0), low - 0.045),
+        cad.box((0.03, depth - 0.12, 0.045), (x - 0.06, y - depth / 2), low - 0.045),
+        cad.box((limb - 0.12, 0.03, 0.045), (-x + limb / 2, -y + 0.06), low - 0.045),
     ]
-    legs = [box((side, side, low), foot) for foot in feet]
+    legs = [cad.box((side, side, low), foot) for foot in feet]
     long_limb = Rectangle((0.0, y - depth / 2), (x, depth / 2))
     short_limb = Rectangle((-x + limb / 2, 0.0), (limb / 2, y))
     is_wide = width * depth >= limb * reach
-    return table(
+    return joinery.table(
         "l_desk",
         top,
         long_limb if is_wide else short_limb,
         [
-            block((-x, inner, low), (x, y, top)),
-            block((-x, -y, low), (-x + limb, inner, top)),
-            *(slab((side, side, low), foot, 0.0) for foot in feet),
+            joinery.block((-x, inner, low), (x, y, top)),
+            joinery.block((-x, -y, low), (-x + limb, inner, top)),
+            *(joinery.slab((side, side, low), foot, 0.0) for foot in feet),
         ],
         [
-            piece(extrude(outline, thickness - 0.003, low + 0.003), shade(rng, (WOODS[3], *WOODS))),
-            piece(extrude(outline, 0.003, low), DARK_STEEL),
-            piece(union(*rails, *legs), shade(rng, METALS, 0.02)),
+            cad.piece(
+                cad.extrude(outline, thickness - 0.003, low + 0.003),
+                shade(rng, (joinery.WOODS[3], *joinery.WOODS)),
+            ),
+            cad.piece(cad.extrude(outline, 0.003, low), joinery.DARK_STEEL),
+            cad.piece(cad.union(*rails, *legs), shade(rng, joinery.METALS, 0.02)),
         ],
         "L-shaped desk",
     )
@@ -64,9 +55,9 @@ def shelf_desk(rng: Rng = None) -> SupportAsset:
     """A desk with a shelf below and a riser along its back. The region is the top before the riser."""
     width, depth, top = vary(rng, 1.20, 0.1), vary(rng, 0.66, 0.08), vary(rng, 0.74, 0.03)
     low, side, sheet = top - 0.025, 0.05, 0.018
-    wood, paint = shade(rng, WOODS), shade(rng, PAINTS, 0.03)
+    wood, paint = shade(rng, joinery.WOODS), shade(rng, joinery.PAINTS, 0.03)
     x, y = width / 2 - 0.04, depth / 2 - 0.04
-    leg_boxes, leg_pieces = square_legs(x, y, side, low, paint)
+    leg_boxes, leg_pieces = joinery.square_legs(x, y, side, low, paint)
     riser_width, riser_depth, riser_height = 0.86 * width, 0.22, vary(rng, 0.125)
     back = depth / 2 - 0.01
     front, middle = back - riser_depth, back - riser_depth / 2
@@ -75,27 +66,27 @@ def shelf_desk(rng: Rng = None) -> SupportAsset:
     panels = [((sheet, riser_depth, under), (column, middle), top) for column in columns]
     shelf = (2 * x - side, 0.55 * depth, sheet)
     shelf_place, shelf_low = (0.0, y - 0.55 * depth / 2), 0.20
-    rails = [box((2 * x, 0.022, 0.07), (0, sign * y), low - 0.07) for sign in (-1, 1)]
-    rails += [box((0.022, 2 * y, 0.07), (sign * x, 0), low - 0.07) for sign in (-1, 1)]
-    rails += [box((0.022, 2 * y, 0.04), (sign * x, 0), shelf_low - 0.04) for sign in (-1, 1)]
-    return table(
+    rails = [cad.box((2 * x, 0.022, 0.07), (0, sign * y), low - 0.07) for sign in (-1, 1)]
+    rails += [cad.box((0.022, 2 * y, 0.07), (sign * x, 0), low - 0.07) for sign in (-1, 1)]
+    rails += [cad.box((0.022, 2 * y, 0.04), (sign * x, 0), shelf_low - 0.04) for sign in (-1, 1)]
+    return joinery.table(
         "shelf_desk",
         top,
         Rectangle((0.0, (front - 0.01 - depth / 2) / 2), (width / 2, (front - 0.01 + depth / 2) / 2)),
         [
-            slab((width, depth, top - low), (0, 0), low),
+            joinery.slab((width, depth, top - low), (0, 0), low),
             *leg_boxes,
-            *(slab(*panel) for panel in panels),
-            slab((riser_width, riser_depth, sheet), (0, middle), top + under),
-            slab(shelf, shelf_place, shelf_low),
+            *(joinery.slab(*panel) for panel in panels),
+            joinery.slab((riser_width, riser_depth, sheet), (0, middle), top + under),
+            joinery.slab(shelf, shelf_place, shelf_low),
         ],
         [
-            piece(board((width, depth, top - low), (0, 0), low, 0.004), wood),
+            cad.piece(joinery.board((width, depth, top - low), (0, 0), low, 0.004), wood),
             *leg_pieces,
-            piece(union(*rails), paint),
-            piece(union(*(box(*panel) for panel in panels)), paint),
-            piece(board((riser_width, riser_depth, sheet), (0, middle), top + under), wood),
-            piece(board(shelf, shelf_place, shelf_low), darker(wood, 0.95)),
+            cad.piece(cad.union(*rails), paint),
+            cad.piece(cad.union(*(cad.box(*panel) for panel in panels)), paint),
+            cad.piece(joinery.board((riser_width, riser_depth, sheet), (0, middle), top + under), wood),
+            cad.piece(joinery.board(shelf, shelf_place, shelf_low), joinery.darker(wood, 0.95)),
         ],
         "desk with shelf and riser",
     )
@@ -104,7 +95,11 @@ def shelf_desk(rng: Rng = None) -> SupportAsset:
 def drawer_desk(rng: Rng = None) -> SupportAsset:
     """A writing desk with a cabinet of three drawers. Its whole top is the region."""
     width, depth, top = vary(rng, 1.20, 0.1), vary(rng, 0.60, 0.08), vary(rng, 0.75, 0.03)
-    low, wood, paint = top - 0.028, shade(rng, (WOODS[1], *WOODS)), shade(rng, PAINTS, 0.03)
+    low, wood, paint = (
+        top - 0.028,
+        shade(rng, (joinery.WOODS[1], *joinery.WOODS)),
+        shade(rng, joinery.PAINTS, 0.03),
+    )
     side, cabinet = 0.05, (vary(rng, 0.40, 0.1), depth - 0.07, low - 0.07)
     place = (width / 2 - 0.02 - cabinet[0] / 2, 0.01)
     face = place[1] - cabinet[1] / 2
@@ -117,26 +112,30 @@ def drawer_desk(rng: Rng = None) -> SupportAsset:
     wide_y = apron[1][1] - apron[0][1] / 2 - 0.007
     fronts.append((wide_front, (apron[1][0], wide_y), low - 0.083))
     knobs = [_handle(front[1][0], front[1][1] - 0.007, front[2] + front[0][2] / 2) for front in fronts]
-    feet = [bar((x, s * y, 0.0), (x, s * y, low), side, side) for s in (-1, 1)]
-    plinth = box((cabinet[0] - 0.04, cabinet[1] - 0.04, 0.07), place)
-    return table(
+    feet = [joinery.bar((x, s * y, 0.0), (x, s * y, low), side, side) for s in (-1, 1)]
+    plinth = cad.box((cabinet[0] - 0.04, cabinet[1] - 0.04, 0.07), place)
+    return joinery.table(
         "drawer_desk",
         top,
         Rectangle((0.0, 0.0), (width / 2, depth / 2)),
         [
-            slab((width, depth, top - low), (0, 0), low),
-            slab(cabinet, place, 0.07),
-            slab((cabinet[0] - 0.04, cabinet[1] - 0.04, 0.07), place, 0.0),
-            slab(*apron),
-            slab(*panel),
-            *(slab((side, side, low), (x, s * y), 0.0) for s in (-1, 1)),
+            joinery.slab((width, depth, top - low), (0, 0), low),
+            joinery.slab(cabinet, place, 0.07),
+            joinery.slab((cabinet[0] - 0.04, cabinet[1] - 0.04, 0.07), place, 0.0),
+            joinery.slab(*apron),
+            joinery.slab(*panel),
+            *(joinery.slab((side, side, low), (x, s * y), 0.0) for s in (-1, 1)),
         ],
         [
-            piece(board((width, depth, top - low), (0, 0), low, 0.005), wood),
-            piece(union(box(cabinet, place, 0.07), box(*apron), box(*panel), *feet), paint),
-            piece(plinth, DARK_STEEL),
-            piece(union(*(board(*front, 0.003) for front in fronts)), darker(wood, 0.95)),
-            piece(union(*knobs), METALS[1]),
+            cad.piece(joinery.board((width, depth, top - low), (0, 0), low, 0.005), wood),
+            cad.piece(
+                cad.union(cad.box(cabinet, place, 0.07), cad.box(*apron), cad.box(*panel), *feet), paint
+            ),
+            cad.piece(plinth, joinery.DARK_STEEL),
+            cad.piece(
+                cad.union(*(joinery.board(*front, 0.003) for front in fronts)), joinery.darker(wood, 0.95)
+            ),
+            cad.piece(cad.union(*knobs), joinery.METALS[1]),
         ],
         "desk with drawers",
     )
@@ -159,7 +158,7 @@ def _drawer_fronts(x: float, face: float, cabinet: tuple[float, float, float], l
 
 def _handle(x: float, y: float, z: float) -> Manifold:
     """A bar handle on a face that looks towards -y."""
-    return union(
-        cylinder(0.005, 0.13, -0.065).rotate((0, 90, 0)).translate((x, y - 0.012, z)),
-        *(box((0.008, 0.014, 0.008), (x + s * 0.05, y - 0.006), z - 0.004) for s in (-1, 1)),
+    return cad.union(
+        cad.cylinder(0.005, 0.13, -0.065).rotate((0, 90, 0)).translate((x, y - 0.012, z)),
+        *(cad.box((0.008, 0.014, 0.008), (x + s * 0.05, y - 0.006), z - 0.004) for s in (-1, 1)),
     )

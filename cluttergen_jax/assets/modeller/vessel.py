@@ -10,8 +10,8 @@ import numpy as np
 from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.modeller.parts import disc_part, ring_sectors
-from cluttergen_jax.assets.modeller.solids import SEGMENTS, revolve, to_mesh
+from cluttergen_jax.assets.modeller import parts as part
+from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.shape import Cavity
 
 Profile = Sequence[tuple[float, float]]
@@ -39,29 +39,29 @@ class Vessel:
         """The height of the rim's plane."""
         return float(self.outer[-1][1])
 
-    def solid(self, segments: int = SEGMENTS) -> Manifold:
+    def solid(self, segments: int = cad.SEGMENTS) -> Manifold:
         """The wall and the floor."""
         outline = [(0.0, self.outer[0][1]), *self.outer, *reversed(self.inner), (0.0, self.floor)]
-        return revolve(outline, segments)
+        return cad.revolve(outline, segments)
 
-    def layers(self, thickness: float, segments: int = SEGMENTS) -> tuple[Manifold, Manifold]:
+    def layers(self, thickness: float, segments: int = cad.SEGMENTS) -> tuple[Manifold, Manifold]:
         """The solid in two closed shells, outside and lining, for two colours."""
         grown = [(0.0, self.floor - thickness), *((r + thickness, z - thickness) for r, z in self.inner)]
-        tool = revolve([*grown, (grown[-1][0], self.rim + 1.0), (0.0, self.rim + 1.0)], segments)
+        tool = cad.revolve([*grown, (grown[-1][0], self.rim + 1.0), (0.0, self.rim + 1.0)], segments)
         whole = self.solid(segments)
         return whole - tool, whole ^ tool
 
-    def inside(self, segments: int = SEGMENTS) -> Manifold:
+    def inside(self, segments: int = cad.SEGMENTS) -> Manifold:
         """The space inside, open upwards: what has to be cut from handles that reach through the wall."""
         radius = self.inner[-1][0]
-        return revolve(
+        return cad.revolve(
             [(0.0, self.floor), *self.inner, (radius, self.rim + 1.0), (0.0, self.rim + 1.0)], segments
         )
 
-    def cavity(self, segments: int = SEGMENTS) -> Cavity:
+    def cavity(self, segments: int = cad.SEGMENTS) -> Cavity:
         """The space inside, up to the rim's plane."""
-        inside = revolve([(0.0, self.floor), *self.inner, (0.0, self.rim)], segments)
-        return Cavity(to_mesh(inside), (0.0, 0.0, self.rim))
+        inside = cad.revolve([(0.0, self.floor), *self.inner, (0.0, self.rim)], segments)
+        return Cavity(cad.to_mesh(inside), (0.0, 0.0, self.rim))
 
     def outer_radius(self, z: float) -> float:
         """The radius of the outside at height z."""
@@ -82,8 +82,8 @@ class Vessel:
         disc = [(self.outer_radius(z), z) for z in (self.outer[0][1], self.floor)]
         heights = [self.floor, *cuts, self.rim]
         rows = [self._row(low, high, swell) for low, high in itertools.pairwise(heights)]
-        walls = [wedge for row in rows for wedge in ring_sectors(row, num, phase)]
-        return (disc_part(disc, num if num >= 10 else 12, phase, is_standing=True), *walls)
+        walls = [wedge for row in rows for wedge in part.ring_sectors(row, num, phase)]
+        return (part.disc(disc, num if num >= 10 else 12, phase, is_standing=True), *walls)
 
     def _row(self, low: float, high: float, swell: float) -> list[tuple[float, float]]:
         """The section of the wall between two heights; its foot is sunk a little into what lies below."""

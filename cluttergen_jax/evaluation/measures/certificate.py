@@ -8,10 +8,9 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.evaluation.measures.contacts import contacts_of
-from cluttergen_jax.evaluation.measures.robustness import ShakeConfig, shake
+from cluttergen_jax.evaluation.measures.robustness import ShakeConfig, TiltConfig, shake, tilt
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.measures.simulate import each_scene, movement
-from cluttergen_jax.evaluation.measures.tilt import TiltConfig, tilt
 
 SUPPORT = -1
 

@@ -1,4 +1,4 @@
-"""Who presses on whom in a scene at rest, and who rests on whom."""
+"""Contact forces of a scene at rest, and its support graph: who rests on whom."""
 
 from __future__ import annotations
 

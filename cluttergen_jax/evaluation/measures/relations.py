@@ -21,10 +21,13 @@ from functools import lru_cache
 
 import mujoco
 import numpy as np
+from scipy.spatial import cKDTree
 
+from cluttergen_jax.assets.hollow import find_hollow
+from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.solid import Solid
 from cluttergen_jax.evaluation.measures.contacts import Contacts, contacts_of
-from cluttergen_jax.evaluation.measures.hollows import Hollow, vessel_of
 from cluttergen_jax.evaluation.measures.scene_models import SceneModel, SceneModels
 from cluttergen_jax.evaluation.measures.simulate import each_scene
 from cluttergen_jax.geometry import conjugate, rotate, transformed
@@ -121,17 +124,12 @@ def _up(quaternions: np.ndarray) -> np.ndarray:
     return rotate(np, conjugate(unit), np.tile([0.0, 0.0, 1.0], (len(unit), 1)))
 
 
-@lru_cache(maxsize=256)
-def _vessel(asset: ObjectAsset) -> Hollow | None:
-    return vessel_of(asset)
-
-
 def _inside(objects: Sequence[ObjectAsset], poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:
     """bool[K, K]: a quarter of i's surface lies in the hollow of j, which is upright."""
     result = np.zeros((len(objects), len(objects)), bool)
     placed = np.flatnonzero(is_placed).tolist()
     for j in placed:
-        vessel = _vessel(objects[j])
+        vessel = vessel_of(objects[j])
         up = rotate(np, poses[j, 3:], np.array([0.0, 0.0, 1.0]))[2]
         if vessel is None or up < np.cos(MAX_VESSEL_TILT):
             continue
@@ -171,3 +169,30 @@ def count_relations(
     names = [*families, support]
     found = np.argwhere(relation != Relation.NONE)
     return Counter((Relation(int(relation[n, i, j])).label, names[i], names[j]) for n, i, j in found)
+
+
+class Hollow:
+    """The space that would hold water in an object that stands upright, object frame.
+
+    Args:
+      points: f64[P, 3], a cubic grid of points inside, metres; pitch: its step.
+    """
+
+    def __init__(self, points: np.ndarray, pitch: float) -> None:
+        self._tree, self._reach = cKDTree(points), 0.5001 * pitch
+
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """bool[M]: which points f[M, 3] of the object frame lie in the hollow, to within a cell."""
+        return self._tree.query(points, p=np.inf, distance_upper_bound=self._reach)[0] <= self._reach
+
+
+@lru_cache(maxsize=256)
+def vessel_of(asset: ObjectAsset) -> Hollow | None:
+    """An object's hollow, or None if it has none.
+
+    By the importer's rule (`assets.hollow`): as deep as 15 mm and a fifth of its width, and open to a ball of
+    10 mm. A plate is no vessel.
+    """
+    mesh = joined([part.hull() for part in asset.parts])
+    hollow = find_hollow(Solid(mesh, True, mesh))
+    return None if hollow is None else Hollow(hollow.points, hollow.pitch)

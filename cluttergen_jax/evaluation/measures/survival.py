@@ -1,4 +1,4 @@
-"""Survival elsewhere: finished scenes in another engine, with the same hulls, masses and friction."""
+"""Survival of finished scenes in another physics engine, with the same hulls, masses and friction."""
 
 from __future__ import annotations
 
@@ -11,14 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures.bullet_world import (
-    BodyFrames,
-    add_object,
-    add_support,
-    body_friction,
-    load_pybullet,
-    write_compound,
-)
+from cluttergen_jax.evaluation.measures import bullet_world
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.measures.simulate import Movement, each_scene, no_movement, watch
 
@@ -109,9 +102,9 @@ class BulletPeer:
     """
 
     def __init__(self, models: SceneModels) -> None:
-        self._bullet = load_pybullet("survival in PyBullet")
+        self._bullet = bullet_world.load_pybullet("survival in PyBullet")
         self._models = models
-        self._frames = BodyFrames.of(models.world.objects)
+        self._frames = bullet_world.BodyFrames.of(models.world.objects)
         self._files = tempfile.TemporaryDirectory()
         self._client: int | None = None
 
@@ -122,14 +115,14 @@ class BulletPeer:
         client = self._client = bullet.connect(bullet.DIRECT)
         bullet.setGravity(0, 0, -models.contact.gravity, physicsClientId=client)
         bullet.setTimeStep(models.stability.timestep, physicsClientId=client)
-        friction = body_friction(models.contact)
-        add_support(bullet, client, models.world.support, friction)
+        friction = bullet_world.body_friction(models.contact)
+        bullet_world.add_support(bullet, client, models.world.support, friction)
         places = self._frames.body_poses(objects.tolist(), poses).tolist()
         bodies = []
         for k, place in zip(objects.tolist(), places, strict=True):
             mass = models.world.objects[k].mass * models.mass_scale[k]
             inertia = self._frames.inertia[k] * models.mass_scale[k]
-            body = add_object(bullet, client, self._compound(k), mass, inertia, friction)
+            body = bullet_world.add_object(bullet, client, self._compound(k), mass, inertia, friction)
             never = bullet.ACTIVATION_STATE_DISABLE_SLEEPING
             bullet.changeDynamics(
                 body, -1, collisionMargin=BULLET_MARGIN, activationState=never, physicsClientId=client
@@ -148,7 +141,7 @@ class BulletPeer:
     def _compound(self, k: int) -> Path:
         path = Path(self._files.name) / f"{k}.obj"
         if not path.exists():
-            write_compound(path, self._models.world.objects[k], self._frames, k)
+            bullet_world.write_compound(path, self._models.world.objects[k], self._frames, k)
         return path
 
     def _disconnect(self) -> None:

@@ -1,4 +1,4 @@
-"""What passes less often than it is proposed."""
+"""Acceptance bias of a method: what passes less often than it is proposed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from cluttergen_jax.evaluation.cells import HEAD, Column, Row, table_of
 from cluttergen_jax.evaluation.measures.acceptance import Bias, acceptance_bias
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies import diversity
-from cluttergen_jax.evaluation.studies.study import Findings, Result, Study, each_standing, row_of
+from cluttergen_jax.evaluation.studies.findings import Findings, each_standing, row_of
+from cluttergen_jax.evaluation.studies.study import Result, Study
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.tables import Table
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cluttergen_jax.evaluation.cells import Column, Row, asked, table_of
+from cluttergen_jax.evaluation.cells import BOTH, LOOSE, STEPS, STRICT, Column, Row, asked, table_of
 from cluttergen_jax.evaluation.plots import add_legend, new_figure, prepare, save, success_line
-from cluttergen_jax.evaluation.studies.counts import BOTH, LOOSE, STEPS, STRICT
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.training.suite import TABLE_ATTEMPTS as MOST_ATTEMPTS

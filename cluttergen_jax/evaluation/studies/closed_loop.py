@@ -1,4 +1,4 @@
-"""One object on a crowded table: its failed attempts, until it stands."""
+"""Picture of closed-loop placement: one object's failed attempts on a crowded table, until it stands."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.checkpoints import MissingCheckpointError
-from cluttergen_jax.evaluation.episodes import width_of
-from cluttergen_jax.evaluation.row import LEAST_ATTEMPTS
+from cluttergen_jax.evaluation.episodes import LEAST_ATTEMPTS, width_of
+from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.studies.study import Findings, Study
+from cluttergen_jax.evaluation.studies.findings import Findings
+from cluttergen_jax.evaluation.studies.study import Study
 from cluttergen_jax.evaluation.studies.table1 import one_pool
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.rollout.record import Recorder

@@ -9,10 +9,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from cluttergen_jax.evaluation.checkpoints import MissingCheckpointError
+from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.scenes import Successes, successes_of
-from cluttergen_jax.evaluation.studies.study import Findings
+from cluttergen_jax.evaluation.studies.findings import Findings, Successes, successes_of
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.rollout.record import rectangle_of
 from cluttergen_jax.rendering.assets import close_points

@@ -1,4 +1,4 @@
-"""How different the scenes of a method are."""
+"""Diversity of a method's scenes: evenness of positions, distances between scenes, Vendi score."""
 
 from __future__ import annotations
 
@@ -9,27 +9,11 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.evaluation.cells import HEAD, Column, Row, number, table_of
-from cluttergen_jax.evaluation.measures.diversity import (
-    at_equal_count,
-    nearest_distance,
-    plan_box_area,
-    plan_entropy,
-    scene_kernel,
-    vendi_score,
-)
-from cluttergen_jax.evaluation.measures.embedding import embed
+from cluttergen_jax.evaluation.measures import diversity as measures
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.scenes import Successes
 from cluttergen_jax.evaluation.studies.density import SIZES, table_sizes
-from cluttergen_jax.evaluation.studies.study import (
-    Findings,
-    Result,
-    Scale,
-    Study,
-    each_standing,
-    grid,
-    row_of,
-)
+from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
+from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.methods import METHODS
 from cluttergen_jax.proportions import finite
@@ -66,20 +50,24 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
 
 def _figures(scenes: Successes, count: int) -> dict[str, Any]:
     world, region = scenes.world, scenes.region
-    vectors = embed(world.objects, scenes.poses, scenes.is_placed, region, world.support.top)
+    vectors = measures.embed(world.objects, scenes.poses, scenes.is_placed, region, world.support.top)
 
     def mean(figure: Callable[[np.ndarray], float]) -> float | None:
-        return finite(at_equal_count(figure, len(scenes), count)[0])
+        return finite(measures.at_equal_count(figure, len(scenes), count)[0])
 
     return {
         "scenes": count,
         "evenness": mean(
-            lambda some: np.nanmean(plan_entropy(scenes.poses[some], scenes.is_placed[some], region).evenness)
+            lambda some: np.nanmean(
+                measures.plan_entropy(scenes.poses[some], scenes.is_placed[some], region).evenness
+            )
         ),
-        "nearest": mean(lambda some: nearest_distance(vectors[some]).mean()),
-        "vendi": mean(lambda some: vendi_score(scene_kernel(vectors[some], region))),
+        "nearest": mean(lambda some: measures.nearest_distance(vectors[some]).mean()),
+        "vendi": mean(lambda some: measures.vendi_score(measures.scene_kernel(vectors[some], region))),
         "box_area": mean(
-            lambda some: np.nanmean(plan_box_area(scenes.poses[some], scenes.is_placed[some], region))
+            lambda some: np.nanmean(
+                measures.plan_box_area(scenes.poses[some], scenes.is_placed[some], region)
+            )
         ),
     }
 

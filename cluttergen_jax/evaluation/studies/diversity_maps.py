@@ -1,4 +1,4 @@
-"""Where each object lies: plan views of the scenes of several methods side by side."""
+"""Diversity maps: where each object lies, plan views of the scenes of several methods side by side."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from cluttergen_jax.evaluation.measures.arrangement import region_positions
 from cluttergen_jax.evaluation.measures.diversity import plan_box_area, plan_entropy
 from cluttergen_jax.evaluation.plots import colour, grid, label_of, save
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.scenes import Successes
-from cluttergen_jax.evaluation.studies.study import Findings, Result, Study, each_standing, row_of
+from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
+from cluttergen_jax.evaluation.studies.study import Result, Study
 from cluttergen_jax.evaluation.studies.table1 import one_pool
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.proportions import finite

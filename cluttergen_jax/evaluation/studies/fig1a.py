@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cluttergen_jax.evaluation.cells import Column, Row, asked, share, table_of
+from cluttergen_jax.evaluation.cells import LOOSE, Column, Row, asked, share, table_of
 from cluttergen_jax.evaluation.plots import add_legend, colour, label_of, panels_of_pools, prepare, save
-from cluttergen_jax.evaluation.studies.counts import LOOSE
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, of_methods
 from cluttergen_jax.evaluation.studies.table1 import first_seed
 from cluttergen_jax.evaluation.trial import Trial

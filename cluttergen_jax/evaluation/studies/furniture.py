@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from cluttergen_jax.assets.pool import EMBEDDED
-from cluttergen_jax.evaluation.cells import Column, Row, share, table_of
+from cluttergen_jax.evaluation.cells import LOOSE, STRICT, Column, Row, figures_by, pooled, share, table_of
 from cluttergen_jax.evaluation.studies.contact_sheets import renders
-from cluttergen_jax.evaluation.studies.counts import LOOSE, STRICT, figures_by, pooled
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.tables import Table

@@ -10,7 +10,8 @@ from cluttergen_jax.evaluation.cells import Column, share, table_of
 from cluttergen_jax.evaluation.plots import add_legend, colour, grid, label_of, prepare, save
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies import table1
-from cluttergen_jax.evaluation.studies.study import Findings, Result, Scale, Study
+from cluttergen_jax.evaluation.studies.findings import Findings
+from cluttergen_jax.evaluation.studies.study import Result, Scale, Study
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.placement.baselines import BASELINES

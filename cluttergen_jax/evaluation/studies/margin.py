@@ -11,21 +11,12 @@ import numpy as np
 
 from cluttergen_jax.evaluation.cells import HEAD, Column, Row, number, share, share_of, table_of
 from cluttergen_jax.evaluation.measures.contacts import contacts_of
+from cluttergen_jax.evaluation.measures.robustness import TiltConfig, tilt
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.evaluation.measures.tilt import TiltConfig, tilt
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.scenes import Successes
 from cluttergen_jax.evaluation.studies import robustness
-from cluttergen_jax.evaluation.studies.study import (
-    Findings,
-    Result,
-    Scale,
-    Study,
-    each_standing,
-    grid,
-    of_methods,
-    row_of,
-)
+from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
+from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid, of_methods
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.placement.config import MIN_MARGIN

@@ -1,4 +1,4 @@
-"""How often objects stand on, in, under or against one another, although nobody asked for it."""
+"""Relations between objects that nobody asked for: on, in, under, leaning against one another."""
 
 from __future__ import annotations
 
@@ -11,17 +11,9 @@ from cluttergen_jax.evaluation.cells import Column, Row, asked, number, table_of
 from cluttergen_jax.evaluation.measures.relations import Relation, count_relations, relations
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.scenes import Successes
 from cluttergen_jax.evaluation.studies.contact_sheets import SAMPLES, sheet
-from cluttergen_jax.evaluation.studies.study import (
-    Findings,
-    Result,
-    Scale,
-    Study,
-    each_standing,
-    of_methods,
-    row_of,
-)
+from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
+from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, of_methods
 from cluttergen_jax.evaluation.studies.table1 import first_seed
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.rendering.assets import render_scene

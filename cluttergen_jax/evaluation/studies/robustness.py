@@ -1,4 +1,4 @@
-"""What becomes of finished scenes: creep over 1, 10 and 60 s, shaking, and changed physics."""
+"""Robustness of finished scenes: creep over 1, 10 and 60 s, shaking, and changed physics."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from cluttergen_jax.evaluation.cells import HEAD, Column, Row, number, share, ta
 from cluttergen_jax.evaluation.measures.robustness import CREEP_SECONDS, creep, shake, survives
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.scenes import Successes
 from cluttergen_jax.evaluation.studies.diversity import scenes_of
-from cluttergen_jax.evaluation.studies.study import Findings, Result, Scale, Study, each_standing, row_of
+from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
+from cluttergen_jax.evaluation.studies.study import Result, Scale, Study
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.proportions import finite, proportion
 from cluttergen_jax.tables import Table

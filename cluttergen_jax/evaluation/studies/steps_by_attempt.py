@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cluttergen_jax.evaluation.cells import Column, Row, asked, mean_and_spread, table_of
+from cluttergen_jax.evaluation.cells import LOOSE, Column, Row, asked, mean_and_spread, table_of
 from cluttergen_jax.evaluation.plots import add_legend, colour, label_of, panels_of_pools, prepare, save
-from cluttergen_jax.evaluation.studies.counts import LOOSE
 from cluttergen_jax.evaluation.studies.study import Result, Study
 from cluttergen_jax.evaluation.studies.table1 import first_seed
 from cluttergen_jax.learning.training.suite import DEFAULT_ATTEMPTS

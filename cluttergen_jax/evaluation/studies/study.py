@@ -1,23 +1,21 @@
-"""What a study is: trials, what is measured of them, and how it is shown."""
+"""Studies: one table or figure each, its trials at some scale, what is measured of them, how it is shown."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.evaluation.cells import Row
-from cluttergen_jax.evaluation.checkpoints import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.scenes import Successes, successes_of
+from cluttergen_jax.evaluation.studies.findings import Findings
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.tables import Table
 
 Result = dict[str, Any]
 """A study's result as it is stored (`running.run_study`)."""
-_ENOUGH = 2
 
 
 @dataclass(frozen=True)
@@ -31,7 +29,7 @@ class Scale:
       pools: names or folders; the embedded ones if empty.
       methods: whose rows are made; all if empty.
       seed: of the scenes.
-      imported: pools of the authors' own objects that are at hand (`published.IMPORTED`), and how many
+      imported: pools of the authors' own objects that are at hand (`table1.IMPORTED`), and how many
         objects a scene of each has.
     """
 
@@ -72,15 +70,6 @@ def of_methods(trials: Iterable[Trial], *methods: str) -> tuple[Trial, ...]:
     return tuple(trial for trial in trials if trial.method in methods)
 
 
-@dataclass(frozen=True)
-class Findings:
-    """What a measure found: rows for the tables, names of pictures, and notes below them."""
-
-    rows: list[Row] = field(default_factory=list)
-    pictures: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-
 Measure = Callable[[Runner, Sequence[Trial], Path], Findings]
 """Of a study's trials; pictures are called like the path, with an ending."""
 
@@ -113,33 +102,3 @@ class Study:
     measured_as: str = ""
     keeps_each: bool = False
     depends_on: Callable[[Runner, Trial], Any] = lambda runner, trial: None
-
-
-def each_standing(
-    runner: Runner, trials: Sequence[Trial], rows: list[Row], least: Callable[[Trial], float] | None = None
-) -> Iterator[tuple[Trial, Successes]]:
-    """The trials with their successful scenes; a row says why where there are too few.
-
-    Args:
-      least: scenes that a trial must have; two if not given.
-    """
-    for trial in trials:
-        try:
-            scenes = successes_of(runner, trial)
-        except MissingCheckpointError as error:
-            rows.append(row_of(trial, missing=error.given, hint=error.hint))
-            continue
-        count = f"{len(scenes)} of {trial.trials} scenes succeed"
-        if len(scenes) < _ENOUGH:
-            rows.append(row_of(trial, missing=count))
-        elif least is not None and len(scenes) < least(trial):
-            rows.append(row_of(trial, missing=f"{count}: too few"))
-        else:
-            yield trial, scenes
-
-
-def row_of(trial: Trial, **figures: Any) -> Row:
-    """A row of findings: what the trial asks, and what was found."""
-    margin = {"min_margin": trial.min_margin} if trial.min_margin else {}
-    head = {"pool": trial.pool_name, "support": trial.support_name, "method": trial.method}
-    return head | margin | figures

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,10 @@ from cluttergen_jax.evaluation.cells import HEAD, Column, Row, number, share_of,
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.measures.survival import PEERS, SURVIVAL_SECONDS, movement_elsewhere
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.scenes import Successes
 from cluttergen_jax.evaluation.studies import margin, robustness
 from cluttergen_jax.evaluation.studies.diversity import TIGHT
-from cluttergen_jax.evaluation.studies.study import Findings, Result, Scale, Study, each_standing, row_of
+from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
+from cluttergen_jax.evaluation.studies.study import Result, Scale, Study
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.proportions import finite, proportion
 from cluttergen_jax.tables import Table
@@ -78,20 +79,11 @@ def tables(result: Result) -> list[Table]:
 
 
 SURVIVAL = Study(
-    "survival",
-    "The same scenes in another engine",
-    64,
-    robustness.trials,
-    tables,
-    measure,
-    keeps_each=True,
+    "survival", "The same scenes in another engine", 64, robustness.trials, tables, measure, keeps_each=True
 )
-MARGIN_SURVIVAL = Study(
-    "margin_survival",
-    "What a support margin does for survival in another engine",
-    64,
-    of_margins,
-    tables,
-    measure,
-    keeps_each=True,
+MARGIN_SURVIVAL = replace(
+    SURVIVAL,
+    name="margin_survival",
+    title="What a support margin does for survival in another engine",
+    trials=of_margins,
 )

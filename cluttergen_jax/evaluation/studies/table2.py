@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from cluttergen_jax.evaluation.cells import Column, Row, asked, share, table_of
-from cluttergen_jax.evaluation.published import TWINS, differences, differs
+from cluttergen_jax.evaluation.cells import BOTH, LOOSE, STRICT, Column, Row, asked, share, table_of
 from cluttergen_jax.evaluation.studies.contact_sheets import renders
-from cluttergen_jax.evaluation.studies.counts import BOTH, LOOSE, STRICT
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
+from cluttergen_jax.evaluation.studies.table1 import TWINS, differences, differs
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.changes import REGION_CHANGES
 from cluttergen_jax.tables import Table

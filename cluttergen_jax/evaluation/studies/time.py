@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.evaluation.cells import Column, asked, number, table_of
-from cluttergen_jax.evaluation.checkpoints import MissingCheckpointError
+from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.studies.study import Findings, Result, Scale, Study, grid, row_of
+from cluttergen_jax.evaluation.studies.findings import Findings, row_of
+from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.methods import METHODS
 from cluttergen_jax.tables import Table
@@ -37,7 +38,7 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
         for cores in dict.fromkeys((1, os.cpu_count() or 1)):
             runner.begin(f"time of {trial.title} on {cores} cores")
             order = {"trial": asdict(trial), "cores": cores, "engine": runner.engine}
-            order["checkpoint"] = None if checkpoint is None else str(checkpoint)
+            order["checkpoint"] = checkpoint and str(checkpoint.path)
             rows.append(row_of(trial, **_timed(order)))
     return Findings(rows)
 

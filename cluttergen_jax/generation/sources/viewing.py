@@ -17,9 +17,8 @@ from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.rendering.assets import scene_spec
 from cluttergen_jax.rendering.lighting import FLOOR
 from cluttergen_jax.rendering.viewer.native import check_display, show_native
-from cluttergen_jax.rendering.viewer.server import free_port, open_server
 from cluttergen_jax.rendering.viewer.source import SceneSource
-from cluttergen_jax.rendering.viewer.viewer import Viewer
+from cluttergen_jax.rendering.viewer.viewer import Viewer, free_port, open_server
 
 
 def view(

@@ -8,7 +8,6 @@ impossible size.
 from cluttergen_jax.importing.readers.read import read_shape, read_source
 from cluttergen_jax.importing.readers.source import ObjectFile, ReadOptions
 from cluttergen_jax.importing.readers.tree import Found, Skipped, find_sources, survey
-from cluttergen_jax.importing.readers.ycb import ycb_sources
 
 __all__ = [
     "Found",
@@ -19,5 +18,4 @@ __all__ = [
     "read_shape",
     "read_source",
     "survey",
-    "ycb_sources",
 ]

@@ -12,8 +12,7 @@ import jax.numpy as jnp
 
 from cluttergen_jax.learning.networks.config import AgentConfig
 from cluttergen_jax.learning.networks.distributions import Categorical
-from cluttergen_jax.learning.networks.points import LENGTH_SCALE, MLP, PointNet
-from cluttergen_jax.learning.networks.set_encoder import SetEncoder
+from cluttergen_jax.learning.networks.encoders import LENGTH_SCALE, MLP, PointNet, SetEncoder
 from cluttergen_jax.types import Array
 
 _HIGH_COST, _ABOVE = 0.2, 0.02

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -60,6 +61,21 @@ class Checkpoint:
             raise PoolError(
                 f"{self.path / 'record.json'} does not say what network it holds ({error})", hint=_HINT
             ) from error
+
+    @cached_property
+    def hash(self) -> str:
+        """Hex digest of its weights and record.
+
+        Raises:
+          PoolError: there are no weights.
+        """
+        try:
+            files = [(self.path / name).read_bytes() for name in ("record.json", "weights.npz")]
+        except OSError as error:
+            raise PoolError(
+                f"{self.path} holds no policy ({error.strerror})", hint="the folder `policy` of a run"
+            ) from error
+        return hashlib.sha256(b"".join(hashlib.sha256(data).digest() for data in files)).hexdigest()
 
 
 def read_checkpoint(path: Path) -> Checkpoint:

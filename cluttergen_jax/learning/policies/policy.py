@@ -1,4 +1,4 @@
-"""A trained policy: an agent with its weights, bound to a world."""
+"""Trained policies as proposers: an agent with its weights in a world, alone or filtered by geometry."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.learning.agents import make_agent
+from cluttergen_jax.learning.agents import Agent, make_agent
 from cluttergen_jax.learning.networks.config import AgentConfig
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
-from cluttergen_jax.learning.ppo.agent import Agent
 from cluttergen_jax.learning.ppo.checkpoint import read_policy
 from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.region import action_scale
 from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.search import Search
+from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -118,3 +120,28 @@ def _check_history(trained: dict[str, Any], rules: Rules) -> None:
             f"history_stride = {rules.config.history_stride} with a policy trained with {stride}",
             f"history_stride = {stride}",
         )
+
+
+class FilteredPolicy(struct.PyTreeNode, eq=False):
+    """Many draws from a policy, lowered vertically to first contact; the cheapest by a search's cost.
+
+    The policy says where and how turned; how high follows from what lies below.
+
+    Attributes:
+      policy: draws poses.
+      search: says what is cheap, with `clear`'s cost for instance.
+      num_draws: how many.
+    """
+
+    policy: TrainedPolicy
+    search: Search
+    num_draws: int = struct.field(pytree_node=False, default=64)
+
+    def __call__(self, key: Array, episode: Episode) -> Array:
+        """See `placement.rules.Proposer`."""
+        actions = self.policy.draw(key, episode, self.num_draws)
+        rules = self.search.rules
+        lower, size = action_scale(episode.region, rules.height_range(episode))
+        xy = lower[:2] + actions[:, :2] * size[:2]
+        found = self.search.narrow(Candidates(xy, 2 * jnp.pi * actions[:, 3]), episode)
+        return found.action[jnp.argmin(found.cost)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import jax
@@ -12,11 +12,63 @@ import optax
 from flax import struct
 from jax.sharding import Mesh
 
-from cluttergen_jax.learning.ppo.advantages import generalised_advantages
-from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.sharding import each, spread
 from cluttergen_jax.placement.brax_env import Env, State
 from cluttergen_jax.types import Array
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Proximal policy optimisation (Schulman et al., 2017), clipped.
+
+    Attributes:
+      num_envs: N, environments side by side; num_steps: T, steps of each per update.
+      num_minibatches, num_epochs: of each update's N T steps.
+      learning_rate: of Adam; it falls linearly to zero over the run if `anneals`.
+      discount, gae_lambda: of returns and advantages.
+      clip: of the probability ratio.
+      value_cost, entropy_cost: weights in the loss: L = value_cost L_VF - entropy_cost H - L_CLIP.
+      max_gradient_norm: gradients are scaled down to it.
+      num_attempts: environment steps of the whole run.
+    """
+
+    num_envs: int = 128
+    num_steps: int = 16
+    num_minibatches: int = 8
+    num_epochs: int = 3
+    learning_rate: float = 1e-3
+    anneals: bool = True
+    discount: float = 0.9
+    gae_lambda: float = 0.9
+    clip: float = 0.2
+    value_cost: float = 0.1
+    entropy_cost: float = 0.01
+    max_gradient_norm: float = 0.5
+    num_attempts: int = 100_000
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            least = 0 if field.name in ("entropy_cost", "value_cost", "discount", "gae_lambda") else 1e-12
+            if not value >= least and field.name != "anneals":
+                raise ConfigError(f"ppo.{field.name} = {value}", "a positive number")
+        if self.num_envs * self.num_steps % self.num_minibatches:
+            raise ConfigError(
+                f"{self.num_envs} x {self.num_steps} steps in {self.num_minibatches} minibatches",
+                "minibatches of equal size",
+            )
+
+    @property
+    def batch_size(self) -> int:
+        """Environment steps per update."""
+        return self.num_envs * self.num_steps
+
+    @property
+    def num_updates(self) -> int:
+        """Updates of the whole run."""
+        return -(-self.num_attempts // self.batch_size)
+
 
 Params = Any
 Apply = Callable[[Params, Any], tuple[Any, Array]]
@@ -174,3 +226,27 @@ def all_finite(tree: Any) -> Array:
     """bool: whether every number of a tree of arrays is finite."""
     leaves = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
+
+
+def generalised_advantages(
+    reward: Array, value: Array, done: Array, last_value: Array, discount: float, gae_lambda: float
+) -> tuple[Array, Array]:
+    """Advantages and value targets.
+
+    Args:
+      reward, value, done: f32[T, N]; done is 1 where the step ended an episode.
+      last_value: f32[N], of the observation after the last step.
+
+    Returns:
+      f32[T, N] each: sum over l of (discount lambda)^l delta_{t + l}, and that plus the value.
+    """
+    following = jnp.concatenate([value[1:], last_value[None]])
+    delta = reward + discount * (1 - done) * following - value
+
+    def back(after: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        delta, done = now
+        advantage = delta + discount * gae_lambda * (1 - done) * after
+        return advantage, advantage
+
+    _, advantage = jax.lax.scan(back, jnp.zeros_like(last_value), (delta, done), reverse=True)
+    return advantage, advantage + value

@@ -1,4 +1,4 @@
-"""How good a policy is while it is trained: the whole last check over fresh episodes."""
+"""Evaluation of a policy in training: success by the whole last check over fresh episodes."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy.stats import binomtest
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.learning.networks.config import AgentConfig
-from cluttergen_jax.learning.policies.policy import make_policy
+from cluttergen_jax.learning.policies.policy import TrainedPolicy, make_policy
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
 from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.proportions import wilson
 
 _FRESH = 0x5EED
 """Folded into the seed's key, so that no episode of training comes back."""
@@ -49,7 +49,7 @@ class Evaluator:
         return replace(self.problem.rules, physics=physics)
 
     @cached_property
-    def _policy(self) -> Any:
+    def _policy(self) -> TrainedPolicy:
         return make_policy(self.rules, self.network, None, self.is_sampled)
 
     @cached_property
@@ -68,11 +68,11 @@ class Evaluator:
         width = min(BLOCK_SIZE, self.num_episodes)
         scenes = self._rollout.run_all(sampler, key, self.num_episodes, width)
         found = scenes.is_success
-        interval = binomtest(int(found.sum()), len(found)).proportion_ci(method="wilson")
+        low, high = wilson(int(found.sum()), len(found))
         return {
             "success": float(found.mean()),
-            "low95": float(interval.low),
-            "high95": float(interval.high),
+            "low95": low,
+            "high95": high,
             "filled": float(scenes.is_filled.mean()),
             "episodes": len(found),
             "action": "sampled" if self.is_sampled else "mean",

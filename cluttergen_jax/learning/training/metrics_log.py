@@ -1,13 +1,15 @@
-"""Logs of a run's metrics: CSV files, TensorBoard events, and the learning curve as a picture."""
+"""Logs of a run's metrics: CSV files, TensorBoard, Weights & Biases, the learning curve as a picture."""
 
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.files import write_atomically
 
 Row = dict[str, float]
@@ -135,3 +137,43 @@ def _draw_evaluations(axis: Any, evaluations: Sequence[Row]) -> None:
     style = {"fmt": "o", "markersize": 3, "linewidth": 1, "color": "black"}
     axis.errorbar(attempts, success, yerr=[below, above], label="evaluation", **style)
     axis.legend(fontsize=8, loc="lower right")
+
+
+PROJECT = "cluttergen"
+
+
+class WandbLog:
+    """A `Sink` that sends every row to Weights & Biases.
+
+    A run that is taken up again goes on where it was: its id is made from its folder.
+
+    Args:
+      folder: of the run; its name is the run's.
+      recipe: JSON values that describe the run.
+
+    Raises:
+      MissingExtraError: wandb is not installed.
+    """
+
+    def __init__(self, folder: Path, recipe: dict[str, Any]) -> None:
+        try:
+            import wandb
+        except ImportError as error:
+            raise MissingExtraError("wandb", "`wandb`") from error
+        identity = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:16]
+        self._run = wandb.init(
+            project=PROJECT,
+            name=folder.name,
+            id=identity,
+            resume="allow",
+            dir=str(folder),
+            config=recipe,
+        )
+
+    def add(self, row: Row, group: str) -> None:
+        """See `Sink.add`; the step is the number of attempts."""
+        self._run.log({group + name: value for name, value in row.items()}, step=int(row["attempts"]))
+
+    def close(self) -> None:
+        """See `Sink.close`."""
+        self._run.finish()

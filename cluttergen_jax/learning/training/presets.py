@@ -1,15 +1,17 @@
-"""Settings that belong together, by name; each call returns a fresh config."""
+"""Settings of a training run: presets by name, variants of the method, the choice of an encoder."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.config import VARIANTS, StabilityConfig
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.learning.networks.config import AgentConfig, NetworkConfig
 from cluttergen_jax.learning.networks.ranking import RankerConfig
-from cluttergen_jax.learning.ppo.config import PPOConfig
+from cluttergen_jax.learning.ppo.checkpoint import read_record
+from cluttergen_jax.learning.ppo.ppo import PPOConfig
 from cluttergen_jax.placement.config import PlacementConfig
 
 
@@ -124,3 +126,41 @@ def _ranked(settings: Settings) -> Settings:
     ppo = replace(settings.ppo, discount=0.99, learning_rate=5e-4, entropy_cost=0.003, value_cost=0.2)
     placement = replace(settings.placement, history_stride=60)
     return replace(settings, ppo=ppo, network=RankerConfig(), placement=placement)
+
+
+def fitted(network: NetworkConfig, folder: Path) -> NetworkConfig:
+    """The config with as many features as the weights in `folder` give.
+
+    Raises:
+      PoolError: there are no weights.
+      ConfigError: they are of another kind of encoder.
+    """
+    record = read_record(folder)
+    if record.get("encoder") != network.scene_encoder:
+        raise ConfigError(
+            f"weights of the encoder {record.get('encoder')!r} for {network.scene_encoder!r}",
+            "weights of the same kind",
+            f"cluttergen pretrain --encoder {network.scene_encoder}",
+        )
+    features = int(record["features"])
+    scene = features if network.reads_clouds else network.scene_features
+    return replace(network, object_features=features, scene_features=scene)
+
+
+def choose_encoder(
+    network: AgentConfig, encoder: str | None, weights: str | None, is_frozen: bool
+) -> AgentConfig:
+    """The config with what the command line says of encoders.
+
+    Raises:
+      ConfigError: a ranker has no encoder of clouds, or a frozen one has no weights.
+      PoolError: there are no weights where they should be.
+    """
+    if encoder is None and weights is None and not is_frozen:
+        return network
+    if not isinstance(network, NetworkConfig):
+        raise ConfigError("an encoder for a ranker, which reads no clouds", hint="another `variant`")
+    if is_frozen and weights is None:
+        raise ConfigError("`encoder_frozen` without weights", hint="`encoder_weights` of cluttergen pretrain")
+    network = replace(network, scene_encoder=encoder or network.scene_encoder, encoder_frozen=is_frozen)
+    return network if weights is None else fitted(network, Path(weights))

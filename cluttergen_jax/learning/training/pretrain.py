@@ -14,16 +14,16 @@ import numpy as np
 from cluttergen_jax.assets.modeller.catalog import FAMILIES
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.networks.config import NetworkConfig
-from cluttergen_jax.learning.ppo.checkpoint import (
-    check_folder,
-    has_state,
-    read_state,
-    save_policy,
-    save_state,
+from cluttergen_jax.learning.ppo import checkpoint
+from cluttergen_jax.learning.training.classifier import (
+    Classifier,
+    ClassifierTrainer,
+    FitState,
+    ShapeClouds,
+    make_clouds,
+    turned,
 )
-from cluttergen_jax.learning.training.classifier import Classifier, ClassifierTrainer, FitState, turned
 from cluttergen_jax.learning.training.interrupt import Interrupt
-from cluttergen_jax.learning.training.shapes import ShapeClouds, make_clouds
 from cluttergen_jax.progress import Progress
 
 
@@ -96,7 +96,7 @@ class Pretraining:
         self.config, self.folder = config, folder
         model = Classifier(config.network, len(config.families))
         self.fit = ClassifierTrainer(model, config.num_steps, config.learning_rate)
-        check_folder(folder, {"config": asdict(config)})
+        checkpoint.check_folder(folder, {"config": asdict(config)})
         folder.mkdir(parents=True, exist_ok=True)
 
     def run(self) -> float:
@@ -111,7 +111,7 @@ class Pretraining:
             if int(state.step) < config.num_steps:
                 shapes = make_clouds(config.families, _seeds(config, False), points, "shapes")
                 state = self._learn(state, shapes, interrupt)
-                save_state(self.folder / "last", state, {"config": asdict(config)})
+                checkpoint.save_state(self.folder / "last", state, {"config": asdict(config)})
         if int(state.step) < config.num_steps:
             self._save(state, None)
             raise KeyboardInterrupt
@@ -124,7 +124,7 @@ class Pretraining:
         start = jax.jit(self.fit.start, static_argnums=1)
         state = start(jax.random.key(self.config.seed), points)
         last = self.folder / "last"
-        return read_state(last, state) if has_state(last) else state
+        return checkpoint.read_state(last, state) if checkpoint.has_state(last) else state
 
     def _learn(self, state: FitState, shapes: ShapeClouds, interrupt: Interrupt) -> FitState:
         config, step = self.config, jax.jit(self.fit.step, donate_argnums=0)
@@ -138,7 +138,7 @@ class Pretraining:
                 state, loss, accuracy = step(state, shapes.cloud[index], shapes.label[index], key)
                 progress.update(note=f"loss {float(loss):.3f} accuracy {float(accuracy):.2f}")
                 if time.monotonic() - saved > config.save_every:
-                    save_state(self.folder / "last", state, {"config": asdict(config)})
+                    checkpoint.save_state(self.folder / "last", state, {"config": asdict(config)})
                     saved = time.monotonic()
         return state
 
@@ -181,7 +181,7 @@ class Pretraining:
             "steps": int(state.step),
             "config": asdict(self.config),
         }
-        save_policy(self.folder, jax.device_get(state.params["encoder"]), record)
+        checkpoint.save_policy(self.folder, jax.device_get(state.params["encoder"]), record)
 
 
 def _seeds(config: PretrainConfig, is_held_out: bool) -> list[int]:

@@ -10,28 +10,19 @@ from typing import Any
 import jax
 
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.learning.agents import make_agent
+from cluttergen_jax.learning.agents import ENCODER, make_agent
 from cluttergen_jax.learning.networks.config import AgentConfig
-from cluttergen_jax.learning.ppo.checkpoint import has_state, read_state
-from cluttergen_jax.learning.ppo.config import PPOConfig
-from cluttergen_jax.learning.ppo.ppo import PPO, TrainState
+from cluttergen_jax.learning.ppo.checkpoint import has_state, read_policy, read_state
+from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig, TrainState
 from cluttergen_jax.learning.ppo.sharding import make_mesh
-from cluttergen_jax.learning.training.distributed import (
-    agree,
-    fresh_state,
-    gathered,
-    is_writer,
-    placed,
-    shared,
-)
-from cluttergen_jax.learning.training.encoder_weights import with_encoder
+from cluttergen_jax.learning.training import distributed
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.memory import check_memory
 from cluttergen_jax.learning.training.run_logger import Evaluate, Logger, NullLogger, RunConfig, RunLogger
 from cluttergen_jax.learning.training.updates import Updates, num_updates
 from cluttergen_jax.placement.rules import Rules
 
-__all__ = ["DivergedError", "Run", "RunConfig"]
+_SET_ENCODER = "PointNet_0"
 
 
 class DivergedError(ClutterGenError):
@@ -76,12 +67,14 @@ class Run:
     def start(self) -> TrainState:
         """The state to go on from: the last checkpoint's, or a fresh one."""
         key_init, key_run = jax.random.split(jax.random.key(self.config.seed))
-        fresh = fresh_state(self.ppo, key_run, self._init(key_init))
+        fresh = distributed.fresh_state(self.ppo, key_run, self._init(key_init))
         last = self.folder / "last"
-        if not agree(has_state(last))[0, 0]:
+        if not distributed.agree(has_state(last))[0, 0]:
             return fresh
-        whole = gathered(fresh)
-        return placed(self.ppo, shared(read_state(last, whole) if is_writer() else whole))
+        whole = distributed.gathered(fresh)
+        return distributed.placed(
+            self.ppo, distributed.shared(read_state(last, whole) if distributed.is_writer() else whole)
+        )
 
     def _init(self, key: Any) -> Any:
         params = self.agent.init(key, jax.eval_shape(self.ppo.env.reset, key).obs)
@@ -102,7 +95,7 @@ class Run:
         try:
             with interrupt or Interrupt() as interrupt:
                 state = self._work(state, logger, interrupt)
-            if agree(interrupt.is_asked).any():
+            if distributed.agree(interrupt.is_asked).any():
                 logger.say(f"stopped at update {int(state.num_updates)}; everything is saved")
                 raise KeyboardInterrupt
             self._finish(state, logger)
@@ -111,7 +104,7 @@ class Run:
         return state
 
     def _logger(self, first: int, show: Callable[[str], None]) -> Logger:
-        if not is_writer():
+        if not distributed.is_writer():
             return NullLogger()
         return RunLogger(self.folder, self.recipe, self.config, self.ppo.config, first, show)
 
@@ -127,11 +120,11 @@ class Run:
         while number < total:
             wanted = num_updates(seconds, self._until_mark(number), config.longest_call)
             is_due = time.monotonic() - saved > config.save_every
-            asked = agree(wanted, interrupt.is_asked, is_due)
+            asked = distributed.agree(wanted, interrupt.is_asked, is_due)
             if asked[:, 1].any():
                 break
             if asked[0, 2]:
-                logger.save_state(gathered(state))
+                logger.save_state(distributed.gathered(state))
                 saved = time.monotonic()
             started = time.monotonic()
             after, rows, is_finite = updates(state, int(asked[0, 0]))
@@ -143,7 +136,7 @@ class Run:
             logger.add(rows, number, seconds)
             state, number = after, number + len(rows)
             self._mark(logger, state, number)
-        logger.save_state(gathered(state))
+        logger.save_state(distributed.gathered(state))
         logger.save_policy(state)
         return state
 
@@ -168,7 +161,7 @@ class Run:
 
     def _finish(self, state: TrainState, logger: Logger) -> None:
         """The evaluation of a whole run's weights, unless that is there already."""
-        if self._evaluate is None or agree(logger.is_evaluated)[0, 0]:
+        if self._evaluate is None or distributed.agree(logger.is_evaluated)[0, 0]:
             return
         logger.say("evaluating")
         evaluation = self._evaluate(jax.device_get(state.params))
@@ -177,10 +170,24 @@ class Run:
 
     def _diverged(self, logger: Logger, state: TrainState, number: int, where: str) -> DivergedError:
         """Saves the state before the call in which numbers stopped being finite; the error to raise."""
-        logger.save_state(gathered(state))
+        logger.save_state(distributed.gathered(state))
         logger.save_policy(state)
         return DivergedError(
             f"update {number}: numbers are not finite" + (f", first in {where}" if where else ""),
             hint=f"a smaller learning rate with another `out`; the last good state, after "
             f"{int(state.num_updates)} updates, is in {self.folder / 'last'}",
         )
+
+
+def with_encoder(params: Any, folder: Path) -> Any:
+    """A policy's parameters with the point encoders' weights from `folder`: of objects and of scenes alike.
+
+    Raises:
+      PoolError: the weights are missing, damaged, or of other sizes.
+    """
+    inner = dict(params["params"])
+    if ENCODER in inner:
+        inner[ENCODER] = {name: read_policy(folder, net) for name, net in inner[ENCODER].items()}
+    else:
+        inner[_SET_ENCODER] = read_policy(folder, inner[_SET_ENCODER])
+    return params | {"params": inner}

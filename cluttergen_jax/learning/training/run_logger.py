@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import numpy as np
 from tqdm import tqdm
 
 from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy, save_state
-from cluttergen_jax.learning.ppo.config import PPOConfig
-from cluttergen_jax.learning.ppo.ppo import TrainState
-from cluttergen_jax.learning.training.metrics_log import MetricsLog, Row, Sink, TensorBoard, draw_curve
+from cluttergen_jax.learning.ppo.ppo import PPOConfig, TrainState
+from cluttergen_jax.learning.training import metrics_log
 from cluttergen_jax.learning.training.updates import Figures
-from cluttergen_jax.learning.training.wandb_log import WandbLog
 from cluttergen_jax.progress import Progress
 
 Evaluation = dict[str, Any]
@@ -58,66 +56,8 @@ class RunConfig:
     wandb: bool = False
 
 
-class Logger(Protocol):
-    """What a run tells while it is made."""
-
-    @property
-    def is_evaluated(self) -> bool:
-        """Whether the stored policy has been evaluated."""
-
-    def begin(self) -> None:
-        """Updates begin now: what came before was compilation."""
-
-    def say(self, text: str) -> None:
-        """A line for people."""
-
-    def add(self, rows: list[Figures], first: int, seconds: float) -> None:
-        """The figures of updates made in one call.
-
-        Args:
-          first: the number of the first of them; seconds: what each took.
-        """
-
-    def keep_best(self, state: TrainState) -> None:
-        """Stores the weights if training's success is higher than ever."""
-
-    def save_state(self, state: TrainState) -> None:
-        """Stores what the run goes on from."""
-
-    def save_policy(self, state: TrainState, evaluation: Evaluation | None = None) -> None:
-        """Stores the weights, what is known of how good they are, and the curve so far."""
-
-    def add_evaluation(self, state: TrainState, evaluation: Evaluation) -> None:
-        """Both rates side by side: training's own check of late, and the whole last check."""
-
-    def close(self) -> None:
-        """Nothing more is going to be shown or added."""
-
-
-class NullLogger:
-    """The `Logger` of a process that neither writes nor shows anything."""
-
-    is_evaluated = False
-
-    def begin(self) -> None: ...
-
-    def say(self, text: str) -> None: ...
-
-    def add(self, rows: list[Figures], first: int, seconds: float) -> None: ...
-
-    def keep_best(self, state: TrainState) -> None: ...
-
-    def save_state(self, state: TrainState) -> None: ...
-
-    def save_policy(self, state: TrainState, evaluation: Evaluation | None = None) -> None: ...
-
-    def add_evaluation(self, state: TrainState, evaluation: Evaluation) -> None: ...
-
-    def close(self) -> None: ...
-
-
 class RunLogger:
-    """A `Logger` that writes files into the run's folder and shows a progress bar.
+    """Writes files into the run's folder and shows a progress bar.
 
     Args:
       folder: of the run.
@@ -140,60 +80,64 @@ class RunLogger:
         self._batch, self._window = ppo.batch_size, config.window
         self._total, self._first = ppo.num_updates * ppo.batch_size, first * ppo.batch_size
         self._progress: Progress | None = None
-        self._sinks: list[Sink] = [TensorBoard(folder)]
+        self._sinks: list[metrics_log.Sink] = [metrics_log.TensorBoard(folder)]
         if config.wandb:
-            self._sinks.append(WandbLog(folder, recipe))
-        self._updates = MetricsLog(folder / "progress.csv", first, self._sinks)
+            self._sinks.append(metrics_log.WandbLog(folder, recipe))
+        self._updates = metrics_log.MetricsLog(folder / "progress.csv", first, self._sinks)
         # An evaluation is of the weights after so many updates; that of the present ones stays.
         evaluations = folder / "evaluations.csv"
-        self._evaluations = MetricsLog(evaluations, first + 1, self._sinks, group="evaluation/")
+        self._evaluations = metrics_log.MetricsLog(evaluations, first + 1, self._sinks, group="evaluation/")
         best = folder / "best"
         self._best = float(read_record(best)["success"]) if (best / "record.json").exists() else -1.0
 
     def begin(self) -> None:
-        """See `Logger`."""
+        """Updates begin now: what came before was compilation."""
         self._progress = Progress("training", self._total, "attempt", kept=self._first)
 
     def say(self, text: str) -> None:
-        """See `Logger`."""
+        """A line for people."""
         with tqdm.external_write_mode():
             self._show(text)
 
     def add(self, rows: list[Figures], first: int, seconds: float) -> None:
-        """See `Logger`."""
+        """The figures of updates made in one call.
+
+        Args:
+          first: the number of the first of them; seconds: what each took.
+        """
         for number, figures in enumerate(rows, first):
             self._updates.add(_row(number, self._batch, figures, seconds))
         if rows and self._progress is not None:
             self._progress.update(len(rows) * self._batch, _note(self._updates.rows[-1]))
 
     def keep_best(self, state: TrainState) -> None:
-        """See `Logger`."""
+        """Stores the weights if training's success is higher than ever."""
         if self._success > self._best:
             self._best = self._success
             self._save("best", state, {"success": self._success})
 
     def save_state(self, state: TrainState) -> None:
-        """See `Logger`."""
+        """Stores what the run goes on from."""
         record = self._recipe | {"num_updates": int(state.num_updates)}
         save_state(self._folder / "last", state, record)
 
     def save_policy(self, state: TrainState, evaluation: Evaluation | None = None) -> None:
-        """See `Logger`."""
+        """Stores the weights, what is known of how good they are, and the curve so far."""
         rows = self._updates.rows
         if not rows:
             return
         known = {"evaluation": self._beside(evaluation)} if evaluation else {}
         self._save("policy", state, {"success": rows[-1]["success"], **known})
-        draw_curve(rows, self._folder / "curve.png", self._folder.name, self._evaluations.rows)
+        metrics_log.draw_curve(rows, self._folder / "curve.png", self._folder.name, self._evaluations.rows)
 
     @property
     def is_evaluated(self) -> bool:
-        """See `Logger`."""
+        """Whether the stored policy has been evaluated."""
         policy = self._folder / "policy"
         return (policy / "record.json").exists() and "evaluation" in read_record(policy)
 
     def add_evaluation(self, state: TrainState, evaluation: Evaluation) -> None:
-        """See `Logger`."""
+        """Both rates side by side: training's own check of late, and the whole last check."""
         number = int(state.num_updates)
         found = self._beside(evaluation)
         numbers = {name: float(value) for name, value in found.items() if isinstance(value, int | float)}
@@ -205,7 +149,7 @@ class RunLogger:
         )
 
     def close(self) -> None:
-        """See `Logger`."""
+        """Nothing more is going to be shown or added."""
         if self._progress is not None:
             self._progress.close()
         for sink in self._sinks:
@@ -225,12 +169,37 @@ class RunLogger:
         save_policy(self._folder / name, jax.device_get(state.params), record)
 
 
-def _row(number: int, batch_size: int, figures: Figures, seconds: float) -> Row:
+class NullLogger:
+    """The logger of a process that neither writes nor shows anything."""
+
+    is_evaluated = False
+
+    def begin(self) -> None: ...
+
+    def say(self, text: str) -> None: ...
+
+    def add(self, rows: list[Figures], first: int, seconds: float) -> None: ...
+
+    def keep_best(self, state: TrainState) -> None: ...
+
+    def save_state(self, state: TrainState) -> None: ...
+
+    def save_policy(self, state: TrainState, evaluation: Evaluation | None = None) -> None: ...
+
+    def add_evaluation(self, state: TrainState, evaluation: Evaluation) -> None: ...
+
+    def close(self) -> None: ...
+
+
+Logger = RunLogger | NullLogger
+
+
+def _row(number: int, batch_size: int, figures: Figures, seconds: float) -> metrics_log.Row:
     row = {name.removeprefix("env/"): float(value) for name, value in figures.items() if name != "env/reward"}
     attempts = (number + 1) * batch_size
     return {"update": number, "attempts": attempts, "attempts_per_second": batch_size / seconds, **row}
 
 
-def _note(row: Row) -> str:
+def _note(row: metrics_log.Row) -> str:
     """The figures that stand beside the bar."""
     return "  ".join(f"{label} {row[name]:{form}}" for label, name, form in _SHOWN if name in row)

@@ -70,8 +70,7 @@ class TrainConfig:
 
     def settings(self) -> Settings:
         """The preset with what is changed of it."""
-        from cluttergen_jax.learning.training.encoder_weights import choose_encoder
-        from cluttergen_jax.learning.training.presets import make_settings
+        from cluttergen_jax.learning.training.presets import choose_encoder, make_settings
 
         settings = make_settings(self.preset, self.variant)
         placement = dataclasses.replace(

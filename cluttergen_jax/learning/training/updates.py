@@ -1,4 +1,4 @@
-"""Updates compiled together: one program makes as many as it is asked for, and the same bits however many."""
+"""Compiled updates: one program makes as many as asked for, bit for bit the same in calls of any length."""
 
 from __future__ import annotations
 

@@ -98,6 +98,12 @@ _DRAKE_NOTES = (
     "of the scene (drake:proximity_properties); other readers skip this. The plant needs the time step named "
     "above, and all else as Drake has it: contact hydroelastic_with_fallback, approximation lagged."
 )
+_ROBOSUITE = (
+    _files(write_object_meshes, robosuite_xml, "xml"),
+    _files(write_support_meshes, support_xml, "xml"),
+    _written(partial(scene_json, ending="xml")),
+)
+"""Objects, support and scene as robosuite reads them, and LIBERO, which is built on it."""
 _ALL = (
     Format(
         "mjcf",
@@ -158,9 +164,7 @@ _ALL = (
         "robosuite 1.5: import cluttergen_robosuite, then robosuite.make('ClutterGenScene', robots='Panda', "
         "scene='N').",
         "json",
-        _files(write_object_meshes, robosuite_xml, "xml"),
-        _files(write_support_meshes, support_xml, "xml"),
-        _written(partial(scene_json, ending="xml")),
+        *_ROBOSUITE,
         script="cluttergen_robosuite.py",
     ),
     Format(
@@ -168,9 +172,7 @@ _ALL = (
         "LIBERO: import cluttergen_libero, then cluttergen_libero.make_env(N). python cluttergen_libero.py "
         "writes LIBERO's task descriptions and initial states.",
         "json",
-        _files(write_object_meshes, robosuite_xml, "xml"),
-        _files(write_support_meshes, support_xml, "xml"),
-        _written(partial(scene_json, ending="xml")),
+        *_ROBOSUITE,
         script="cluttergen_libero.py",
     ),
 )

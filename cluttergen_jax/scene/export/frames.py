@@ -1,9 +1,10 @@
-"""Frames and inertia in the forms that other programs ask for."""
+"""Frames, inertia, numbers and XML in the forms that other programs ask for."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from xml.etree import ElementTree as ET
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -46,3 +47,9 @@ def euler_of(quaternion: np.ndarray) -> np.ndarray:
 def text(values: Sequence[float] | np.ndarray) -> str:
     """Numbers with the nine digits that a float32 needs, parted by blanks."""
     return " ".join(f"{value:.9g}" for value in np.asarray(values, np.float64).ravel() + 0.0)
+
+
+def xml_bytes(root: ET.Element) -> bytes:
+    """An XML file, indented, behind a declaration."""
+    ET.indent(root)
+    return b'<?xml version="1.0"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"

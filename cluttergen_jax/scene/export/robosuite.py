@@ -6,7 +6,6 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import own_contact
 from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
@@ -14,6 +13,7 @@ from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene.export.frames import text
 from cluttergen_jax.scene.export.meshes import drawn_pieces, object_image, support_image, visual_name
+from cluttergen_jax.scene.xml import contact_attributes, own_contact_attributes
 
 _COLLIDES, _DRAWN = "0", "1"
 """robosuite's geom groups."""
@@ -30,21 +30,11 @@ def robosuite_xml(asset: ObjectAsset, contact: ContactConfig) -> bytes:
         mass=text([asset.mass]),
         fullinertia=text(moments),
     )
-    own = {}
-    if asset.friction is not None:
-        friction, priority = own_contact(asset.friction, contact.friction)
-        own = {"friction": text(friction), "priority": str(priority)}
+    touch = contact_attributes(contact) | own_contact_attributes(asset, contact)
     for index in range(len(asset.parts)):
         ET.SubElement(assets, "mesh", name=f"part-{index}", file=part_name(index), inertia="convex")
-        ET.SubElement(
-            body,
-            "geom",
-            _contact(contact) | own,
-            type="mesh",
-            mesh=f"part-{index}",
-            group=_COLLIDES,
-            rgba="0 0 0 0",
-        )
+        place = {"type": "mesh", "mesh": f"part-{index}"}
+        ET.SubElement(body, "geom", touch | place, group=_COLLIDES, rgba="0 0 0 0")
     for index, piece in enumerate(drawn_pieces(asset)):
         _add_visual(assets, body, index, piece.rgba, object_image(piece))
     _add_sites(shell, -asset.half_extents[2], asset.half_extents)
@@ -61,7 +51,7 @@ def support_xml(support: SupportAsset, contact: ContactConfig) -> bytes:
             "quat": text(yaw_quaternion(box.yaw)),
             "size": text(box.half_extents),
         }
-        ET.SubElement(body, "geom", place | _contact(contact), group=_COLLIDES, rgba="0 0 0 0")
+        ET.SubElement(body, "geom", place | contact_attributes(contact), group=_COLLIDES, rgba="0 0 0 0")
         if not support.pieces:
             ET.SubElement(body, "geom", place | _unseen(box.rgba))
     for index, piece in enumerate(support.pieces):
@@ -75,15 +65,6 @@ def _model(name: str) -> tuple[ET.Element, ET.Element, ET.Element, ET.Element]:
     assets = ET.SubElement(root, "asset")
     shell = ET.SubElement(ET.SubElement(root, "worldbody"), "body")
     return root, assets, ET.SubElement(shell, "body", name="object"), shell
-
-
-def _contact(contact: ContactConfig) -> dict[str, str]:
-    return {
-        "friction": text(contact.friction),
-        "solref": text(contact.solref),
-        "solimp": text(contact.solimp),
-        "condim": str(contact.condim),
-    }
 
 
 def _unseen(rgba: tuple[float, ...]) -> dict[str, str]:

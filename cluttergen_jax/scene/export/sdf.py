@@ -20,7 +20,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene import Camera, Scene
-from cluttergen_jax.scene.export.frames import text
+from cluttergen_jax.scene.export.frames import text, xml_bytes
 from cluttergen_jax.scene.export.friction import friction_of, harmonic_of
 from cluttergen_jax.scene.export.meshes import SUPPORT_FOLDER, drawn_pieces, object_folder, visual_name
 
@@ -46,8 +46,7 @@ def sdf_text(scene: Scene) -> bytes:
         _add_object(world, name, asset, pose, scene.contact)
     for camera in scene.cameras:
         _add_camera(world, camera)
-    ET.indent(root)
-    return b'<?xml version="1.0"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
+    return xml_bytes(root)
 
 
 def _leaf(parent: ET.Element, tag: str, content: str, **attributes: str) -> ET.Element:

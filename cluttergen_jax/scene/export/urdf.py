@@ -16,7 +16,7 @@ from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.scene.export.frames import euler_of, principal_of, text
+from cluttergen_jax.scene.export.frames import euler_of, principal_of, text, xml_bytes
 from cluttergen_jax.scene.export.friction import factor_of, friction_of
 from cluttergen_jax.scene.export.meshes import drawn_pieces, object_image, support_image, visual_name
 
@@ -35,7 +35,7 @@ def object_urdf(asset: ObjectAsset, contact: ContactConfig) -> bytes:
     for index in range(len(asset.parts)):
         collision = ET.SubElement(link, "collision", name=f"part-{index}")
         ET.SubElement(ET.SubElement(collision, "geometry"), "mesh", filename=part_name(index))
-    return _bytes(root)
+    return xml_bytes(root)
 
 
 def support_urdf(support: SupportAsset, contact: ContactConfig) -> bytes:
@@ -55,7 +55,7 @@ def support_urdf(support: SupportAsset, contact: ContactConfig) -> bytes:
             ET.SubElement(ET.SubElement(element, "geometry"), "box", size=size)
             if kind == "visual":
                 _add_colour(element, f"box-{index}", box.rgba)
-    return _bytes(root)
+    return xml_bytes(root)
 
 
 def _robot(
@@ -84,8 +84,3 @@ def _add_colour(visual: ET.Element, name: str, rgba: tuple[float, ...]) -> ET.El
     material = ET.SubElement(visual, "material", name=name)
     ET.SubElement(material, "color", rgba=text(rgba))
     return material
-
-
-def _bytes(root: ET.Element) -> bytes:
-    ET.indent(root)
-    return b'<?xml version="1.0"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"

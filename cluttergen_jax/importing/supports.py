@@ -1,4 +1,4 @@
-"""A user's own table as a support: its flat top found and covered with boxes.
+"""A user's own table as a support: read, its flat top found and covered with boxes, stored by name.
 
 Only what objects can touch is made: the top, and what rises above it (rims, risers, screens). Legs, shelves
 and all else below the top are drawn but do not collide, since whatever falls past the top has failed already.
@@ -7,19 +7,100 @@ and all else below the top are drawn but do not collide, since whatever falls pa
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import trimesh
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
+from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.overhead import Overhead, Span, cover, largest_rectangle, level_faces, look_down
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
-from cluttergen_jax.errors import AssetError
+from cluttergen_jax.assets.support_file import (
+    embedded_supports,
+    is_support_name,
+    read_support,
+    support_hash,
+    user_supports,
+    write_support,
+)
+from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.geometry import yaw_matrix
+from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
+
+
+def import_support(
+    path: str | Path,
+    name: str | None = None,
+    *,
+    scale: float = 1.0,
+    up: str = "auto",
+    front: str = "auto",
+    max_texture: int = MAX_TEXTURE,
+    licence: str = "",
+    attribution: str = "",
+    force: bool = False,
+) -> SupportAsset:
+    """Makes a support of the user's own of one table with a level top (`cluttergen import --support`).
+
+    Args:
+      path: a mesh, URDF or MJCF file, or a folder that holds one; 2 m across at most.
+      name: what to call it; the file's own name if not given.
+      scale, up, front, max_texture, licence, attribution: as in `import_pool`.
+      force: replace a support of that name.
+
+    Returns:
+      The support; its name is what `support` of `make_sampler` takes.
+
+    Raises:
+      AssetError: the file cannot be read, holds several objects, or has no level top to speak of.
+      ConfigError: an option is out of range.
+      PoolError: the name is not one, is taken by an embedded support, or by another support and `force` is
+        not set.
+    """
+    options = ReadOptions(
+        scale=scale,
+        up=up,
+        front=front,
+        max_texture=max_texture,
+        licence=licence,
+        attribution=attribution,
+    )
+    sources = find_sources(path)
+    if len(sources) > 1:
+        names = ", ".join(source.name for source in sources[:5])
+        raise AssetError(
+            f"{path} holds {len(sources)} objects ({names})", "one table", "the table's own file"
+        )
+    name = sources[0].name if name is None else name
+    if not is_support_name(name) or name in embedded_supports():
+        raise PoolError(
+            f"a support called {name!r}",
+            "names of a-z, 0-9, '_' and '-' that are neither embedded nor a cuboid's: not "
+            f"{', '.join(embedded_supports())}, table-WxD",
+            "name='my_table'",
+        )
+    support = replace(support_from_mesh(read_shape(sources[0], options)), name=name)
+    folder = user_supports() / name
+    if folder.exists() and not force:
+        if _is_same(folder, support):
+            return support
+        raise PoolError(f"support {name!r} exists and is another", "a new `name`", "`force` to replace it")
+    write_support(folder, support, overwrite=force)
+    return support
+
+
+def _is_same(folder: Path, support: SupportAsset) -> bool:
+    try:
+        return support_hash(read_support(folder)) == support_hash(support)
+    except ClutterGenError:
+        return False
+
 
 PITCH = 0.01
 _SAME_HEIGHT = 0.003

@@ -1,13 +1,17 @@
-"""Features of candidate poses, which the ranking agent reads."""
+"""The Brax environment in which an action is the number of a candidate pose; features of candidates."""
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
+from cluttergen_jax.placement.baselines import LowestFit
+from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.heightmap import HeightMap
 from cluttergen_jax.placement.region import action_scale
 from cluttergen_jax.placement.rules import Rules
@@ -15,6 +19,37 @@ from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.search import FORBIDDEN, Search, TopCandidates
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
+
+
+@struct.dataclass(eq=False)
+class RankingEnv(PlacementEnv):
+    """A `PlacementEnv` whose observation holds candidate poses and whose action picks one.
+
+    Attributes:
+      search: finds the poses, bound to the same rules; `LowestFit` if not given.
+    """
+
+    _: KW_ONLY
+    search: Search | None = None
+
+    def __post_init__(self) -> None:
+        if self.search is None:
+            object.__setattr__(self, "search", LowestFit(self.rules))
+
+    def observe(self, episode: Episode) -> dict[str, Any]:
+        """The observation with the candidates for the next attempt, in place of the history."""
+        assert self.search is not None
+        return with_candidates(self.search, episode, PlacementEnv.observe(self, episode))
+
+    def pose_of(self, observation: dict[str, Any], action: Array) -> Array:
+        """The pose f32[4] of candidate `action`, i32."""
+        return observation["menu"]["action"][action]
+
+    @property
+    def action_size(self) -> int:
+        """One whole number."""
+        return 1
+
 
 PATCH_SIDE = 8
 """Heights around a candidate are read on a grid of this many points a side."""

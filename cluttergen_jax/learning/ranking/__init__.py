@@ -1,1 +1,0 @@
-"""The decision process as a choice among candidate poses that geometry has found."""
