@@ -11,9 +11,9 @@ import numpy as np
 from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.scenes import Scenes
+from cluttergen_jax.placement.scenes import SceneBatch
 
-Sampler = Callable[[int, int], Scenes]
+Sampler = Callable[[int, int], SceneBatch]
 """Makes scenes 0 .. N - 1 from a seed, on the host, failures included: `sample(num_scenes, seed)`."""
 
 
@@ -21,7 +21,7 @@ def make_block_sampler(rules: Rules, method: str, block_size: int = BLOCK_SIZE) 
     """A sampler that is compiled at its first call."""
     compiled = jax.jit(BlockSampler(rules, make_proposer(method, rules)).sample)
 
-    def sample(num_scenes: int, seed: int) -> Scenes:
+    def sample(num_scenes: int, seed: int) -> SceneBatch:
         blocks = []
         for start in range(0, num_scenes, block_size):
             indices = start + np.arange(block_size)
@@ -35,13 +35,13 @@ def make_block_sampler(rules: Rules, method: str, block_size: int = BLOCK_SIZE) 
     return sample
 
 
-def placed_poses(scenes: Scenes, rows: np.ndarray, num_objects: int) -> tuple[np.ndarray, np.ndarray]:
+def placed_poses(scenes: SceneBatch, rows: np.ndarray, num_objects: int) -> tuple[np.ndarray, np.ndarray]:
     """The scenes `rows` as the physics interface takes them: poses f32[N, K, 7] and is_placed bool[N, K]."""
     poses = np.zeros((len(rows), num_objects, 7), np.float32)
     poses[..., 3] = 1.0
     is_placed = np.zeros((len(rows), num_objects), bool)
     row, slot = np.nonzero(scenes.is_placed[rows])
     index = scenes.object_index[rows][row, slot]
-    poses[row, index] = scenes.T_world_object[rows][row, slot]
+    poses[row, index] = scenes.poses[rows][row, slot]
     is_placed[row, index] = True
     return poses, is_placed

@@ -1,7 +1,7 @@
 """Cluttered, physically stable, diverse tabletop scenes on JAX and MuJoCo.
 
-    sample = cluttergen_jax.make_sampler(pool="dining", num_objects=10)    # sample(key) -> SampledScene
-    bank = cluttergen_jax.load_bank("out")                                 # bank.reset(key) -> StoredScene
+    sample = cluttergen_jax.make_sampler(pool="dining", num_objects=10)    # sample(key) -> SceneBatch
+    bank = cluttergen_jax.load_bank("out")                                 # bank.reset(key) -> BankArrays
     env = cluttergen_jax.make_env(pool="dining", num_objects=5)            # a Brax environment, to train in
     envs = cluttergen_jax.make_vector_env(64, pool="dining")               # a VectorEnv of Gymnasium
     bank = cluttergen_jax.load_bank("owner/name")                          # pulled from a hub
@@ -20,6 +20,7 @@ What a command does, one function does, with the same defaults:
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+from warnings import warn
 
 from cluttergen_jax.api.certify import certify
 from cluttergen_jax.api.evaluate import evaluate, evaluate_suite
@@ -39,29 +40,25 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.assets.support_file import find_support as load_support
     from cluttergen_jax.assets.support_file import list_supports
-    from cluttergen_jax.generation import (
-        SampledScene,
-        Sampler,
-        SceneBank,
-        StoredArrays,
-        StoredScene,
-        load_bank,
-        make_sampler,
-    )
+    from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler
     from cluttergen_jax.generation.environments import make_env, make_gym_env, make_sb3_env, make_vector_env
     from cluttergen_jax.placement.region import KeepOut, make_region
-    from cluttergen_jax.scene.bank import read_bank
+    from cluttergen_jax.placement.rollout.replay import Replay
+    from cluttergen_jax.placement.scenes import SceneBatch
+    from cluttergen_jax.scene import Scene
+    from cluttergen_jax.scene.bank import Bank, read_bank
     from cluttergen_jax.scene.bank.scene import read_scenes
     from cluttergen_jax.scene.bank.stats import stats_of, stats_text
 
 __all__ = [
+    "Bank",
+    "BankArrays",
     "KeepOut",
     "Rectangle",
-    "SampledScene",
+    "Replay",
     "Sampler",
-    "SceneBank",
-    "StoredArrays",
-    "StoredScene",
+    "Scene",
+    "SceneBatch",
     "certify",
     "evaluate",
     "evaluate_suite",
@@ -100,10 +97,13 @@ _MODULES = {
     "assets.pool": ("list_pools", "remove_pool"),
     "assets.support": ("Rectangle",),
     "assets.support_file": ("list_supports",),
-    "scene.bank": ("read_bank",),
+    "scene": ("Scene",),
+    "scene.bank": ("Bank", "read_bank"),
     "scene.bank.scene": ("read_scenes",),
     "scene.bank.stats": ("stats_of", "stats_text"),
     "placement.region": ("KeepOut", "make_region"),
+    "placement.rollout.replay": ("Replay",),
+    "placement.scenes": ("SceneBatch",),
     "generation.environments": ("make_env", "make_gym_env", "make_sb3_env", "make_vector_env"),
 }
 _ELSEWHERE = {name: module for module, names in _MODULES.items() for name in names}
@@ -111,10 +111,20 @@ _RENAMED = {
     "load_pool": ("assets.pool", "find_pool"),
     "load_support": ("assets.support_file", "find_support"),
 }
+_FORMER = {
+    "SampledScene": "SceneBatch",
+    "SceneBank": "BankArrays",
+    "StoredArrays": "BankArrays",
+    "StoredScene": "BankArrays",
+}
+"""Names of the previous release, which are understood in this one."""
 
 
 def __getattr__(name: str) -> Any:
     """The other names of `__all__`, imported when first asked for: JAX and MuJoCo take a second to load."""
+    if name in _FORMER:
+        warn(f"cluttergen_jax.{name} is now called {_FORMER[name]}", DeprecationWarning, stacklevel=2)
+        name = _FORMER[name]
     if name in __all__:
         module, there = _RENAMED.get(name, (_ELSEWHERE.get(name, "generation"), name))
         return getattr(import_module(f"cluttergen_jax.{module}"), there)

@@ -36,7 +36,7 @@ def draw(pool: str, support: str, num_objects: int, method: str) -> np.ndarray:
     objects = [problem.world.objects[index] for index in scenes.object_index[place]]
     return render_scene(
         objects,
-        scenes.T_world_object[place],
+        scenes.poses[place],
         problem.world.support,
         close=True,
         width=720,

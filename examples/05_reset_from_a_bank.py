@@ -33,7 +33,7 @@ class Push(Env):
 
     observation_size, action_size, backend = 16, 2, "mjx"
 
-    def __init__(self, bank: cg.SceneBank) -> None:
+    def __init__(self, bank: cg.BankArrays) -> None:
         model = bank.model()
         # Softer contacts and few solver iterations: made for learning, not for verification.
         model.opt.cone, model.opt.iterations, model.opt.ls_iterations = mujoco.mjtCone.mjCONE_PYRAMIDAL, 8, 8

@@ -45,7 +45,7 @@ def export(
     from cluttergen_jax.progress import tracked
     from cluttergen_jax.scene.bank import read_bank
     from cluttergen_jax.scene.bank.reference import REFERENCES, parse_reference
-    from cluttergen_jax.scene.bank.scene import chosen_records, read_scenes
+    from cluttergen_jax.scene.bank.scene import chosen_rows, read_scenes
     from cluttergen_jax.scene.export import export_scenes
 
     numbers = parse_numbers(scenes) if isinstance(scenes, str) else scenes
@@ -58,7 +58,7 @@ def export(
             raise ConfigError(f"`scenes` beside the single scene {source}", "one of the two")
         numbers = [own]
     bank = read_bank(path)
-    total = len(chosen_records(bank, numbers))
+    total = len(chosen_rows(bank, numbers))
     read = read_scenes(bank, numbers)
     shown = read if total <= _MANY else tracked(read, "exporting", total, "scene")
     return export_scenes(shown, out, format, overwrite=overwrite, cameras=tuple(cameras))

@@ -91,33 +91,18 @@ def generate(
     from cluttergen_jax.assets.rectangle_text import parse_keep_out, parse_region
     from cluttergen_jax.assets.support_file import find_support
     from cluttergen_jax.generation.generate import recipe_of, write_bank
-    from cluttergen_jax.generation.wiring import check_range, find_method, make_setup, problem_config
-    from cluttergen_jax.learning.methods import suited
+    from cluttergen_jax.generation.make import set_up
+    from cluttergen_jax.placement.setup import check_range, problem_config
 
     check_range("num_scenes", num_scenes, 1, MAX_SCENES, 20)
     check_range("seed", seed, 0, _MOST, 0)
     if max_files < 0:
         raise ConfigError(f"max_files = {max_files}", "0 or more", "max_files=0 for none")
     boxes = [parse_keep_out(box) if isinstance(box, str) else box for box in keep_out]
-    config = problem_config(
-        pool=pool,
-        support=support,
-        num_objects=num_objects,
-        objects=objects,
-        exclude=exclude,
-        repeat=repeat,
-        region=parse_region(region, find_support(support).region) if isinstance(region, str) else region,
-        keep_out=boxes,
-        max_attempts=max_attempts,
-        containment=containment,
-        order=order,
-        min_margin=min_margin,
-        engine=engine,
-        num_threads=num_threads,
-    )
-    chosen = find_method(method, checkpoint, config)
-    config = dataclasses.replace(config, placement=suited(config.placement, chosen.checkpoint))
-    setup = make_setup(config, boxes, start)
+    if isinstance(region, str):
+        region = parse_region(region, find_support(support).region)
+    config = problem_config(locals() | {"keep_out": boxes})
+    chosen, setup = set_up(config, method, checkpoint, boxes, start)
     recipe = recipe_of(setup.problem, chosen) | {
         "start": start,
         "keep_out": [box if isinstance(box, str) else dataclasses.asdict(box) for box in keep_out],

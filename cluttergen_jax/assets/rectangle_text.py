@@ -50,8 +50,8 @@ def parse_keep_out(text: str) -> Rectangle:
     return parse_region(text, Rectangle())
 
 
-def keep_out_box(entry: str | Mapping[str, Any]) -> Rectangle:
-    """A keep-out box of a bank's record: the text of a command line, or the fields of a `Rectangle`."""
+def recorded_rectangle(entry: str | Mapping[str, Any]) -> Rectangle:
+    """A rectangle of a bank's record: its fields, or a keep-out box in the words of a command line."""
     if isinstance(entry, str):
         return parse_keep_out(entry)
     return Rectangle(tuple(entry["center"]), tuple(entry["half_extents"]), float(entry["yaw"]))

@@ -12,7 +12,7 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
-from cluttergen_jax.placement.scenes import Scenes
+from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.proportions import spread_of, wilson
 from cluttergen_jax.types import Array, Verdict
@@ -52,7 +52,7 @@ class Outcome:
       compile_seconds: wall time of tracing, compilation and a step in which no attempt is made.
     """
 
-    scenes: Scenes
+    scenes: SceneBatch
     attempts: Attempts
     seconds: float
     cpu_seconds: float
@@ -79,23 +79,19 @@ def run_episodes(
     """
     width = width_of(num_scenes)
     started = time.perf_counter()
-    key, place = jax.random.key(seed), np.arange(width)
-    rollout.compile(sampler, key, place)
+    key = jax.random.key(seed)
+    rollout.compile(sampler, key, np.arange(width))
     compiled, cpu = time.perf_counter(), time.process_time()
-    scenes: list[Scenes] = []
     made: list[Attempts] = []
 
-    def note(number: int, attempts: Attempts) -> None:
+    def note(indices: np.ndarray, number: int, attempts: Attempts) -> None:
         made.append(_kept(attempts.replace(scene=indices.astype(np.int32))))
         on_done(number)
 
-    for first in range(0, num_scenes, width):
-        indices, rows = first + place, min(width, num_scenes - first)
-        block = rollout.run(sampler, key, indices, place < rows, note)
-        scenes.append(jax.tree.map(lambda leaf, rows=rows: leaf[:rows], block))
+    scenes = rollout.run_all(sampler, key, num_scenes, width, note)
     return Outcome(
-        scenes=_joined(scenes),
-        attempts=_joined(made),
+        scenes=scenes,
+        attempts=jax.tree.map(lambda *leaves: np.concatenate(leaves), *made),
         seconds=time.perf_counter() - compiled,
         cpu_seconds=time.process_time() - cpu,
         compile_seconds=compiled - started,
@@ -118,10 +114,6 @@ def attempts_of(before: Episode, after: Episode, transition: Transition) -> Atte
 
 def _kept(attempts: Attempts) -> Attempts:
     return jax.tree.map(lambda leaf: leaf[attempts.is_made], attempts)
-
-
-def _joined(parts: list) -> Any:
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
 LEAST_ATTEMPTS = 3
@@ -208,7 +200,7 @@ def arrays_of(outcome: Outcome) -> dict[str, np.ndarray]:
     return {
         "object_index": scenes.object_index,
         "is_placed": scenes.is_placed,
-        "poses": scenes.T_world_object,
+        "poses": scenes.poses,
         "is_success": scenes.is_success,
         "is_filled": scenes.is_filled,
         "attempt_scene": attempts.scene,

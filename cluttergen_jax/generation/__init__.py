@@ -4,9 +4,8 @@
 it is imported by itself, as Brax takes a second to load.
 """
 
-from cluttergen_jax.generation.bank import SceneBank, StoredArrays, StoredScene, load_bank
+from cluttergen_jax.generation.bank import BankArrays, load_bank
 from cluttergen_jax.generation.make import make_sampler
-from cluttergen_jax.generation.sampled import SampledScene
 from cluttergen_jax.generation.sampler import Sampler
 
-__all__ = ["SampledScene", "Sampler", "SceneBank", "StoredArrays", "StoredScene", "load_bank", "make_sampler"]
+__all__ = ["BankArrays", "Sampler", "load_bank", "make_sampler"]

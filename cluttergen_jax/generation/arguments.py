@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
-from numbers import Integral
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.types import Start
@@ -29,29 +27,6 @@ def check_known(unknown: Mapping[str, Any], function: Callable[..., Any]) -> Non
         names = [name for name, each in kinds.items() if each.kind is not inspect.Parameter.VAR_KEYWORD]
         given = next(iter(unknown))
         raise ConfigError(f"{function.__name__}({given}=...)", ", ".join(names), meant=closest(given, names))
-
-
-def check_whole(**numbers: Any) -> None:
-    """Refuses what is no whole number; None is let through."""
-    for name, value in numbers.items():
-        if value is not None and (isinstance(value, bool) or not isinstance(value, Integral)):
-            raise ConfigError(f"{name} = {value!r}", "a whole number")
-
-
-def check_names(names: Sequence[str], argument: str) -> None:
-    """Refuses a single name, whose letters would be taken for names."""
-    if isinstance(names, str):
-        raise ConfigError(f"{argument} = {names!r}", "a sequence of names", f"{argument}=({names!r},)")
-
-
-def check_rectangles(region: Rectangle | None, keep_out: Sequence[Rectangle]) -> None:
-    """Refuses whatever else is given for the rectangles of `make_sampler`."""
-    if region is not None and not isinstance(region, Rectangle):
-        raise ConfigError(f"region = {region!r}", "a Rectangle", "Rectangle(half_extents=(0.2, 0.25))")
-    if isinstance(keep_out, Rectangle) or not all(isinstance(box, Rectangle) for box in keep_out):
-        raise ConfigError(
-            f"keep_out = {keep_out!r}", "a sequence of Rectangles", "keep_out=(Rectangle(...),)"
-        )
 
 
 def check_key(key: Any, call: str = "sample") -> None:

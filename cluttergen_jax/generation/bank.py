@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import jaxlie
 import mujoco
-import numpy as np
 from flax import struct
 
 from cluttergen_jax.errors import ConfigError
@@ -22,75 +20,66 @@ from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.types import Array
 
 
-class StoredScene(struct.PyTreeNode):
-    """A scene of a bank that stands, in the terms of `SceneBank.model`. N slots, K objects in the model.
+class BankArrays(struct.PyTreeNode):
+    """The S scenes of a bank that stand, in one MuJoCo model of K objects; see `load_bank`. N slots.
 
-    Attributes:
-      index: i32, its number in the bank.
-      object_index: i32[N], the model's object in each slot, in the order of placement; -1 for none.
-      is_placed: bool[N], there is one.
-      T_world_object: SE3[N], metres; the identity where there is none.
-      is_present: bool[K], the model's objects that belong to the scene.
-      qpos: f32[7 K], the model's configuration; objects that do not belong wait far away.
-      xfrc_applied: f32[nbody, 6], newtons: what keeps those in the air where they wait.
-    """
-
-    index: Array
-    object_index: Array
-    is_placed: Array
-    T_world_object: jaxlie.SE3
-    is_present: Array
-    qpos: Array
-    xfrc_applied: Array
-
-
-class StoredArrays(struct.PyTreeNode):
-    """What is stored of the S scenes of a bank that stand. N slots, K objects in `SceneBank.model`.
+    A scene that is taken from it (`reset`, `scene`) is of this type too, without the leading axis S.
 
     Attributes:
       index: i32[S], their numbers in the bank.
-      object_index: i32[S, N], the model's object in each slot, -1 for none.
-      poses: f32[S, N, 7], world pose of each slot's object, metres, wxyz; the identity where there is none.
+      object_index: i32[S, N], the model's object in each slot, in the order of placement; -1 for none.
       is_present: bool[S, K], the model's objects that belong to the scene.
-      qpos: f32[S, 7 K], the model's configuration.
-      weight: f32[nbody, 6], newtons, upwards: what keeps an object that does not belong where it waits.
+      qpos: f32[S, 7 K], the model's configuration; objects that do not belong wait far away.
+      bank: the bank on disk.
+      collection: its scenes in one MuJoCo model, on the host.
     """
 
     index: Array
     object_index: Array
-    poses: Array
     is_present: Array
     qpos: Array
-    weight: Array
-
-
-@dataclass(frozen=True, eq=False)
-class SceneBank:
-    """The scenes of a bank that stand; see `load_bank`.
-
-    Attributes:
-      bank: the bank on disk.
-      collection: all its scenes in one MuJoCo model.
-      arrays: what `reset` draws from, on JAX's default device.
-    """
-
-    bank: Bank
-    collection: SceneCollection
-    arrays: StoredArrays
+    bank: Bank = struct.field(pytree_node=False)
+    collection: SceneCollection = struct.field(pytree_node=False)
 
     def __len__(self) -> int:
-        return len(self.collection.qpos)
+        return len(self.index)
+
+    @property
+    def is_placed(self) -> Array:
+        """bool[S, N]: there is an object in the slot."""
+        return self.object_index >= 0
+
+    @property
+    def poses(self) -> Array:
+        """f32[S, N, 7]: world pose of each slot's object, metres, wxyz; the identity where there is none."""
+        poses = self.qpos.reshape(*self.is_present.shape, 7)
+        placed = jnp.take_along_axis(poses, jnp.maximum(self.object_index, 0)[..., None], axis=-2)
+        return jnp.where(self.is_placed[..., None], placed, jnp.eye(7, dtype=jnp.float32)[3])
+
+    @property
+    def T_world_object(self) -> jaxlie.SE3:
+        """SE3[S, N]: `poses`."""
+        return from_pose(self.poses)
+
+    @property
+    def xfrc_applied(self) -> Array:
+        """f32[S, nbody, 6], newtons: what keeps objects that do not belong in the air where they wait."""
+        model, bodies = self.collection.model, self.collection.model.jnt_bodyid
+        weight = jnp.asarray(-model.opt.gravity * model.body_mass[bodies, None], jnp.float32)
+        applied = jnp.where(self.is_present[..., None], 0.0, weight)
+        none = jnp.zeros((*self.is_present.shape[:-1], model.nbody, 6))
+        return none.at[..., bodies, :3].set(applied)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The model's objects, in the order of `StoredScene.object_index`; bodies and joints bear them."""
+        """The model's objects, in the order of `object_index`; bodies and joints bear them."""
         return self.collection.names
 
     def model(self) -> mujoco.MjModel:
-        """One compiled model for all scenes: put `StoredScene.qpos` and `xfrc_applied` into its data."""
+        """One compiled model for all scenes: put a scene's `qpos` and `xfrc_applied` into its data."""
         return self.collection.model
 
-    def reset(self, key: Array) -> StoredScene:
+    def reset(self, key: Array) -> BankArrays:
         """A scene that stands, all of them equally likely. Pure: to be compiled and mapped.
 
         Args:
@@ -102,7 +91,7 @@ class SceneBank:
         check_key(key, "reset")
         return self.scene(jax.random.randint(key, (), 0, len(self)))
 
-    def scene(self, place: Array) -> StoredScene:
+    def scene(self, place: Array) -> BankArrays:
         """The scene at `place`, i32, among those that stand (0 to len - 1); it may be traced.
 
         Raises:
@@ -110,22 +99,10 @@ class SceneBank:
         """
         if is_known(place) and not 0 <= int(place) < len(self):
             raise ConfigError(f"scene {place} of those that stand", f"0 to {len(self) - 1}")
-        arrays = self.arrays
-        object_index, is_present = arrays.object_index[place], arrays.is_present[place]
-        bodies = jnp.asarray(self.collection.model.jnt_bodyid)
-        is_absent = jnp.zeros(arrays.weight.shape[0], bool).at[bodies].set(~is_present)
-        return StoredScene(
-            index=arrays.index[place],
-            object_index=object_index,
-            is_placed=object_index >= 0,
-            T_world_object=from_pose(arrays.poses[place]),
-            is_present=is_present,
-            qpos=arrays.qpos[place],
-            xfrc_applied=jnp.where(is_absent[:, None], arrays.weight, 0.0),
-        )
+        return jax.tree.map(lambda leaf: leaf[place], self)
 
 
-def load_bank(path: str | Path, *, hub: str | None = None, revision: str | None = None) -> SceneBank:
+def load_bank(path: str | Path, *, hub: str | None = None, revision: str | None = None) -> BankArrays:
     """Reads a bank for use as the reset of an environment; scenes that failed are left out.
 
     Args:
@@ -140,18 +117,11 @@ def load_bank(path: str | Path, *, hub: str | None = None, revision: str | None 
     bank = read_bank(find_bank(path, hub=hub, revision=revision))
     scenes = list(read_scenes(bank))
     collection = collect(scenes)
-    object_index = collection.object_index
-    poses = collection.qpos.reshape(len(scenes), -1, 7)[np.arange(len(scenes))[:, None], object_index]
-    poses = np.where(object_index[..., None] >= 0, poses, np.eye(7)[3])
-    model = collection.model
-    weight = np.zeros((model.nbody, 6))
-    weight[model.jnt_bodyid, :3] = -model.opt.gravity * model.body_mass[model.jnt_bodyid, None]
-    arrays = StoredArrays(
+    return BankArrays(
         index=jnp.array([scene.origin.index for scene in scenes], jnp.int32),
-        object_index=jnp.asarray(object_index, jnp.int32),
-        poses=jnp.asarray(poses, jnp.float32),
+        object_index=jnp.asarray(collection.object_index, jnp.int32),
         is_present=jnp.asarray(collection.is_present),
         qpos=jnp.asarray(collection.qpos, jnp.float32),
-        weight=jnp.asarray(weight, jnp.float32),
+        bank=bank,
+        collection=collection,
     )
-    return SceneBank(bank, collection, arrays)

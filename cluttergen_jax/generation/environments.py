@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, Never
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError, MissingExtraError
-from cluttergen_jax.generation.arguments import check_known, check_whole
-from cluttergen_jax.generation.wiring import check_range, make_setup, problem_config
+from cluttergen_jax.generation.arguments import check_known
 from cluttergen_jax.generation.wrappers import ActionRange, FlatObservation, OnSurface
 from cluttergen_jax.placement.brax_env import Env
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
+from cluttergen_jax.placement.setup import check_range, check_whole, make_setup, problem_config
+from cluttergen_jax.scene.bank.reference import read_start
 
 if TYPE_CHECKING:
     from cluttergen_jax.generation.gymnasium_envs import GymnasiumEnv, GymnasiumVectorEnv
@@ -91,26 +92,8 @@ def make_env(
     check_whole(num_cells=num_cells, history_stride=history_stride, num_scene_points=num_scene_points)
     _check_choices(observation, action)
     observed = ObservationConfig(num_scene_points=num_scene_points, num_cells=num_cells)
-    config = problem_config(
-        pool=pool,
-        support=support,
-        num_objects=num_objects,
-        objects=objects,
-        exclude=exclude,
-        repeat=repeat,
-        region=region,
-        keep_out=keep_out,
-        max_attempts=max_attempts,
-        containment=containment,
-        order=order,
-        reward=reward,
-        history_stride=history_stride,
-        min_margin=min_margin,
-        change=change,
-        engine=engine,
-        num_threads=num_threads,
-    )
-    setup = make_setup(config, keep_out, start)
+    config = problem_config(locals())
+    setup = make_setup(config, keep_out, read_start(start))
     env: Env = PlacementEnv(
         setup.problem.rules,
         observed,

@@ -14,7 +14,7 @@ from cluttergen_jax.progress import tracked
 from cluttergen_jax.rendering.assets import render_scene
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
-from cluttergen_jax.scene.bank.bank import Bank, SceneRecord
+from cluttergen_jax.scene.bank import Bank, BankRow
 from cluttergen_jax.scene.bank.digests import digest_of
 from cluttergen_jax.scene.xml import scene_xml
 
@@ -71,7 +71,7 @@ def _is_whole_png(path: Path) -> bool:
     return data.startswith(_PNG_BEGINS) and data.endswith(_PNG_ENDS)
 
 
-def _draw(bank: Bank, scenes: Sequence[SceneRecord], assets: dict) -> Path:
+def _draw(bank: Bank, scenes: Sequence[BankRow], assets: dict) -> Path:
     images: list[np.ndarray] = []
     samples = _FINE if len(scenes) <= _MANY else _QUICK
     for scene in tracked(scenes, "drawing", len(scenes), "picture"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,11 +15,11 @@ import numpy as np
 
 from cluttergen_jax.files import writing
 from cluttergen_jax.generation.files import write_files
-from cluttergen_jax.generation.wiring import Method, Setup
-from cluttergen_jax.learning.methods import FILTERED
+from cluttergen_jax.learning.methods import FILTERED, Method, sampler_of
 from cluttergen_jax.placement.config import placement_record
 from cluttergen_jax.placement.problem import Problem, crowding
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
+from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.stats import summary_of
@@ -37,10 +38,10 @@ _BETTER = {
 
 @dataclass(frozen=True, eq=False)
 class GeneratedBank(Bank):
-    """A bank as `generate` leaves it, with what there is to say of it; printed, it says all of that.
+    """A bank as `generate` leaves it; printed, it tells how well it went.
 
     Attributes:
-      notes: flagged objects, and a crowded region.
+      notes: flagged objects, and a crowded region: said (stderr) before the first scene is made.
       summary: successes, attempts and rejections.
       advice: what to try where few scenes succeed, else "".
       files_written: what was written beside the table, "" if nothing was.
@@ -52,9 +53,7 @@ class GeneratedBank(Bank):
     files_written: str = ""
 
     def __str__(self) -> str:
-        return "\n".join(
-            each for each in (*self.notes, self.summary, self.advice, self.files_written) if each
-        )
+        return "\n".join(filter(None, (self.summary, self.advice, self.files_written)))
 
 
 def write_bank(
@@ -68,9 +67,11 @@ def write_bank(
     overwrite: bool,
 ) -> GeneratedBank:
     """The bank of a recipe in a folder, begun or continued; see `cluttergen_jax.generate`."""
-    problem, sampler = setup.problem, setup.sampler(method)
-    names = names_of(problem.world.objects)
+    problem, sampler = setup.problem, sampler_of(setup, method)
+    names, notes = names_of(problem.world.objects), tuple(_notes(problem))
     with BankWriter(out, recipe, num_scenes, names, problem.world.support, overwrite) as writer:
+        for note in notes:
+            print(note, file=sys.stderr, flush=True)
         started = time.perf_counter()
         num_new = run_blocks(sampler, problem, writer, num_scenes, recipe["seed"])
         bank = read_bank(out)
@@ -83,7 +84,7 @@ def write_bank(
     return GeneratedBank(
         bank.path,
         read_bank(out).record,
-        notes=tuple(_notes(problem)),
+        notes=notes,
         summary=summary,
         advice=_advice(method.name, float(np.mean(bank.table["is_success"]))),
         files_written=written,

@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.wrappers import ActionRange
 from cluttergen_jax.placement.brax_env import Env, State
-from cluttergen_jax.placement.scenes import Scenes
+from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -104,7 +104,7 @@ class GymnasiumEnv(gymnasium.Env):
         self.observation_space, self.action_space = spaces_of(env)
         self._reset, self._attempt = jax.jit(env.reset), jax.jit(partial(attempt, env))
         self._state: State | None = None
-        self.scene: Scenes | None = None
+        self.scene: SceneBatch | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -172,7 +172,7 @@ class GymnasiumVectorEnv(VectorEnv):
         return final | {f"_{name}": is_over.copy() for name in final}
 
     @property
-    def scenes(self) -> Scenes:
+    def scenes(self) -> SceneBatch:
         """Each environment's latest finished scene, arrays [N, ...] of NumPy; zeros before there is one."""
         if self._state is None:
             raise gymnasium.error.ResetNeeded("there are no scenes before reset() has been called")

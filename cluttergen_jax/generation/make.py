@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Never
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.generation.arguments import check_known, check_whole
+from cluttergen_jax.generation.arguments import check_known
 from cluttergen_jax.generation.sampler import Sampler
-from cluttergen_jax.generation.wiring import check_range, find_method, make_setup, problem_config
-from cluttergen_jax.learning.methods import suited
+from cluttergen_jax.learning.methods import Method, choose_method, sampler_of, suited
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.placement.observation import ObservationConfig
+from cluttergen_jax.placement.problem import ProblemConfig
+from cluttergen_jax.placement.setup import Setup, check_range, check_whole, make_setup, problem_config
+from cluttergen_jax.scene.bank.reference import read_start
 
 MAX_RETRIES = 10_000
 
@@ -41,7 +43,7 @@ def make_sampler(
     num_threads: int = 0,
     **unknown: Never,
 ) -> Sampler:
-    """A function `sample(key) -> SampledScene` that may be compiled, mapped, scanned and sharded.
+    """A function `sample(key) -> SceneBatch` that may be compiled, mapped, scanned and sharded.
 
     Nothing random is decided here: equal keys give equal scenes, within the limits that docs/contract.md
     names.
@@ -80,30 +82,31 @@ def make_sampler(
     check_range("max_retries", max_retries, 0, MAX_RETRIES, 5)
     check_whole(num_scene_points=num_scene_points)
     ObservationConfig(num_scene_points=num_scene_points)
-    config = problem_config(
-        pool=pool,
-        support=support,
-        num_objects=num_objects,
-        objects=objects,
-        exclude=exclude,
-        repeat=repeat,
-        region=region,
-        keep_out=keep_out,
-        max_attempts=max_attempts,
-        containment=containment,
-        order=order,
-        min_margin=min_margin,
-        engine=engine,
-        num_threads=num_threads,
-    )
-    chosen = find_method(method, checkpoint, config)
-    config = replace(config, placement=suited(config.placement, chosen.checkpoint))
-    setup = make_setup(config, keep_out, start)
+    config = problem_config(locals())
+    chosen, setup = set_up(config, method, checkpoint, keep_out, start)
     return Sampler(
         problem=setup.problem,
-        steps=setup.sampler(chosen),
+        steps=sampler_of(setup, chosen),
         keep_out=setup.keep_out,
         start=setup.start,
         max_retries=max_retries,
         num_scene_points=num_scene_points,
     )
+
+
+def set_up(
+    config: ProblemConfig,
+    method: str | None,
+    checkpoint: str | Path | None,
+    keep_out: Sequence[Rectangle],
+    start: str | None,
+) -> tuple[Method, Setup]:
+    """A method, and the problem compiled for it: with the history that it looks back on.
+
+    Raises:
+      ConfigError, PoolError, BankError: see `make_sampler`.
+    """
+    placement = config.placement
+    chosen = choose_method(method, config.pool, config.support, placement.num_objects, checkpoint)
+    config = replace(config, placement=suited(placement, chosen.checkpoint))
+    return chosen, make_setup(config, keep_out, read_start(start))

@@ -15,10 +15,11 @@ from cluttergen_jax.assets.reach import reach_of
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.arguments import check_call, check_key, is_known
-from cluttergen_jax.generation.sampled import SampledScene, sampled_scene
+from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.rollout import BlockSampler
+from cluttergen_jax.placement.scenes import SceneBatch, scene_of
 from cluttergen_jax.placement.types import Episode, Start
 from cluttergen_jax.scene import Origin, Scene
 from cluttergen_jax.types import Array, Verdict
@@ -60,7 +61,7 @@ class Sampler:
         region: Region | None = None,
         keep_out: KeepOut | None = None,
         start: Start | None = None,
-    ) -> SampledScene:
+    ) -> SceneBatch:
         """One scene. All arguments may be traced, and mapped over.
 
         Args:
@@ -103,18 +104,30 @@ class Sampler:
 
         first = _Drawing(begin(key), jnp.int32(1))
         last = jax.lax.while_loop(lambda drawing: ~drawing.episode.is_over, advance, first)
-        scene = sampled_scene(rules, last.episode, last.num_draws, self.num_scene_points)
+        scene, (cloud, mask) = scene_of(last.episode), self._cloud(last.episode)
         return scene.replace(
             is_success=scene.is_success & fits,
             verdict=jnp.where(fits, scene.verdict, int(Verdict.OUTSIDE)),
+            region=last.episode.region,
+            num_draws=last.num_draws,
+            cloud=cloud,
+            cloud_mask=mask,
         )
+
+    def _cloud(self, episode: Episode) -> tuple[Array, Array] | tuple[None, None]:
+        """f32[N, 3], world frame, and bool[N]; None for no points."""
+        if not self.num_scene_points:
+            return None, None
+        seen = observe(self.problem.rules, episode, ObservationConfig(num_scene_points=self.num_scene_points))
+        cloud = jax.vmap(episode.region.T_world_region.apply)(jnp.asarray(seen["scene_cloud"]))
+        return cloud, jnp.asarray(seen["scene_mask"])
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The compiled world's objects, in the order of `SampledScene.object_index`."""
+        """The compiled world's objects, in the order of `SceneBatch.object_index`."""
         return self.problem.world.names
 
-    def scene(self, sampled: SampledScene, index: int = 0) -> Scene:
+    def scene(self, sampled: SceneBatch, index: int = 0) -> Scene:
         """One scene on the host, as pictures, exports and models (`Scene.to_mjspec`) take it.
 
         Args:

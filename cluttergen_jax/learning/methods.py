@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from cluttergen_jax.assets.pool import without_exclusions
 from cluttergen_jax.config import VARIANTS
@@ -13,8 +14,10 @@ from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
 from cluttergen_jax.learning.policies.policy import FilteredPolicy, TrainedPolicy, load_policy
 from cluttergen_jax.placement.baselines import BASELINES, Clear, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.placement.search import SearchConfig
+from cluttergen_jax.placement.setup import Setup
 
 FILTERED = "policy-clear"
 METHODS = (*BASELINES, *VARIANTS, FILTERED)
@@ -24,10 +27,17 @@ GOOD_SUCCESS = 0.9
 """Success, as its record tells it, from which an embedded policy is what a user gets unasked."""
 
 
+class Method(NamedTuple):
+    """A method by name, and the checkpoint behind it; None for a baseline."""
+
+    name: str
+    checkpoint: Checkpoint | None = None
+
+
 def choose_method(
     method: str | None, pool: str, support: str, num_objects: int, checkpoint: str | Path | None = None
-) -> tuple[str, Checkpoint | None]:
-    """A method, and the checkpoint behind it (None for a baseline); each record is read once.
+) -> Method:
+    """The method of that name, the one that fits the problem best if none is named; records are read once.
 
     Args:
       method: None takes the given checkpoint's own; without one, `policy` where one is embedded that was
@@ -43,14 +53,14 @@ def choose_method(
     if method is None and given is not None:
         method = given.variant or DEFAULT_METHOD
     if method is not None:
-        return method, checkpoint_of(method, pool, given)
+        return Method(method, checkpoint_of(method, pool, given))
     embedded = list_policies().get(f"{without_exclusions(pool)}-{DEFAULT_METHOD}")
     if embedded is None:
-        return FALLBACK_METHOD, None
+        return Method(FALLBACK_METHOD)
     found = read_checkpoint(embedded)
     is_trained = found.record.get("support") == support and num_objects <= found.placement["num_objects"]
     is_good = found.record.get("evaluation", {}).get("success", 0.0) >= GOOD_SUCCESS
-    return (DEFAULT_METHOD, found) if is_trained and is_good else (FALLBACK_METHOD, None)
+    return Method(DEFAULT_METHOD, found) if is_trained and is_good else Method(FALLBACK_METHOD)
 
 
 def checkpoint_of(method: str, pool: str, given: Checkpoint | None = None) -> Checkpoint | None:
@@ -112,6 +122,17 @@ def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Pro
             f"method {FILTERED!r} with {checkpoint.path}, which ranks candidates", "a policy of poses"
         )
     return make_filtered(policy, rules)
+
+
+def sampler_of(setup: Setup, method: Method) -> BlockSampler:
+    """Episodes of a method, which looks back on as much as it was trained with.
+
+    Raises:
+      PoolError, ConfigError: its checkpoint cannot be read, or is of another problem.
+    """
+    rules = setup.problem.rules
+    rules = replace(rules, config=suited(rules.config, method.checkpoint))
+    return BlockSampler(rules, proposer_of(*method, rules), setup.keep_out, setup.start)
 
 
 def make_filtered(policy: TrainedPolicy, rules: Rules) -> FilteredPolicy:

@@ -13,7 +13,7 @@ from cluttergen_jax.placement.brax_env import Env, State
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.scenes import Scenes, scenes_of
+from cluttergen_jax.placement.scenes import SceneBatch, scene_of
 from cluttergen_jax.placement.types import Episode, Start
 from cluttergen_jax.types import Array
 
@@ -33,7 +33,7 @@ class Ongoing(struct.PyTreeNode):
     start: Start
     keep_out: KeepOut
     key: Array
-    finished: Scenes
+    finished: SceneBatch
     num_finished: Array
 
 
@@ -83,7 +83,7 @@ class PlacementEnv(Env):
             start=Start(episode.poses, episode.is_placed),
             keep_out=episode.keep_out,
             key=key_next,
-            finished=jax.tree.map(jnp.zeros_like, scenes_of(episode)),
+            finished=jax.tree.map(jnp.zeros_like, scene_of(episode)),
             num_finished=jnp.int32(0),
         )
         return State(
@@ -97,7 +97,7 @@ class PlacementEnv(Env):
         ends = after.is_over & ~before.episode.is_over
         ongoing = before.replace(
             episode=after,
-            finished=_where(ends, scenes_of(after), before.finished),
+            finished=_where(ends, scene_of(after), before.finished),
             num_finished=before.num_finished + ends.astype(jnp.int32),
         )
         if self.auto_reset:

@@ -1,10 +1,12 @@
-"""Finished episodes as scenes: the product, without what was only needed on the way."""
+"""Scenes as a pytree of arrays: what finished episodes leave, without what was only needed on the way."""
 
 from __future__ import annotations
 
 import jax.numpy as jnp
+import jaxlie
 from flax import struct
 
+from cluttergen_jax.placement.region import Region, from_pose
 from cluttergen_jax.placement.types import Counts, Episode
 from cluttergen_jax.types import Array
 
@@ -12,41 +14,61 @@ BLOCK_SIZE = 256
 """Scenes of a full block, sampled and stored as one; block b begins with scene 256 b (docs/contract.md)."""
 
 
-class Scenes(struct.PyTreeNode):
-    """Finished episodes, failures included. S slots, any leading axes.
+class SceneBatch(struct.PyTreeNode):
+    """Finished scenes, failures included: look at `is_success`. S slots, N points, any leading axes.
+
+    Runs that are continued store these arrays by their place: new ones come last, and None is stored nowhere.
 
     Attributes:
       object_index: i32[S], the compiled world's object in each slot, -1 where there is none.
-      is_placed: bool[S], the slot was filled.
-      T_world_object: f32[S, 7], world pose of each slot's object (zero and identity where not placed).
-      is_success: bool, every slot filled and the finished scene stands.
-      is_filled: bool, every slot filled.
-      verdict: i32, the last check's `Verdict`, or the last failed attempt's.
+      is_placed: bool[S], the slot holds an object that stands; those of failed scenes may be fewer.
+      poses: f32[S, 7], world pose of each slot's object, metres, wxyz; the identity where not placed.
+      is_success: bool, every slot is filled and the finished scene stands.
+      is_filled: bool, every slot is filled.
+      verdict: i32, a `types.Verdict`: the last check's, or that of the attempt with which the scene failed.
       drift: f32, metres, the largest movement in the last check.
-      counts: the episode's figures.
+      counts: figures of this draw (attempts, steps, verdicts).
+      region: the queried region. This and the rest come from a `Sampler` alone.
+      num_draws: i32, how often the scene was drawn until it passed, at most `max_retries` + 1.
+      cloud: f32[N, 3], world frame, metres: points of the region and of the placed objects; None unless asked
+        for. cloud_mask: bool[N], the points that count; the others are the region's origin.
     """
 
     object_index: Array
     is_placed: Array
-    T_world_object: Array
+    poses: Array
     is_success: Array
     is_filled: Array
     verdict: Array
     drift: Array
     counts: Counts
+    region: Region | None = None
+    num_draws: Array | None = None
+    cloud: Array | None = None
+    cloud_mask: Array | None = None
+
+    @property
+    def T_world_object(self) -> jaxlie.SE3:
+        """SE3[S]: `poses`."""
+        return from_pose(self.poses)
+
+    @property
+    def T_world_support(self) -> jaxlie.SE3:
+        """SE3: the identity, as the world's origin is on the floor below the support's centre."""
+        return jaxlie.SE3.identity(jnp.shape(self.is_success))
 
 
-def scenes_of(episode: Episode) -> Scenes:
-    """The product of one finished episode."""
+def scene_of(episode: Episode) -> SceneBatch:
+    """The scene of one finished episode, without leading axes."""
     index = episode.object_index
     is_placed = (jnp.arange(index.shape[0]) < episode.slot) & (index >= 0)
     poses = jnp.where(
         is_placed[:, None], episode.poses[jnp.maximum(index, 0)], jnp.eye(7, dtype=jnp.float32)[3]
     )
-    return Scenes(
+    return SceneBatch(
         object_index=index,
         is_placed=is_placed,
-        T_world_object=poses,
+        poses=poses,
         is_success=episode.is_success,
         is_filled=episode.slot >= episode.num_slots,
         verdict=episode.verdict,

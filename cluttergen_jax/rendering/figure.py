@@ -6,7 +6,7 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import transformed
-from cluttergen_jax.placement.rollout.replay import Attempt, Recording
+from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.overlay import Ring, ring_around, with_rings
 from cluttergen_jax.rendering.renderer import Trail
@@ -22,7 +22,7 @@ GREEN = (0.13, 0.55, 0.25)
 _GHOST_ALPHA, _GHOST_TINT = 0.6, 0.72
 
 
-def closed_loop_slot(recording: Recording, min_failures: int = 2) -> int:
+def closed_loop_slot(recording: Replay, min_failures: int = 2) -> int:
     """The object that tells the most: it failed at least so often, then stood, on the fullest table.
 
     One whose attempts all ended near the region comes first: a picture that has to show the floor as well
@@ -47,7 +47,7 @@ def closed_loop_slot(recording: Recording, min_failures: int = 2) -> int:
     return max(candidates)[-1]
 
 
-def _is_scattered(recording: Recording, attempts: tuple[Attempt, ...]) -> bool:
+def _is_scattered(recording: Replay, attempts: tuple[Attempt, ...]) -> bool:
     """Whether an attempt ended farther from the region's middle than its corners are, or high above it."""
     region, top = recording.region, recording.support.top
     ends = np.array([each.trajectory[-1, :3] for each in attempts])
@@ -57,7 +57,7 @@ def _is_scattered(recording: Recording, attempts: tuple[Attempt, ...]) -> bool:
 
 
 def closed_loop_figure(
-    recording: Recording, object_index: int | None = None, picture: PictureConfig | None = None
+    recording: Replay, object_index: int | None = None, picture: PictureConfig | None = None
 ) -> np.ndarray:
     """Draws an object where it stands, and where each earlier attempt left it: red, ringed, with its path.
 
@@ -104,7 +104,7 @@ def trails_of(attempt: Attempt, num_steps: int | None = None, alpha: float = 0.9
 
 def _ring(
     renderer: SceneRenderer,
-    recording: Recording,
+    recording: Replay,
     index: int,
     pose: np.ndarray,
     rgb: tuple[float, float, float],

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.rollout.replay import Attempt, Recording
+from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.figure import GREEN, trails_of
@@ -47,7 +47,7 @@ def _segments(attempt: Attempt, config: FilmConfig) -> list[_Segment]:
     return [*begin, _Segment("shown", 0.3), _Segment("fade", 0.35)]
 
 
-def replay_frames(recording: Recording, config: FilmConfig | None = None) -> list[Frame]:
+def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[Frame]:
     """The placement as it happened: each attempt in turn, failed ones turning red and fading away.
 
     From release to the attempt's end the frames show the simulator's own trajectory.
@@ -79,13 +79,11 @@ def replay_frames(recording: Recording, config: FilmConfig | None = None) -> lis
     return [*frames, *[end] * max(1, round(hold * config.fps))]
 
 
-def _standing(
-    recording: Recording, poses: np.ndarray, is_placed: np.ndarray
-) -> tuple[RenderStyle | None, ...]:
+def _standing(recording: Replay, poses: np.ndarray, is_placed: np.ndarray) -> tuple[RenderStyle | None, ...]:
     return tuple(RenderStyle(poses[i]) if is_placed[i] else None for i in range(len(recording.objects)))
 
 
-def _frame(recording: Recording, attempt: Attempt, kind: str, progress: float, config: FilmConfig) -> Frame:
+def _frame(recording: Replay, attempt: Attempt, kind: str, progress: float, config: FilmConfig) -> Frame:
     styles = list(_standing(recording, attempt.poses, attempt.is_placed))
     row = {"approach": 0, "settle": round(progress * attempt.num_steps)}.get(kind, attempt.num_steps)
     pose = attempt.trajectory[row, :7].astype(np.float64)
@@ -106,9 +104,7 @@ def _frame(recording: Recording, attempt: Attempt, kind: str, progress: float, c
     return Frame(tuple(styles), trails, *words)
 
 
-def _words(
-    recording: Recording, attempt: Attempt, kind: str
-) -> tuple[str, tuple[float, float, float] | None]:
+def _words(recording: Replay, attempt: Attempt, kind: str) -> tuple[str, tuple[float, float, float] | None]:
     asset = recording.objects[attempt.object_index]
     text = f"{asset.label or asset.name}, attempt {attempt.ordinal}"
     if kind in ("approach", "settle"):
@@ -116,7 +112,7 @@ def _words(
     return (f"{text}: stands", GREEN) if attempt.is_stable else (f"{text}: {attempt.verdict.sentence}", RED)
 
 
-def _ending(recording: Recording) -> tuple[str, tuple[float, float, float]]:
+def _ending(recording: Replay) -> tuple[str, tuple[float, float, float]]:
     placed, tried = len(recording.placed), len(recording.attempts)
     text = f"{placed} objects, {tried} attempts"
     if recording.is_success:
@@ -125,7 +121,7 @@ def _ending(recording: Recording) -> tuple[str, tuple[float, float, float]]:
 
 
 def replay(
-    recording: Recording, config: FilmConfig | None = None, picture: PictureConfig | None = None
+    recording: Replay, config: FilmConfig | None = None, picture: PictureConfig | None = None
 ) -> Iterator[np.ndarray]:
     """The pictures of `replay_frames`, uint8[height, width, 3] each, drawn as they are asked for."""
     picture = picture or PictureConfig(samples=8)
@@ -142,7 +138,7 @@ def replay(
 
 
 def turntable(
-    recording: Recording, config: FilmConfig | None = None, picture: PictureConfig | None = None
+    recording: Replay, config: FilmConfig | None = None, picture: PictureConfig | None = None
 ) -> Iterator[np.ndarray]:
     """Once around the finished scene, uint8[height, width, 3] each; the last picture leads to the first."""
     config, picture = config or FilmConfig(seconds=6.0), picture or PictureConfig(samples=8)
@@ -158,7 +154,7 @@ def turntable(
             yield renderer.picture(styles, light_yaw=math.radians(turn))
 
 
-def _end_points(recording: Recording) -> np.ndarray:
+def _end_points(recording: Replay) -> np.ndarray:
     """f64[P, 3]: what the camera has to show, at the end."""
     objects = [recording.objects[i] for i in recording.placed]
     return close_points(objects, recording.poses[recording.placed], recording.support)

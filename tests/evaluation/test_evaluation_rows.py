@@ -86,7 +86,7 @@ def test_whole_attempts_change_steps_and_no_verdict(runner):
     trials = (SMALL, dataclasses.replace(SMALL, whole_attempts=True))
     cut, whole = (runner.run(runner.resolve(each)) for each in trials)
     np.testing.assert_array_equal(cut.scenes.is_success, whole.scenes.is_success)
-    np.testing.assert_array_equal(cut.scenes.T_world_object, whole.scenes.T_world_object)
+    np.testing.assert_array_equal(cut.scenes.poses, whole.scenes.poses)
     assert (cut.scenes.counts.steps <= whole.scenes.counts.steps).all()
     assert cut.attempts.steps.max() <= 60
 

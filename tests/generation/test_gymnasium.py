@@ -105,7 +105,7 @@ def test_the_step_that_ends_an_episode_begins_the_next(envs):
     np.testing.assert_array_equal(infos["_num_placed"], [False, False, True])
     scenes = envs.scenes
     np.testing.assert_array_equal(scenes.is_placed.sum(-1), [2, 0, 0])
-    np.testing.assert_allclose(scenes.T_world_object[0, :, 0], 0.24, atol=1e-6)
+    np.testing.assert_allclose(scenes.poses[0, :, 0], 0.24, atol=1e-6)
     # Torch takes arrays as its own only where it may write.
     assert obs.flags.writeable
     assert obs.dtype == np.float32

@@ -31,12 +31,12 @@ from cluttergen_jax.assets.support_file import read_support, write_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.importing.readers import find_sources, read_shape
-from cluttergen_jax.importing.readers.mjcf_scene import read_mjcf_scene
 from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_record, save_policy
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.scene.bank.stats import stats_of
 from cluttergen_jax.scene.bank.verify import verify_scene
+from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 from cluttergen_jax.scene.xml import scene_xml
 from tests.helpers import banks
 from tests.helpers.worlds import trio

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
-from cluttergen_jax.placement.rollout.replay import Attempt, Recording
+from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.types import Verdict
 from tests.helpers.drawing import GREEN, RED
 
@@ -40,7 +40,7 @@ def _path(start: np.ndarray, end: np.ndarray, num_steps: int) -> np.ndarray:
     return (1 - share) * start[:3] + share * end[:3]
 
 
-def cubes() -> Recording:
+def cubes() -> Replay:
     """Red stands at once; green fails twice (displaced, fell off the near edge) and then stands."""
     attempts = (
         _attempt(0, 1, Verdict.STABLE, _path(RED_AT + pose(0, 0, 0.02), RED_AT, 24), []),
@@ -48,7 +48,7 @@ def cubes() -> Recording:
         _attempt(1, 2, Verdict.FELL, _path(pose(0.14, 0, 0.5), pose(0.18, -0.02, 0.3), 60), [0]),
         _attempt(1, 3, Verdict.STABLE, _path(GREEN_AT + pose(0, 0, 0.03), GREEN_AT, 24), [0]),
     )
-    return Recording(
+    return Replay(
         title="cubes",
         objects=(RED, GREEN),
         names=("red", "green"),

@@ -19,7 +19,7 @@ from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.physics.mjx_margin import support_margins
 from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig, placement_record
-from cluttergen_jax.placement.scenes import scenes_of
+from cluttergen_jax.placement.scenes import scene_of
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.types import Verdict
@@ -159,14 +159,14 @@ def test_a_margin_changes_only_scenes_that_lack_it():
 
         def play(key):
             begun = problem.rules.begin(jax.random.fold_in(key, 1))
-            return scenes_of(jax.lax.scan(step, begun, jax.random.split(key, 15))[0])
+            return scene_of(jax.lax.scan(step, begun, jax.random.split(key, 15))[0])
 
         return jax.device_get(jax.jit(jax.vmap(play))(jax.random.split(jax.random.key(0), 64)))
 
     free, asked = scenes(0.0), scenes(MIN_MARGIN)
     is_same = asked.counts.verdicts[:, Verdict.UNSUPPORTED] == 0
     assert 0 < is_same.sum() < 64
-    np.testing.assert_array_equal(free.T_world_object[is_same], asked.T_world_object[is_same])
+    np.testing.assert_array_equal(free.poses[is_same], asked.poses[is_same])
 
 
 @pytest.fixture(scope="module")

@@ -51,9 +51,7 @@ def test_recordings_end_as_the_sampler_does(scenes, recordings):
     for place, recording in enumerate(recordings):
         placed = scenes.object_index[place][scenes.is_placed[place]]
         assert set(recording.placed) == set(placed)
-        np.testing.assert_array_equal(
-            recording.poses[placed], scenes.T_world_object[place][scenes.is_placed[place]]
-        )
+        np.testing.assert_array_equal(recording.poses[placed], scenes.poses[place][scenes.is_placed[place]])
         assert recording.is_success == scenes.is_success[place]
         assert recording.verdict == Verdict(int(scenes.verdict[place])).label
         assert recording.drift == scenes.drift[place]

@@ -70,9 +70,9 @@ def test_a_world_of_equal_sizes_compiles_nothing(method, compiled):
     assert not compiled
     assert rollout.num_programs == 1
     # Each has its own world all the same: made by itself it is equal to what constants would make.
-    assert not np.array_equal(ours.T_world_object, theirs.T_world_object)
+    assert not np.array_equal(ours.poses, theirs.poses)
     alone = Rollout(is_constant=True).run(second, key, PLACE, ALL)
-    np.testing.assert_allclose(alone.T_world_object, theirs.T_world_object, atol=1e-4)
+    np.testing.assert_allclose(alone.poses, theirs.poses, atol=1e-4)
 
 
 def test_worlds_of_other_sizes_or_settings_share_nothing():

@@ -8,7 +8,7 @@ import pytest
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.region import KeepOut, make_region, pose_of_action
-from cluttergen_jax.placement.scenes import scenes_of
+from cluttergen_jax.placement.scenes import scene_of
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.types import Verdict
 from tests.helpers.problems import SINK, HalfTable, made_up_rules
@@ -72,7 +72,7 @@ def test_success_asks_for_the_last_check(stands):
     assert bool(last.is_over)
     assert bool(last.is_success) is stands
     assert int(last.verdict) == (Verdict.STABLE if stands else Verdict.CREPT)
-    assert bool(scenes_of(last).is_filled)
+    assert bool(scene_of(last).is_filled)
 
 
 def test_counts_add_up():

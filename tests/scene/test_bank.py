@@ -10,9 +10,11 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
+import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError
+from cluttergen_jax.progress import COMPILING
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.scene.bank import read_bank, verify
 from cluttergen_jax.scene.bank.verify import verify_scene
@@ -76,6 +78,16 @@ def test_few_successes_bring_advice(pool, tmp_path, capsys):
     assert "try --method clear" in capsys.readouterr().out
     assert generate(pool, tmp_path / "wide", "--method", "drop", "-n", "4") == 0
     assert "advice" not in capsys.readouterr().out
+
+
+def test_what_is_to_be_known_is_said_before_the_first_scene_is_made(pool, tmp_path, capsys):
+    tight = {"support": "table-0.12x0.12", "region": "0.05x0.05", "num_scenes": 2, "method": "random"}
+    bank = cg.generate(tmp_path / "tight", pool=pool, max_files=0, **tight)
+    said = capsys.readouterr().err
+    (note,) = bank.notes
+    assert "it is tight" in note
+    assert said.index(note) < said.index(COMPILING)
+    assert note not in str(bank)
 
 
 def test_nothing_is_overwritten_unasked(pool, tmp_path, capsys):

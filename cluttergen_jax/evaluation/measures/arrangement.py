@@ -12,7 +12,7 @@ from cluttergen_jax.geometry import turned
 def by_object(
     object_index: np.ndarray, is_placed: np.ndarray, slot_poses: np.ndarray, num_objects: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Scenes by slot (`placement.scenes.Scenes`) as scenes by object.
+    """Scenes by slot (`placement.scenes.SceneBatch`) as scenes by object.
 
     Args:
       object_index: i[N, S], the object of each slot, -1 where there is none.

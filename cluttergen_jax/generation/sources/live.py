@@ -7,10 +7,10 @@ from pathlib import Path
 
 from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.generation.sources.replay import ReplayContext
-from cluttergen_jax.generation.wiring import Setup
 from cluttergen_jax.learning.methods import checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
-from cluttergen_jax.placement.rollout.replay import Recording
+from cluttergen_jax.placement.rollout.replay import Replay
+from cluttergen_jax.placement.setup import Setup
 
 _MOST = 2**31 - 1
 """Numbers of scenes are seeds."""
@@ -67,12 +67,12 @@ class LiveSource:
         """See `SceneSource`."""
         return self._context.notice(method or self.methods[0])
 
-    def still(self, number: int) -> Recording:
+    def still(self, number: int) -> Replay:
         """Scene 0 of seed `number`, by the method asked for."""
         return self.sample(self.methods[0], number)
 
     recorded = still
 
-    def sample(self, method: str, seed: int) -> Recording:
+    def sample(self, method: str, seed: int) -> Replay:
         """See `SceneSource`."""
         return self._context.record(method, seed, 0, f"{method}, seed {seed}")

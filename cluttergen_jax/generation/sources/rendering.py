@@ -14,7 +14,7 @@ from cluttergen_jax.assets.scene_cloud import ply_of, scene_points
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.generation.sources import BankSource, open_source
-from cluttergen_jax.placement.rollout.replay import Recording
+from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.rendering.assets import render_scene
 from cluttergen_jax.rendering.config import FilmConfig
@@ -123,7 +123,7 @@ class Rendering:
                 yield stem.name + ending, error
 
     def _products(
-        self, recording: Recording, has_attempts: bool, singles: bool, small: PictureConfig
+        self, recording: Replay, has_attempts: bool, singles: bool, small: PictureConfig
     ) -> Iterator[tuple[str, _Make]]:
         """The endings of the files that are asked for, and how each is made."""
         large = self._picture(_LARGE, _FINE)
@@ -144,7 +144,7 @@ class Rendering:
             length = len(replay_frames(recording, self.pace))
             yield f"-replay.{self.film}", lambda path: [self._filmed(steps, length, path)]
 
-    def _sensed(self, recording: Recording, path: Path, picture: PictureConfig) -> Iterator[Path]:
+    def _sensed(self, recording: Replay, path: Path, picture: PictureConfig) -> Iterator[Path]:
         placed = recording.placed
         names = [recording.names[index] for index in placed]
         sensed = sense(_placed(recording), names, recording.poses[placed], recording.support, picture)
@@ -199,7 +199,7 @@ def chosen_numbers(
     return list(good if asked == "all" else good[:count])
 
 
-def drawn(recording: Recording, picture: PictureConfig) -> np.ndarray:
+def drawn(recording: Replay, picture: PictureConfig) -> np.ndarray:
     """uint8[height, width, 3]: the finished scene."""
     return render_scene(
         _placed(recording),
@@ -214,11 +214,11 @@ def drawn(recording: Recording, picture: PictureConfig) -> np.ndarray:
     )
 
 
-def _placed(recording: Recording) -> list:
+def _placed(recording: Replay) -> list:
     return [recording.objects[index] for index in recording.placed]
 
 
-def _cloud(recording: Recording) -> bytes:
+def _cloud(recording: Replay) -> bytes:
     poses = recording.poses[recording.placed]
     return ply_of(scene_points(_placed(recording), poses, recording.support))
 

@@ -9,19 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.rectangle_text import keep_out_box
-from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.assets.rectangle_text import recorded_rectangle
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.generation.wiring import Method, Setup, make_setup
-from cluttergen_jax.learning.methods import checkpoint_of
+from cluttergen_jax.learning.methods import Method, checkpoint_of, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.placement.rollout.record import Recorder
-from cluttergen_jax.placement.rollout.replay import Recording
+from cluttergen_jax.placement.rollout.replay import Replay
+from cluttergen_jax.placement.setup import Setup, make_setup
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.reference import read_start
@@ -42,7 +41,6 @@ class ReplayContext:
     setup: Setup
     checkpoints: dict[str, Checkpoint] = field(default_factory=dict)
     _made: dict[tuple[str, int], Recorder] = field(default_factory=dict)
-    _used: set[str] = field(default_factory=set)
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -51,20 +49,14 @@ class ReplayContext:
 
     def notice(self, method: str) -> str:
         """What to say while a scene by `method` is made: the first is compiled."""
-        return "" if method in self._used else COMPILING
+        return "" if any(method == name for name, _ in self._made) else COMPILING
 
-    def record(self, method: str, seed: int, index: int, title: str, width: int = 1) -> Recording:
+    def record(self, method: str, seed: int, index: int, title: str, width: int = 1) -> Replay:
         """Scene number `index` of `seed`, with its attempts; see `Recorder.record`."""
-        recording = self.recorder(method, width).record(seed, index, title)
-        self._used.add(method)
-        return recording
-
-    def recorder(self, method: str, width: int = 1) -> Recorder:
-        """Records episodes of a method; kept, for it is compiled at first use."""
         if (method, width) not in self._made:
-            sampler = self.setup.sampler(Method(method, self.checkpoints.get(method)))
+            sampler = sampler_of(self.setup, Method(method, self.checkpoints.get(method)))
             self._made[method, width] = Recorder(sampler, self.setup.problem.world, width)
-        return self._made[method, width]
+        return self._made[method, width].record(seed, index, title)
 
 
 def replay_context_of(bank: Bank) -> ReplayContext:
@@ -82,16 +74,17 @@ def replay_context_of(bank: Bank) -> ReplayContext:
         boxes = recipe.get("keep_out", ())
     except (KeyError, TypeError, ValueError) as error:
         raise BankError(f"{bank.path}: how it was made is not recorded whole ({error})") from error
-    standing, _ = read_start(recipe.get("start"))
-    objects = [bank.object(base_name(name)) for name in names[: len(names) - len(standing)]]
-    keep_out = [keep_out_box(entry) for entry in boxes]
-    setup = make_setup(config, keep_out, recipe.get("start"), (objects, bank.support))
+    standing = read_start(recipe.get("start"))
+    num_placed = len(names) - (len(standing[0]) if standing else 0)
+    objects = [bank.object(base_name(name)) for name in names[:num_placed]]
+    keep_out = [recorded_rectangle(entry) for entry in boxes]
+    setup = make_setup(config, keep_out, standing, (objects, bank.support))
     given = None if checkpoint is None else read_checkpoint(Path(checkpoint))
     trained = checkpoint_of(method, pool, given)
     return ReplayContext(setup, {} if trained is None else {method: trained})
 
 
-def replay(bank: Bank, context: ReplayContext, index: int, stored: Recording) -> Recording:
+def replay(bank: Bank, context: ReplayContext, index: int, stored: Replay) -> Replay:
     """Scene number `index` of a bank with its attempts, made once more.
 
     Raises:
@@ -110,18 +103,17 @@ def replay(bank: Bank, context: ReplayContext, index: int, stored: Recording) ->
     return recording
 
 
-def _equal(recording: Recording, stored: Recording) -> bool:
+def _equal(recording: Replay, stored: Replay) -> bool:
     ends = {recording.names[i]: recording.poses[i] for i in recording.placed}
     kept = {stored.names[i]: stored.poses[i] for i in stored.placed}
     return set(ends) == set(kept) and all(np.array_equal(ends[name], kept[name]) for name in kept)
 
 
 def _problem_config(bank: Bank, recipe: dict[str, Any]) -> ProblemConfig:
-    region = recipe["region"]
     return ProblemConfig(
         pool=recipe["pool"],
         repeat=True,
-        region=Rectangle(tuple(region["center"]), tuple(region["half_extents"]), float(region["yaw"])),
+        region=recorded_rectangle(recipe["region"]),
         engine=recipe.get("engine", "auto"),
         placement=config_of(PlacementConfig, recipe["placement"], bank.path),
         stability=config_of(StabilityConfig, recipe["stability"], bank.path),

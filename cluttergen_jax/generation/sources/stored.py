@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from cluttergen_jax.assets.rectangle_text import recorded_rectangle
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.generation.sources.replay import ReplayContext, replay, replay_context_of
-from cluttergen_jax.importing.readers.mjcf_scene import read_mjcf_scene
-from cluttergen_jax.placement.rollout.replay import Recording, still
+from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.placement.world import base_name
-from cluttergen_jax.scene.bank.bank import Bank, read_bank
+from cluttergen_jax.scene.bank import Bank, read_bank
+from cluttergen_jax.scene.bank.table import rows_of
+from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 
 
 class BankSource:
@@ -54,7 +56,7 @@ class BankSource:
         """See `SceneSource`. Stored scenes come at once."""
         return self._context.notice(method) if method else ""
 
-    def still(self, number: int) -> Recording:
+    def still(self, number: int) -> Replay:
         """See `SceneSource`.
 
         Raises:
@@ -62,22 +64,21 @@ class BankSource:
         """
         if number not in self._place:
             raise BankError(f"{self.name} has no scene {number}", f"{min(self._place)} to {max(self._place)}")
-        row = self.bank.table.slice(self._place[number], 1).to_pylist()[0]
-        placed = np.array(row["is_placed"], bool)
-        names = [name for name, is_there in zip(row["objects"], placed, strict=True) if is_there]
-        return still(
+        row = next(rows_of(self.bank.table.slice(self._place[number], 1)))
+        return Replay(
             title=f"{self.name}, scene {number}",
-            objects=[self._object(base_name(name)) for name in names],
-            names=names,
-            poses=np.array(row["poses"], np.float32).reshape(-1, 7)[placed],
+            objects=tuple(self._object(base_name(name)) for name in row.objects),
+            names=row.objects,
+            poses=row.poses,
             support=self.bank.support,
             region=self._region,
-            is_success=row["is_success"],
-            verdict=row["verdict"],
-            drift=row["drift"],
+            is_placed=np.ones(len(row.objects), bool),
+            is_success=row.is_success,
+            verdict=row.verdict,
+            drift=row.drift,
         )
 
-    def recorded(self, number: int) -> Recording:
+    def recorded(self, number: int) -> Replay:
         """See `SceneSource`.
 
         Raises:
@@ -86,7 +87,7 @@ class BankSource:
         """
         return replay(self.bank, self._context, number, self.still(number))
 
-    def sample(self, method: str, seed: int) -> Recording:
+    def sample(self, method: str, seed: int) -> Replay:
         """See `SceneSource`."""
         return self._context.record(method, seed, 0, f"{method}, seed {seed}")
 
@@ -98,9 +99,7 @@ class BankSource:
     def _region(self) -> Rectangle:
         """The queried region that the recipe names; the support's own in banks that name none."""
         region = (self.bank.record.get("recipe") or {}).get("region")
-        if not region:
-            return self.bank.support.region
-        return Rectangle(tuple(region["center"]), tuple(region["half_extents"]), float(region["yaw"]))
+        return recorded_rectangle(region) if region else self.bank.support.region
 
 
 class FileSource:
@@ -115,13 +114,15 @@ class FileSource:
         self.numbers: tuple[int, ...] = (0,)
         self.methods: tuple[str, ...] = ()
         scene = read_mjcf_scene(path)
-        self._still = still(
-            self.name,
-            scene.objects,
-            scene.names,
-            scene.poses,
-            scene.support,
-            scene.support.region,
+        self._still = Replay(
+            title=self.name,
+            objects=scene.objects,
+            names=scene.names,
+            support=scene.support,
+            region=scene.support.region,
+            poses=scene.poses.astype(np.float32),
+            is_placed=np.ones(len(scene.names), bool),
+            is_success=True,
             verdict="not judged",
         )
 
@@ -129,12 +130,12 @@ class FileSource:
         """See `SceneSource`."""
         return ""
 
-    def still(self, number: int) -> Recording:
+    def still(self, number: int) -> Replay:
         """See `SceneSource`."""
         return self._still
 
-    def recorded(self, number: int) -> Recording:
-        """How a file's scene came about, nobody knows.
+    def recorded(self, number: int) -> Replay:
+        """Refused: a scene file does not tell how it was made.
 
         Raises:
           BankError: always.
@@ -144,6 +145,6 @@ class FileSource:
             "a scene of a bank, BANK:INDEX or BANK/scenes/NUMBER.xml",
         )
 
-    def sample(self, method: str, seed: int) -> Recording:
+    def sample(self, method: str, seed: int) -> Replay:
         """See `recorded`."""
         return self.recorded(seed)

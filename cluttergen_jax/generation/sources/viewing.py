@@ -13,7 +13,7 @@ import numpy as np
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation.sources.live import LiveConfig
 from cluttergen_jax.generation.sources.opening import open_source
-from cluttergen_jax.placement.rollout.replay import Recording
+from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.rendering.assets import scene_spec
 from cluttergen_jax.rendering.lighting import FLOOR
 from cluttergen_jax.rendering.viewer.native import check_display, show_native
@@ -69,7 +69,7 @@ def _first(scenes: SceneSource, own: int | None) -> int:
     return first
 
 
-def native_model(recording: Recording) -> tuple[mujoco.MjModel, np.ndarray]:
+def native_model(recording: Replay) -> tuple[mujoco.MjModel, np.ndarray]:
     """The finished scene as a model with surfaces, light and a floor that carries, and its qpos f64[nq]."""
     placed = recording.placed
     poses = np.asarray(recording.poses[placed], np.float64)

@@ -65,20 +65,15 @@ class Evaluator:
         params = jax.tree.map(lambda leaf: np.float32(np.float16(leaf)), params)
         sampler = BlockSampler(self.rules, replace(self._policy, params=params))
         key = jax.random.fold_in(jax.random.key(self.seed), _FRESH)
-        place = np.arange(min(BLOCK_SIZE, self.num_episodes))
-        success, filled = [], []
-        for first in range(0, self.num_episodes, len(place)):
-            is_wanted = first + place < self.num_episodes
-            scenes = self._rollout.run(sampler, key, first + place, is_wanted)
-            success.append(scenes.is_success[is_wanted])
-            filled.append(scenes.is_filled[is_wanted])
-        found = np.concatenate(success)
+        width = min(BLOCK_SIZE, self.num_episodes)
+        scenes = self._rollout.run_all(sampler, key, self.num_episodes, width)
+        found = scenes.is_success
         low, high = wilson(int(found.sum()), len(found))
         return {
             "success": float(found.mean()),
             "low95": low,
             "high95": high,
-            "filled": float(np.concatenate(filled).mean()),
+            "filled": float(scenes.is_filled.mean()),
             "episodes": len(found),
             "action": "sampled" if self.is_sampled else "mean",
             "last_check_steps": self.rules.physics.config.stand_full_steps,

@@ -8,7 +8,7 @@ from flax import struct
 
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rules import Proposer, Rules
-from cluttergen_jax.placement.scenes import Scenes, scenes_of
+from cluttergen_jax.placement.scenes import SceneBatch, scene_of
 from cluttergen_jax.placement.types import Episode, Start, Transition
 from cluttergen_jax.types import Array
 
@@ -46,12 +46,12 @@ class BlockSampler(struct.PyTreeNode, eq=False):
         action = self.propose(key_propose, episode)
         return self.rules.attempt(episode.replace(key=key_next), action)
 
-    def finish(self, episodes: Episode) -> Scenes:
+    def finish(self, episodes: Episode) -> SceneBatch:
         """The scenes of finished episodes."""
-        return jax.vmap(scenes_of)(episodes)
+        return jax.vmap(scene_of)(episodes)
 
-    def sample(self, key: Array, indices: Array, is_wanted: Array) -> Scenes:
-        """All three: Scenes with leading axis N."""
+    def sample(self, key: Array, indices: Array, is_wanted: Array) -> SceneBatch:
+        """All three: a SceneBatch with leading axis N."""
         episodes = self.begin(key, indices, is_wanted)
         episodes = jax.lax.while_loop(lambda e: ~jnp.all(e.is_over), lambda e: self.step(e)[0], episodes)
         return self.finish(episodes)

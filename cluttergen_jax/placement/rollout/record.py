@@ -12,7 +12,7 @@ import numpy as np
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.placement.region import Region
 from cluttergen_jax.placement.rollout.blocks import BlockSampler
-from cluttergen_jax.placement.rollout.replay import Attempt, Recording
+from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.placement.rollout.run import Rollout
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.types import Episode, Transition
@@ -35,7 +35,7 @@ class Recorder:
     world: World
     width: int = BLOCK_SIZE
 
-    def record(self, seed: int, index: int, title: str = "") -> Recording:
+    def record(self, seed: int, index: int, title: str = "") -> Replay:
         """Scene number `index` of `seed`, as `placement.rollout.sample_blocks` makes it."""
         row = index % self.width
         places = index - row + np.arange(self.width)
@@ -48,7 +48,7 @@ class Recorder:
             lambda _, seen: steps.append(jax.tree.map(lambda leaf: leaf[row], seen)),
         )
         after = steps[-1][1]
-        return Recording(
+        return Replay(
             title=title or f"seed {seed}, scene {index}",
             objects=self.world.objects,
             names=self.world.names,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,18 +46,18 @@ class Attempt:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
-    """A scene and, where it is known, how it came about.
+class Replay:
+    """A scene with its attempts, where they are known.
 
     Attributes:
       title: what to call it.
       objects, names: the world's K objects.
       support: what carries them.
       region: the queried region; keep_out: boxes that objects stayed out of.
-      attempts: in the order in which they were made; empty if nobody knows.
       poses: f32[K, 7], how the scene ended; is_placed: bool[K].
       is_success: every slot is filled and the scene stands; verdict: the last word on it.
       drift: metres, the largest movement in the last check; 0 if there was none.
+      attempts: in the order in which they were made; empty if nobody knows.
     """
 
     title: str
@@ -66,12 +65,12 @@ class Recording:
     names: tuple[str, ...]
     support: SupportAsset
     region: Rectangle
-    attempts: tuple[Attempt, ...]
     poses: np.ndarray
     is_placed: np.ndarray
     is_success: bool
     verdict: str
     drift: float = 0.0
+    attempts: tuple[Attempt, ...] = ()
     keep_out: tuple[Rectangle, ...] = ()
 
     @property
@@ -87,22 +86,3 @@ class Recording:
     def attempts_at(self, object_index: int) -> tuple[Attempt, ...]:
         """The attempts at one object, in order."""
         return tuple(each for each in self.attempts if each.object_index == object_index)
-
-
-def still(
-    title: str,
-    objects: Sequence[ObjectAsset],
-    names: Sequence[str],
-    poses: np.ndarray,
-    support: SupportAsset,
-    region: Rectangle,
-    is_success: bool = True,
-    verdict: str = "",
-    drift: float = 0.0,
-) -> Recording:
-    """A scene of which only the end is known: all `objects` at `poses` f32[K, 7]."""
-    poses = np.asarray(poses, np.float32).reshape(-1, 7)
-    is_placed = np.ones(len(poses), bool)
-    return Recording(
-        title, tuple(objects), tuple(names), support, region, (), poses, is_placed, is_success, verdict, drift
-    )

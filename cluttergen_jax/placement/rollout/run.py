@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cluttergen_jax.placement.rollout.blocks import BlockSampler
-from cluttergen_jax.placement.scenes import BLOCK_SIZE, Scenes
+from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.progress import COMPILING, Progress, interruptible
 from cluttergen_jax.types import Array
@@ -71,7 +72,7 @@ class Rollout:
         indices: np.ndarray,
         is_wanted: np.ndarray,
         on_step: Callable[[int, Any], None] = lambda number, seen: None,
-    ) -> Scenes:
+    ) -> SceneBatch:
         """The scenes of a block, NumPy arrays with leading axis N.
 
         Args:
@@ -92,6 +93,25 @@ class Rollout:
             on_step(before - left, seen)
         return interruptible(lambda: jax.device_get(self._finish(sampler, episodes)))
 
+    def run_all(
+        self,
+        sampler: BlockSampler,
+        key: Array,
+        num_scenes: int,
+        width: int = BLOCK_SIZE,
+        on_step: Callable[[np.ndarray, int, Any], None] = lambda indices, number, seen: None,
+    ) -> SceneBatch:
+        """Scenes 0 to num_scenes - 1, in blocks of `width`: NumPy arrays, as those of `run`.
+
+        Args:
+          on_step: as that of `run`, and before it which scenes the block's are, i64[width].
+        """
+        place, blocks = np.arange(width), []
+        for first in range(0, num_scenes, width):
+            is_wanted = first + place < num_scenes
+            blocks.append(self.run(sampler, key, first + place, is_wanted, partial(on_step, first + place)))
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:num_scenes], *blocks)
+
 
 def blocks_of(num_scenes: int) -> list[tuple[int, int]]:
     """(block number, scenes in it) for scenes 0 to num_scenes - 1."""
@@ -103,7 +123,7 @@ def blocks_of(num_scenes: int) -> list[tuple[int, int]]:
 
 def sample_blocks(
     sampler: BlockSampler, blocks: Sequence[tuple[int, int]], seed: int, title: str = "placing"
-) -> Iterator[tuple[int, np.ndarray, Scenes]]:
+) -> Iterator[tuple[int, np.ndarray, SceneBatch]]:
     """Samples blocks, compiling once.
 
     Every block is computed at full width, so that a scene does not depend on how many were asked for.

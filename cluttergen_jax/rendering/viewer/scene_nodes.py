@@ -15,7 +15,7 @@ from cluttergen_jax.assets.shading import linear, shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.geometry import yaw_quaternion
-from cluttergen_jax.placement.rollout.replay import Attempt, Recording
+from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 
 if TYPE_CHECKING:
     import viser
@@ -55,7 +55,7 @@ class SceneNodes:
 
     def __init__(self, server: viser.ViserServer | viser.ClientHandle) -> None:
         self.server, self.shown = server, Shown()
-        self.recording: Recording | None = None
+        self.recording: Replay | None = None
         self._roots: list[Any] = []
         self._fixed: list[Any] = []
         self._objects: dict[int, _ObjectNodes] = {}
@@ -68,7 +68,7 @@ class SceneNodes:
         server.scene.configure_fog(4.0, 14.0, color=(255, 255, 255))
         server.scene.add_light_ambient("/light", intensity=0.35)
 
-    def show(self, recording: Recording) -> None:
+    def show(self, recording: Replay) -> None:
         """Replaces whatever was drawn by another recording, at its end."""
         with self.server.atomic():
             self._clear()
@@ -166,7 +166,7 @@ class SceneNodes:
             "/cloud", points.astype(np.float32), _BLUE, point_size=0.0035, point_shape="circle"
         )
 
-    def _add_region(self, recording: Recording) -> None:
+    def _add_region(self, recording: Replay) -> None:
         height = recording.support.top + _LIFT
         named = [("region", recording.region, _BLUE)]
         named += [(f"keep-out-{k}", box, RED) for k, box in enumerate(recording.keep_out)]

@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.placement.rollout.replay import Recording
+from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.rendering.viewer.scene_nodes import SceneNodes
 from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.rendering.viewer.words import attempt_words, scene_words
@@ -68,7 +68,7 @@ class Session:
         self._build_panel(config.methods)
         self.show(config.first)
 
-    recording: Recording | None
+    recording: Replay | None
     # viser types the value of its handles as read-only, which it is not.
     _scene: Any
     _slider: Any
@@ -86,10 +86,10 @@ class Session:
     def show(self, number: int) -> None:
         """Shows a scene by number; first as it is stored, then with its attempts."""
 
-        def stored() -> Recording:
+        def stored() -> Replay:
             return self.source.still(number)
 
-        def attempted() -> Recording:
+        def attempted() -> Replay:
             return self.source.recorded(number)
 
         with self._lock:
@@ -153,7 +153,7 @@ class Session:
     # How it is done.
 
     def _ask(
-        self, make: Callable[[], Recording], then: Callable[[], Recording] | None, what: str, notice: str
+        self, make: Callable[[], Replay], then: Callable[[], Replay] | None, what: str, notice: str
     ) -> None:
         with self._lock:
             self._request += 1
@@ -162,9 +162,7 @@ class Session:
         self._status.content = f"{what}: {notice} ..." if notice else f"{what} ..."
         self._worker.submit(self._answer, request, make, then)
 
-    def _answer(
-        self, request: int, make: Callable[[], Recording], then: Callable[[], Recording] | None
-    ) -> None:
+    def _answer(self, request: int, make: Callable[[], Replay], then: Callable[[], Replay] | None) -> None:
         """In the worker's thread: makes and shows a recording, and then its fuller version."""
         if request != self._request:
             return
@@ -186,7 +184,7 @@ class Session:
             self._report(request, f"{type(error).__name__}: {error}")
             raise
 
-    def _set(self, request: int, recording: Recording, note: str) -> None:
+    def _set(self, request: int, recording: Replay, note: str) -> None:
         with self._lock:
             if request != self._request or self._is_closed:
                 return

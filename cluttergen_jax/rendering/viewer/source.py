@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from cluttergen_jax.placement.rollout.replay import Recording
+from cluttergen_jax.placement.rollout.replay import Replay
 
 
 class SceneSource(Protocol):
@@ -30,11 +30,11 @@ class SceneSource(Protocol):
         """What to say while a scene by `method`, or by number, is made; empty where it comes at once."""
         ...
 
-    def still(self, number: int) -> Recording:
+    def still(self, number: int) -> Replay:
         """A scene as it is stored, perhaps without its attempts. Quick."""
         ...
 
-    def recorded(self, number: int) -> Recording:
+    def recorded(self, number: int) -> Replay:
         """A scene with its attempts.
 
         Raises:
@@ -42,6 +42,6 @@ class SceneSource(Protocol):
         """
         ...
 
-    def sample(self, method: str, seed: int) -> Recording:
+    def sample(self, method: str, seed: int) -> Replay:
         """A new scene by one of `methods`."""
         ...

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 
-from cluttergen_jax.placement.rollout.replay import Attempt, Recording
+from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.types import Verdict, small_length
 
 
-def scene_words(recording: Recording, note: str = "") -> str:
+def scene_words(recording: Replay, note: str = "") -> str:
     """The verdict and the figures of a scene; `note` is added below."""
     verdicts = {each.label: each for each in Verdict}
     verdict = verdicts.get(recording.verdict)
@@ -28,7 +28,7 @@ def scene_words(recording: Recording, note: str = "") -> str:
     return "\n\n".join(lines)
 
 
-def attempt_words(recording: Recording, number: int) -> str:
+def attempt_words(recording: Replay, number: int) -> str:
     """What happened at attempt `number`, from 1; 0 is the beginning."""
     if not recording.attempts:
         return "attempts: not known"
@@ -40,7 +40,7 @@ def attempt_words(recording: Recording, number: int) -> str:
     )
 
 
-def _object_words(recording: Recording, attempt: Attempt) -> str:
+def _object_words(recording: Replay, attempt: Attempt) -> str:
     asset = recording.objects[attempt.object_index]
     return f"**{asset.label or asset.name}**, its attempt {attempt.ordinal}"
 

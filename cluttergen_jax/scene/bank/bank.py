@@ -34,7 +34,7 @@ from cluttergen_jax.assets.support_file import read_support, support_hash
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.files import inside
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
-from cluttergen_jax.scene.bank.table import CERTIFICATE, SCHEMA, is_certified, with_added
+from cluttergen_jax.scene.bank.table import CERTIFICATE, SCHEMA, BankRow, is_certified, rows_of, with_added
 
 FORMAT = 1
 INDEX = "bank.json"
@@ -44,27 +44,6 @@ _AGAIN = "the same `cluttergen generate` again, which mends what is damaged and 
 _METADATA = b"cluttergen"
 _OF_THE_INDEX = ("num_scenes", "files")
 """What `bank.json` alone holds: it changes while blocks stay as they are."""
-
-
-@dataclass(frozen=True, eq=False)
-class SceneRecord:
-    """One scene of a bank.
-
-    Attributes:
-      index: its number in the bank.
-      objects: names of the placed objects in the order of placement.
-      poses: f32[N, 7], their world poses, metres, wxyz.
-      is_success: every slot is filled and the finished scene stands.
-      verdict: the last word on it, in the words of `types.Verdict`.
-      drift: metres, the largest movement in the last check.
-    """
-
-    index: int
-    objects: tuple[str, ...]
-    poses: np.ndarray
-    is_success: bool
-    verdict: str
-    drift: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,18 +77,9 @@ class Bank:
         """Digests of assets and scene files by path within the bank (`bank.digests`); None in older banks."""
         return self.record.get("files")
 
-    def scenes(self) -> Iterator[SceneRecord]:
+    def scenes(self) -> Iterator[BankRow]:
         """Every scene, failures included."""
-        for row in self.table.to_pylist():
-            placed = np.array(row["is_placed"], bool)
-            yield SceneRecord(
-                index=row["index"],
-                objects=tuple(np.array(row["objects"])[placed]),
-                poses=np.array(row["poses"], np.float32).reshape(-1, 7)[placed],
-                is_success=row["is_success"],
-                verdict=row["verdict"],
-                drift=row["drift"],
-            )
+        return rows_of(self.table)
 
     def object(self, name: str) -> ObjectAsset:
         """The asset called `name`, from the bank's own copy.

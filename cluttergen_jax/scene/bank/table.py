@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import compress
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from cluttergen_jax.placement.scenes import Scenes
+from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.types import Verdict
 
 COUNTED = (*(Verdict(code) for code in range(int(Verdict.NON_FINITE) + 1)), Verdict.UNSUPPORTED)
@@ -62,6 +64,40 @@ of `object_index`, who rests and on whom, -1 for the support; `margins` has an e
 nothing carries."""
 
 
+@dataclass(frozen=True, eq=False)
+class BankRow:
+    """One scene as its row has it, to the bit; `scene.bank.scene.read_scenes` makes a `Scene` of it.
+
+    Attributes:
+      index: its number in the bank.
+      objects: names of the N placed objects in the order of placement.
+      poses: f32[N, 7], their world poses, metres, wxyz.
+      is_success: every slot is filled and the finished scene stands.
+      verdict: the last word on it, in the words of `types.Verdict`.
+      drift: metres, the largest movement in the last check.
+    """
+
+    index: int
+    objects: tuple[str, ...]
+    poses: np.ndarray
+    is_success: bool
+    verdict: str
+    drift: float
+
+
+def rows_of(table: pa.Table) -> Iterator[BankRow]:
+    """The scenes of some rows, failures included."""
+    for row in table.to_pylist():
+        yield BankRow(
+            index=row["index"],
+            objects=tuple(compress(row["objects"], row["is_placed"])),
+            poses=np.array(row["poses"], np.float32).reshape(-1, 7)[np.array(row["is_placed"], bool)],
+            is_success=row["is_success"],
+            verdict=row["verdict"],
+            drift=row["drift"],
+        )
+
+
 def with_added(rows: pa.Table) -> pa.Table:
     """The rows of a bank of an older version with the columns that it did not know.
 
@@ -90,13 +126,13 @@ def is_certified(rows: pa.Table) -> bool:
     )
 
 
-def table_of(indices: np.ndarray, scenes: Scenes, names: Sequence[str]) -> pa.Table:
+def table_of(indices: np.ndarray, scenes: SceneBatch, names: Sequence[str]) -> pa.Table:
     """The rows of a block of scenes with one leading axis."""
     rows = [_row(int(index), scenes, place, names) for place, index in enumerate(indices)]
     return pa.Table.from_pylist(rows, schema=SCHEMA)
 
 
-def _row(index: int, scenes: Scenes, place: int, names: Sequence[str]) -> dict[str, Any]:
+def _row(index: int, scenes: SceneBatch, place: int, names: Sequence[str]) -> dict[str, Any]:
     slots = np.flatnonzero(scenes.object_index[place] >= 0)
     object_index = scenes.object_index[place][slots]
     counts = scenes.counts.verdicts[place]
@@ -110,7 +146,7 @@ def _row(index: int, scenes: Scenes, place: int, names: Sequence[str]) -> dict[s
         "object_index": object_index.tolist(),
         "objects": [names[each] for each in object_index],
         "is_placed": scenes.is_placed[place][slots].tolist(),
-        "poses": scenes.T_world_object[place][slots].tolist(),
+        "poses": scenes.poses[place][slots].tolist(),
         "attempts": scenes.counts.attempts[place][slots].tolist(),
         "steps": scenes.counts.steps[place][slots].tolist(),
         "rest_steps": scenes.counts.rest_steps[place][slots].tolist(),

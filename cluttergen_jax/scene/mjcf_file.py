@@ -5,7 +5,6 @@ For looking and drawing. What a scene file does not say is left open: resting po
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -19,21 +18,12 @@ from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import rotation_matrix, transformed
 from cluttergen_jax.importing.readers.mjcf import compiled, geom_mesh, geom_piece, is_solid
+from cluttergen_jax.scene.scene import Scene
 
 _FLAT = 0.01
 
 
-@dataclass(frozen=True, eq=False)
-class FileScene:
-    """Objects, where they stand (f64[N, 7], metres, wxyz, world frame), and what carries them."""
-
-    names: tuple[str, ...]
-    objects: tuple[ObjectAsset, ...]
-    poses: np.ndarray
-    support: SupportAsset
-
-
-def read_mjcf_scene(path: str | Path) -> FileScene:
+def read_mjcf_scene(path: str | Path) -> Scene:
     """Reads a scene at its keyframe called `scene`, its first keyframe, or its reference configuration.
 
     Raises:
@@ -53,7 +43,7 @@ def read_mjcf_scene(path: str | Path) -> FileScene:
     objects = tuple(_object(model, data, int(body), provenance) for body in free)
     poses = np.concatenate([data.xpos[free], data.xquat[free]], axis=1)
     names = tuple(asset.name for asset in objects)
-    return FileScene(names, objects, poses, _support(model, data, objects, poses, provenance))
+    return Scene(names, objects, poses, _support(model, data, objects, poses, provenance))
 
 
 def _object(model: mujoco.MjModel, data: mujoco.MjData, body: int, provenance: Provenance) -> ObjectAsset:
