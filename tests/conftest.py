@@ -1,22 +1,64 @@
 """Skips are counted: with CLUTTERGEN_STRICT_SKIPS set, one that allowed_skips.txt lacks fails the run."""
 
+import ctypes
 import datetime
+import gc
 import json
 import os
 import platform
 import subprocess
+import sys
 from pathlib import Path
 
+import pytest
+
 HERE = Path(__file__).parent
+MOST_KEPT = 1_200_000_000
+"""Bytes of a process between two modules; above, what it has compiled is dropped."""
 # Many tests compile the same programs: what one process has compiled the others read.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(HERE.parent / ".pytest_cache" / "jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+
+
+def allowed_skips() -> set[str]:
+    """The tests, or whole modules, that may be skipped."""
+    lines = (HERE / "allowed_skips.txt").read_text().splitlines()
+    return {line.strip() for line in lines if line.strip() and not line.startswith("#")}
 
 
 def pytest_addoption(parser):
     parser.addoption(
         "--record", default=None, help="write commit, date and counts of this run to a JSON file"
     )
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    """The folder of a user's own pools and supports, empty and nobody's."""
+    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
+    return tmp_path / "home"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item, nextitem):
+    """What modules compiled goes with them once it is much; kept to the end, it comes to 5 GB a process."""
+    result = yield
+    is_last = nextitem is None or nextitem.path != item.path
+    if is_last and (jax := sys.modules.get("jax")) and _resident_bytes() > MOST_KEPT:
+        jax.clear_caches()
+        gc.collect()
+        if sys.platform == "linux":
+            # The C library keeps what was freed unless it is told not to.
+            ctypes.CDLL(None).malloc_trim(0)
+    return result
+
+
+def _resident_bytes() -> int:
+    """Memory of this process; more than enough where the system does not say."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return 2 * MOST_KEPT
 
 
 def _skipped(reporter) -> list[tuple[str, str]]:
@@ -29,8 +71,7 @@ def pytest_sessionfinish(session, exitstatus):
     if reporter is None:  # One of several processes: the one that started them counts.
         return
     if os.environ.get("CLUTTERGEN_STRICT_SKIPS"):
-        lines = (HERE / "allowed_skips.txt").read_text().splitlines()
-        allowed = {line.strip() for line in lines if line.strip() and not line.startswith("#")}
+        allowed = allowed_skips()
         unlisted = [node for node, _ in _skipped(reporter) if node.split("[")[0] not in allowed]
         if unlisted:
             reporter.write_line(f"skipped without leave: {', '.join(unlisted)}", red=True)

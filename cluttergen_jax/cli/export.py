@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import Literal
 
@@ -40,5 +41,6 @@ class Export:
         from cluttergen_jax.scene.export import FORMATS
 
         folder = export(**keywords(self) | {"scenes": parse_numbers(self.scenes)})
-        print(f"{folder}: open with {FORMATS[self.format].opens_in}")
+        number = len(json.loads((folder / "MANIFEST.json").read_text())["scenes"])
+        print(f"{number} scenes in {folder}: open with {FORMATS[self.format].opens_in}")
         return 0

@@ -9,36 +9,10 @@ import pytest
 
 from cluttergen_jax.assets import pool as pools
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pool import Pool, find_pool, list_pools, read_pool, write_pool
-from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.errors import PoolError
-
-CUBE_FACES = [[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5],
-              [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]  # fmt: skip
-
-
-def make_box(name="box", half=(0.03, 0.02, 0.041234567), seed=0):
-    """A box of the given half extents as an asset; its cloud is drawn from the seed."""
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
-    rng = np.random.default_rng(seed)
-    cloud = rng.uniform(-1, 1, (CLOUD_SIZE, 3)).astype(np.float32) * np.array(half, np.float32)
-    x, y, z = np.square(half)
-    return ObjectAsset(
-        name=name,
-        label="a box",
-        pieces=(Piece(Mesh(corners, CUBE_FACES), (0.1, 0.2, 0.3, 1.0)),),
-        parts=(Mesh.points(corners),),
-        mass=0.25,
-        center_of_mass=np.zeros(3),
-        inertia=np.diag([y + z, x + z, x + y]) * 0.25 / 3,
-        cloud=cloud,
-        resting=(RestingPose((1.0, 0.0, 0.0, 0.0), half[2], 0.75),),
-        provenance=Provenance("a test", "CC0"),
-        quality=Quality(deviation=0.01, solo_rate=1.0, solo_trials=256, solo_steps=22.5),
-        flags=("a flag",),
-    )
+from tests.helpers.shapes import make_box
 
 
 @pytest.fixture
@@ -141,12 +115,11 @@ def test_a_failed_write_leaves_nothing(tmp_path, pool, monkeypatch):
     assert read_pool(path).hash == pool.hash
 
 
-def test_pools_are_found_by_name_and_by_path(tmp_path, pool, monkeypatch):
-    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path))
-    write_pool(tmp_path / "pools" / "mine", pool)
-    assert list_pools()["mine"] == tmp_path / "pools" / "mine"
+def test_pools_are_found_by_name_and_by_path(home, pool):
+    write_pool(home / "pools" / "mine", pool)
+    assert list_pools()["mine"] == home / "pools" / "mine"
     assert find_pool("mine").hash == pool.hash
-    assert find_pool(tmp_path / "pools" / "mine").hash == pool.hash
+    assert find_pool(home / "pools" / "mine").hash == pool.hash
     with pytest.raises(PoolError, match="mine"):
         find_pool("yours")
 

@@ -16,16 +16,15 @@ from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sour
 from cluttergen_jax.learning.methods import choose_method
 from cluttergen_jax.learning.training.train import TrainConfig
 from cluttergen_jax.scene.bank import read_bank
-from tests.assets.test_pool import make_box
+from tests.helpers.shapes import make_box
 from tests.helpers.worlds import box, prism
 
 QUICK = ObjectConfig(trials=8)
 
 
 @pytest.fixture(autouse=True)
-def home(tmp_path, monkeypatch):
+def pools_of_a_user(home, monkeypatch):
     """Two pools of the user's own: a holds mug and pan, b holds another mug and a lid."""
-    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
     monkeypatch.setattr(run, "run_all", lambda do, jobs, _: ((i, do(job)) for i, job in enumerate(jobs)))
     write_pool(user_root() / "a", Pool("a", (make_box("mug"), make_box("pan")), licence="CC0"))
     write_pool(user_root() / "b", Pool("b", (make_box("mug", seed=1), make_box("lid")), licence="MIT"))

@@ -29,6 +29,7 @@ from cluttergen_jax.scene.bank.bank import read_bank
 from cluttergen_jax.scene.bank.writer import BankWriter
 from tests.helpers import textured
 from tests.helpers.shapes import SOURCE
+from tests.helpers.textured import assert_upright
 
 WAYS = {
     "obj": textured.write_obj,
@@ -39,12 +40,6 @@ WAYS = {
     "urdf-material": lambda folder: textured.write_urdf(folder, with_own_material=False),
     "mjcf": textured.write_mjcf,
 }
-
-
-def assert_upright(piece, factor=1.0):
-    """Each quarter of the slab's top has the colour that belongs there."""
-    for (x, y), colour in textured.quarters():
-        np.testing.assert_allclose(textured.colour_at(piece, x, y), np.array(colour) * factor, atol=3)
 
 
 @pytest.mark.parametrize("way", WAYS)

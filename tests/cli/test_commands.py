@@ -193,8 +193,7 @@ def test_a_file_of_a_bank_is_no_bank(tmp_path, capsys):
 @pytest.mark.parametrize(
     "words", [["generate", "--method", "policy", "--checkpoint"], ["import", "--pool", "mine"]]
 )
-def test_a_path_is_named_once(words, tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
+def test_a_path_is_named_once(words, tmp_path, capsys, home):
     path = str(tmp_path / "nowhere")
     main([*words, path])
     assert capsys.readouterr().err.count(path) == 1

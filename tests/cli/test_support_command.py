@@ -10,13 +10,8 @@ from cluttergen_jax.assets.support_file import find_support, list_supports, user
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.scene.bank import read_bank
 
+pytestmark = pytest.mark.usefixtures("home")
 DESK = make_support("drawer_desk")
-
-
-@pytest.fixture(autouse=True)
-def home(tmp_path, monkeypatch):
-    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
-    return tmp_path / "home"
 
 
 @pytest.fixture
@@ -45,6 +40,7 @@ def test_a_table_is_imported_listed_and_carries_objects(file, tmp_path, capsys):
     assert main(["generate", "-n", "4", *asked, "--out", str(bank)]) == 0
     scenes = read_bank(bank)
     assert scenes.support.name == "old_desk"
+    assert scenes.table.num_rows == 4
     for scene in scenes.scenes():
         assert scene.is_success
         assert scene.poses[0, 2] > found.top

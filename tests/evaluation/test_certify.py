@@ -58,6 +58,7 @@ def test_stats_and_card_say_what_was_measured(bank, capsys):
     assert (found.horizon_seconds, found.on_others) == (0.5, 0.0)
     assert main(["stats", str(bank)]) == 0
     said = capsys.readouterr().out
+    assert len(found.lines()) >= 3
     for line in found.lines():
         assert line in said
     card = (bank / CARD).read_text()

@@ -107,9 +107,17 @@ def learner(env: Probe, **config) -> PPO:
 
 def train(ppo: PPO, num_updates: int, seed: int = 0):
     """The state after some updates from scratch."""
-    params = Tiny().init(jax.random.key(seed), jnp.zeros((1, 2)))
-    state = jax.jit(ppo.start)(jax.random.key(seed + 1), params)
-    update = jax.jit(ppo.update)
-    for _ in range(num_updates):
-        state, _ = update(state)
-    return state
+    return trainer(ppo)(num_updates, seed)
+
+
+def trainer(ppo: PPO):
+    """`train` of one learner, compiled once for any number of trainings."""
+    init, start, update = jax.jit(Tiny().init), jax.jit(ppo.start), jax.jit(ppo.update)
+
+    def train(num_updates: int, seed: int = 0):
+        state = start(jax.random.key(seed + 1), init(jax.random.key(seed), jnp.zeros((1, 2))))
+        for _ in range(num_updates):
+            state, _ = update(state)
+        return state
+
+    return train

@@ -7,7 +7,7 @@ import numpy as np
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.types import Verdict
-from tests.rendering.test_render import GREEN, RED
+from tests.helpers.drawing import GREEN, RED
 
 TOP = 0.4
 

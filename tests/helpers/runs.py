@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.experimental.compilation_cache import compilation_cache
@@ -65,17 +64,6 @@ class Stopping(Interrupt):
 
     @is_asked.setter
     def is_asked(self, value): ...
-
-
-def same_bits(one, two) -> bool:
-    """Whether two trees of arrays are equal."""
-
-    def data(leaf):
-        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-        return np.asarray(jax.random.key_data(leaf) if is_key else leaf)
-
-    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True)
-    return all(np.array_equal(data(a), data(b), equal_nan=data(a).dtype.kind == "f") for a, b in pairs)
 
 
 def weights(state) -> np.ndarray:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
 from cluttergen_jax.assets.shape import Cavity, Piece, Provenance, Shape
 from cluttergen_jax.importing.readers.primitives import box
 
@@ -34,3 +35,29 @@ def open_box(own_parts=True, **kwargs):
     cavity = Cavity(slab((0.044, 0.034, 0.027), (0, 0, 0.033)), (0.0, 0.0, 0.06))
     parts = tuple(Mesh.points(each.vertices) for each in slabs) if own_parts else None
     return shape_of(*slabs, name="tray", parts=parts, cavity=cavity, **kwargs)
+
+
+CUBE_FACES = [[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5],
+              [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]  # fmt: skip
+
+
+def make_box(name="box", half=(0.03, 0.02, 0.041234567), seed=0):
+    """A box of the given half extents as an asset; its cloud is drawn from the seed."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+    rng = np.random.default_rng(seed)
+    cloud = rng.uniform(-1, 1, (CLOUD_SIZE, 3)).astype(np.float32) * np.array(half, np.float32)
+    x, y, z = np.square(half)
+    return ObjectAsset(
+        name=name,
+        label="a box",
+        pieces=(Piece(Mesh(corners, CUBE_FACES), (0.1, 0.2, 0.3, 1.0)),),
+        parts=(Mesh.points(corners),),
+        mass=0.25,
+        center_of_mass=np.zeros(3),
+        inertia=np.diag([y + z, x + z, x + y]) * 0.25 / 3,
+        cloud=cloud,
+        resting=(RestingPose((1.0, 0.0, 0.0, 0.0), half[2], 0.75),),
+        provenance=Provenance("a test", "CC0"),
+        quality=Quality(deviation=0.01, solo_rate=1.0, solo_trials=256, solo_steps=22.5),
+        flags=("a flag",),
+    )

@@ -202,3 +202,9 @@ def scene(*assets):
     poses[:, 0] = 0.2 * np.arange(len(assets))
     poses[:, 2], poses[:, 3] = table.top + SIZE[2] / 2, 1.0
     return Scene(tuple(each.name for each in assets), tuple(assets), poses, table)
+
+
+def assert_upright(piece, factor=1.0):
+    """Each quarter of the slab's top has the colour that belongs there."""
+    for (x, y), colour in quarters():
+        np.testing.assert_allclose(colour_at(piece, x, y), np.array(colour) * factor, atol=3)

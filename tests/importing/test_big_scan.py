@@ -36,8 +36,7 @@ def scan(is_open):
 
 @pytest.mark.parametrize("is_open", [False, True])
 @pytest.mark.timeout(1200)
-def test_a_million_triangles_take_less_than_four_gigabytes(tmp_path, monkeypatch, is_open):
-    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
+def test_a_million_triangles_take_less_than_four_gigabytes(tmp_path, home, is_open):
     mesh = scan(is_open)
     assert len(mesh.faces) > 1_000_000
     mesh.export(tmp_path / "stone.ply")

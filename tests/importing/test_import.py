@@ -23,10 +23,7 @@ from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sour
 QUICK = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
 
 
-@pytest.fixture(autouse=True)
-def home(tmp_path, monkeypatch):
-    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
-    return tmp_path / "home"
+pytestmark = pytest.mark.usefixtures("home")
 
 
 @pytest.fixture

@@ -19,8 +19,7 @@ QUICK = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
 
 
 @pytest.fixture(autouse=True)
-def home(tmp_path, monkeypatch):
-    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
+def here(home, monkeypatch):
     # Jobs run in this process: spawning has its own tests, and costs seconds.
     monkeypatch.setattr(run, "run_all", lambda do, jobs, _: ((i, do(job)) for i, job in enumerate(jobs)))
 

@@ -19,8 +19,8 @@ def made_up(config=CONFIG):
     """Rules of six thin objects, their agent, fresh weights and one observation."""
     rules = made_up_rules()
     env, agent = make_agent(rules, config)
-    observation = env.reset(jax.random.key(0)).obs
-    return rules, agent, agent.init(jax.random.key(1), observation), observation
+    observation = jax.jit(env.reset)(jax.random.key(0)).obs
+    return rules, agent, jax.jit(agent.init)(jax.random.key(1), observation), observation
 
 
 def test_height_grid_sees_what_stands_where():
@@ -39,8 +39,8 @@ def test_draws_lie_about_rest_on_what_is_below():
     observation["heights"] = jnp.zeros((6, 6)).at[3:].set(0.03)
     observation["region"] = observation["region"].at[2].set(0.2)
     batch = jax.tree.map(lambda leaf: leaf[None], observation)
-    dist = agent.apply(params, batch)[0]
-    draws = jax.vmap(dist.sample)(jax.random.split(jax.random.key(2), 2000))[:, 0]
+    dist = jax.jit(agent.apply)(params, batch)[0]
+    draws = jax.jit(jax.vmap(dist.sample))(jax.random.split(jax.random.key(2), 2000))[:, 0]
     half = float(rules.geometry.half_extents[observation["focus"], 2])
     above = np.asarray(draws[:, 2]) * 0.2 - half - np.where(np.asarray(draws[:, 0]) > 0.5, 0.03, 0.0)
     assert above.min() >= -0.0011
@@ -51,14 +51,20 @@ def test_draws_lie_about_rest_on_what_is_below():
 @pytest.mark.parametrize("config", [CONFIG, replace(CONFIG, turn_symmetry=1, undersides=True)])
 def test_no_draw_has_a_broken_density(config):
     _, agent, params, observation = made_up(config)
+    apply = jax.jit(agent.apply)
+
+    @jax.jit
+    def sampled(dist):
+        draws = jax.vmap(dist.sample)(jax.random.split(jax.random.key(3), 2000))
+        return draws, jax.vmap(dist.log_prob)(draws), dist.entropy()
+
     # An object as high as the whole range: the window has to give way at both ends.
     for height_range, height in ((0.004, 0.0), (0.05, 0.2)):
         observation["region"] = observation["region"].at[2].set(height_range)
         observation["heights"] = jnp.full((6, 6), height)
-        dist = agent.apply(params, jax.tree.map(lambda leaf: leaf[None], observation))[0]
-        draws = jax.vmap(dist.sample)(jax.random.split(jax.random.key(3), 2000))
+        dist = apply(params, jax.tree.map(lambda leaf: leaf[None], observation))[0]
+        draws, density, entropy = sampled(dist)
         assert float(draws.min()) > 0
         assert float(draws.max()) < 1
-        density = jax.vmap(dist.log_prob)(draws)
         # The average log-density of draws is minus the entropy; one clipped draw would upset it.
-        np.testing.assert_allclose(float(density.mean()), -float(dist.entropy()[0]), atol=0.1)
+        np.testing.assert_allclose(float(density.mean()), -float(entropy[0]), atol=0.1)

@@ -8,7 +8,8 @@ import pytest
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.ppo.checkpoint import read_state, save_state
 from cluttergen_jax.learning.ppo.ppo import PPOConfig, generalised_advantages
-from tests.helpers.probes import Bandit, Coin, Constant, Late, Tiny, learner, train
+from tests.helpers.probes import Bandit, Coin, Constant, Late, Tiny, learner, train, trainer
+from tests.helpers.trees import same_bits
 
 
 def value(state, obs):
@@ -32,17 +33,20 @@ def test_later_reward_is_discounted():
     assert value(state, [0.0, 0.0]) == pytest.approx(0.9, abs=0.05)
 
 
-def test_beta_bandit_finds_both_optima():
-    state = train(learner(Bandit()), 60)
-    dist, _ = Tiny().apply(state.params, jnp.array([[0.0, 1.0], [0.0, 0.0]]))
+@pytest.fixture(scope="module")
+def bandit():
+    return train(learner(Bandit()), 60)
+
+
+def test_beta_bandit_finds_both_optima(bandit):
+    dist, _ = Tiny().apply(bandit.params, jnp.array([[0.0, 1.0], [0.0, 0.0]]))
     np.testing.assert_allclose(dist.mean()[:, 0], [0.8, 0.3], atol=0.08)
 
 
-def test_entropy_bonus_keeps_the_policy_wide():
-    narrow = train(learner(Bandit()), 60)
+def test_entropy_bonus_keeps_the_policy_wide(bandit):
     wide = train(learner(Bandit(), entropy_cost=0.3), 60)
     seen = jnp.array([[0.0, 1.0]])
-    entropies = [float(Tiny().apply(s.params, seen)[0].entropy()[0]) for s in (narrow, wide)]
+    entropies = [float(Tiny().apply(s.params, seen)[0].entropy()[0]) for s in (bandit, wide)]
     assert entropies[0] < entropies[1]
 
 
@@ -59,15 +63,6 @@ def test_advantages_by_hand():
     np.testing.assert_allclose(target, advantage + value_, rtol=1e-6)
 
 
-def equal(one, two) -> bool:
-    def data(leaf):
-        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-        return np.asarray(jax.random.key_data(leaf) if is_key else leaf)
-
-    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True)
-    return all(np.array_equal(data(a), data(b)) for a, b in pairs)
-
-
 @pytest.mark.slow
 def test_resumed_run_is_the_same_run_bit_for_bit(tmp_path):
     ppo = learner(Bandit())
@@ -77,13 +72,14 @@ def test_resumed_run_is_the_same_run_bit_for_bit(tmp_path):
     update = jax.jit(ppo.update)
     for _ in range(3):
         resumed, _ = update(resumed)
-    assert equal(resumed, whole)
+    assert same_bits(resumed, whole)
 
 
 def test_seed_decides():
-    ppo = learner(Bandit())
-    assert equal(train(ppo, 2, seed=3), train(ppo, 2, seed=3))
-    assert not equal(train(ppo, 2, seed=3).params, train(ppo, 2, seed=4).params)
+    run = trainer(learner(Bandit()))
+    one = run(2, seed=3)
+    assert same_bits(one, run(2, seed=3))
+    assert not same_bits(one.params, run(2, seed=4).params)
 
 
 def test_no_checkpoint_is_said_so(tmp_path):

@@ -39,7 +39,12 @@ def search(rules):
 
 def look(search, episode):
     """What a ranker sees."""
-    return RankingEnv(search.rules, search=search).observe(episode)
+    return jax.jit(RankingEnv(search.rules, search=search).observe)(episode)
+
+
+def zeros(shapes):
+    """Arrays of these shapes."""
+    return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
 
 def with_one_placed(rules, search, key):
@@ -50,7 +55,7 @@ def with_one_placed(rules, search, key):
 
 def test_menu_holds_what_the_search_found(rules, search):
     episode = jax.jit(lambda key: with_one_placed(rules, search, key))(jax.random.key(1))
-    menu = jax.jit(lambda e: look(search, e))(episode)["menu"]
+    menu = look(search, episode)["menu"]
     assert menu["features"].shape == (8, 16 + PATCH_SIDE**2)
     assert menu["action"].shape == (8, 4)
     assert bool(menu["is_allowed"].all())
@@ -66,18 +71,18 @@ def test_failed_attempts_are_seen(rules, search):
     too_high = jnp.array([0.5, 0.5, 0.99, 0.5])
     failed = jax.jit(rules.attempt)(episode, too_high)[0]
     assert int(failed.attempt) == 1
-    menu = look(search, failed)["menu"]
+    seen = look(search, failed)
+    menu = seen["menu"]
     xy = menu["features"][:, 12:14] * episode.region.half_extents
     np.testing.assert_allclose(
         menu["features"][:, 10], 10 * np.minimum(np.linalg.norm(xy, axis=1), 0.2), atol=1e-4
     )
-    assert "history" not in look(search, failed)
+    assert "history" not in seen
 
 
 def test_untrained_ranking_is_the_searchs_own(rules, search):
     _, agent = make_agent(rules, CONFIG)
-    seen = look(search, rules.begin(jax.random.key(0)))
-    params = agent.init(jax.random.key(3), seen)
+    params = jax.jit(agent.init)(jax.random.key(3), look(search, rules.begin(jax.random.key(0))))
 
     policy = TrainedPolicy(RankingEnv(rules, search=search), agent, params, False, 5)
 
@@ -120,7 +125,7 @@ def test_filtered_proposals_are_those_of_the_policy_on_free_ground(rules, search
     network = NetworkConfig(head="mixture", num_cells=6, history_width=0, width=16, num_layers=2)
     env, agent = make_agent(rules, network)
     observation = jax.eval_shape(env.reset, jax.random.key(0)).obs
-    policy = TrainedPolicy(env, agent, agent.init(jax.random.key(0), observation), True, 5)
+    policy = TrainedPolicy(env, agent, jax.jit(agent.init)(jax.random.key(0), zeros(observation)), True, 5)
     filtered = make_filtered(policy, rules)
     half = rules.geometry.half_extents
 
@@ -144,7 +149,8 @@ def stored(rules, tmp_path):
     """Folders of a fresh ranker and a fresh policy of poses, trained with up to five attempts."""
     for name, network in (("ranked", CONFIG), ("policy", NetworkConfig(width=16, num_layers=2))):
         env, agent = make_agent(rules, network)
-        params = agent.init(jax.random.key(0), jax.eval_shape(env.reset, jax.random.key(0)).obs)
+        seen = jax.eval_shape(env.reset, jax.random.key(0)).obs
+        params = jax.jit(agent.init)(jax.random.key(0), zeros(seen))
         record = {"network": asdict(network), "placement": {"max_attempts": 5, "history_stride": 60}}
         save_policy(tmp_path / name, params, record)
     return tmp_path
@@ -164,8 +170,9 @@ def test_policies_act_with_fewer_attempts_than_they_were_trained_with(rules, sto
         acting = {n: load_policy(checkpoint, r, is_sampled=False) for n, r in ((2, few), (5, rules))}
         actions = []
         for number, its_rules in ((2, few), (5, rules)):
-            failed = its_rules.attempt(its_rules.begin(jax.random.key(9)), too_high)[0]
-            actions.append(acting[number](jax.random.key(1), failed))
+            begun = its_rules.begin(jax.random.key(9))
+            failed = jax.jit(its_rules.attempt)(begun, too_high)[0]
+            actions.append(jax.jit(acting[number])(jax.random.key(1), failed))
         assert actions[0].shape == (4,)
         if kind == "pose":
             # What it is not allowed to try is as empty as what it has not tried yet.

@@ -1,5 +1,7 @@
 """The suite: which runs, in which order, what is skipped, taken up, and what Ctrl-C leaves."""
 
+import shutil
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 
+from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.config import VARIANTS
 from cluttergen_jax.errors import ConfigError
@@ -14,13 +17,13 @@ from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.suites import Scale, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy, save_state
-from cluttergen_jax.learning.training import suite_run
 from cluttergen_jax.learning.training.run import Run, RunConfig
 from cluttergen_jax.learning.training.suite import POOLS, TABLE_ATTEMPTS, PlannedRun, plan
-from cluttergen_jax.learning.training.suite_run import config_of
+from cluttergen_jax.learning.training.suite_run import config_of, train_suite
 from cluttergen_jax.learning.training.train import TrainConfig, recipe_of
 from cluttergen_jax.placement.baselines import BASELINES
 from tests.helpers.problems import made_up_rules
+from tests.helpers.worlds import box
 
 
 def test_tables_are_covered_and_the_first_seed_comes_first():
@@ -89,69 +92,90 @@ def finish_run(args, updates, is_whole=True):
     (args.folder / "progress.csv").write_text("update,attempts,attempts_per_second\n0,2048,1000.0\n")
 
 
-@pytest.fixture
-def trains(monkeypatch):
-    """Runs are only noted, and left as if they had been made; the third one is stopped."""
-    made = []
-
-    def train(config, show):
-        made.append(config.folder.name)
-        if len(made) == 3:
-            finish_run(config, 1, is_whole=False)
-            raise KeyboardInterrupt
-        finish_run(config, config.settings().ppo.num_updates)
-
-    monkeypatch.setattr(suite_run, "run_training", train)
-    return made
+def contents(folder):
+    """Every file below a folder."""
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_suite_stops_as_a_whole_and_goes_on_where_it_stopped(trains, tmp_path, capsys):
+def test_the_list_says_how_far_each_run_is(tmp_path, capsys):
     command = ["train", "--suite", "paper", "--pools", "dining", "--seeds", "0", "--out", str(tmp_path)]
     names = [run.name for run in plan("paper", ("dining",), (0,))]
-    assert main(command) == 130
-    assert trains == names[:3]
+    for run, updates in zip(plan("paper", ("dining",), (0,)), (None, 1), strict=False):
+        config = config_of(TrainConfig(), run, tmp_path)
+        finish_run(config, updates or config.settings().ppo.num_updates, updates is None)
+    before = contents(tmp_path)
     assert main([*command, "--suite-list"]) == 0
     listed = capsys.readouterr().out
-    assert "2 done" in listed
+    assert "1 done" in listed
     assert "the paper: 2,500,000" in listed
     assert "1000 attempts per second, measured" in listed
     words = {line.split()[0]: line.split()[1] for line in listed.splitlines() if line.startswith("  dining")}
-    assert words[names[0]] == "done"
-    assert words[names[2]] == "begun"
-    assert words[names[3]] == "to"
-    assert main(command) == 0
-    assert trains[3:] == names[2:]
-    assert main(command) == 0
-    assert len(trains) == len(names) + 1
-    budgets = {read_record(tmp_path / name / "last")["ppo"]["num_attempts"] for name in names}
-    assert len(budgets) == 1
-    assert {read_record(tmp_path / name / "last")["placement"]["max_attempts"] for name in names} == set(
-        TABLE_ATTEMPTS
-    )
+    assert list(words) == names
+    assert list(words.values()) == ["done", "begun", *["to"] * (len(names) - 2)]
+    assert contents(tmp_path) == before
 
 
-def test_failed_run_does_not_stop_the_others(monkeypatch, tmp_path, capsys):
-    made = []
-
-    def train(config, show):
-        made.append(config.folder.name)
-        if len(made) == 1:
-            raise ConfigError("something")
-        finish_run(config, config.settings().ppo.num_updates)
-
-    monkeypatch.setattr(suite_run, "run_training", train)
-    command = ["train", "--suite", "paper", "--suite-only", "dining-policy*", "--seeds", "0"]
-    assert main([*command, "--out", str(tmp_path)]) == 1
-    assert len(made) == 5
-    assert "failed: dining-policy-0" in capsys.readouterr().err
-
-
-def test_run_with_other_settings_is_refused_before_anything_begins(trains, tmp_path, capsys):
+def test_what_is_done_is_left_alone_and_other_settings_are_refused(tmp_path, capsys):
     command = ["train", "--suite", "paper", "--suite-only", "dining-normal-0", "--out", str(tmp_path)]
+    (run,) = plan("paper", only="dining-normal-0")
+    config = config_of(TrainConfig(), run, tmp_path)
+    finish_run(config, config.settings().ppo.num_updates)
+    before = contents(tmp_path)
     assert main(command) == 0
     assert main([*command, "--num-attempts", "9999"]) == 2
     assert "another ppo" in capsys.readouterr().err
-    assert len(trains) == 1
+    assert contents(tmp_path) == before
+
+
+PAIR = ("duo-normal-0", "duo-beta-0")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_two_real_runs_are_made_stopped_left_alone_and_made_again(home, tmp_path):
+    """Nothing is made up here: a pool, two policies, the simulator, a Ctrl-C in the first run."""
+    boxes = [box(f"box-{k}", (0.02, 0.02 + 0.002 * k, 0.03)) for k in range(10)]
+    write_pool(home / "pools" / "duo", Pool("duo", tuple(boxes)))
+
+    def suite(out="runs", show=lambda text: None, **changed):
+        which = {"pools": ("duo",), "seeds": (0,), "suite_only": "duo-[bn]*", "out": tmp_path / out}
+        few = {"num_attempts": 128, "num_envs": 4, "eval_episodes": 2, "eval_every": 64}
+        return train_suite("paper", show=show, **which | few | changed)
+
+    def interrupting(text):
+        if text.startswith("evaluation"):
+            signal.raise_signal(signal.SIGINT)
+
+    def words(report):
+        return [standing.word for standing in report.standings]
+
+    first, second = (tmp_path / "runs" / name for name in PAIR)
+    with pytest.raises(KeyboardInterrupt):
+        suite(show=interrupting)
+    assert words(suite(suite_list=True)) == ["begun", "to do"]
+    assert contents(second) == {}
+    begun = read_record(first / "last")["num_updates"]
+    assert begun > 0
+
+    assert suite().failed == {}
+    assert read_record(first / "last")["num_updates"] == read_record(second / "last")["num_updates"] > begun
+    assert [read_record(run / "policy")["evaluation"]["episodes"] for run in (first, second)] == [2, 2]
+
+    made = contents(tmp_path / "runs")
+    assert words(suite()) == ["done", "done"]
+    assert contents(tmp_path / "runs") == made
+
+    weights = (second / "policy" / "weights.npz").read_bytes()
+    of_first = contents(first)
+    shutil.rmtree(second)
+    assert words(suite()) == ["done", "to do"]
+    assert contents(first) == of_first
+    assert (second / "policy" / "weights.npz").read_bytes() == weights
+
+    # A run that fails stops no other.
+    failed = suite("refused", memory_limit=1e-6).failed
+    assert tuple(failed) == PAIR
+    assert all("a run that needs" in reason for reason in failed.values())
 
 
 def test_evaluation_finds_the_runs_by_their_names(tmp_path):

@@ -11,7 +11,8 @@ from cluttergen_jax.learning.ppo.checkpoint import read_record, read_state
 from cluttergen_jax.learning.training.run import DivergedError
 from cluttergen_jax.learning.training.updates import Updates, num_updates
 from tests.helpers.probes import Bandit, Tiny, learner
-from tests.helpers.runs import compiled_once, make_run, same_bits
+from tests.helpers.runs import compiled_once, make_run
+from tests.helpers.trees import same_bits
 
 __all__ = ["compiled_once"]
 

@@ -40,7 +40,7 @@ def test_resets_itself_with_fresh_keys_and_keeps_figures():
 def test_regions_change_with_every_episode_and_orders_do_not():
     plain, changing = (PlacementEnv(trio_problem(change=name).rules) for name in ("none", "all"))
     keys = jax.random.split(jax.random.key(0), 64)
-    usual, changed = (jax.vmap(env.reset)(keys).pipeline_state.episode for env in (plain, changing))
+    usual, changed = (jax.jit(jax.vmap(env.reset))(keys).pipeline_state.episode for env in (plain, changing))
     np.testing.assert_array_equal(usual.object_index, changed.object_index)
     half = np.asarray(changed.region.half_extents)
     assert len(np.unique(half, axis=0)) == 64
@@ -55,9 +55,9 @@ def test_regions_change_with_every_episode_and_orders_do_not():
 
 def test_success_is_kept_after_the_reset():
     env = PlacementEnv(made_up_rules())
-    state = env.reset(jax.random.key(0))
+    state, step = jax.jit(env.reset)(jax.random.key(0)), jax.jit(env.step)
     for _ in range(4):
-        state = jax.jit(env.step)(state, GOOD)
+        state = step(state, GOOD)
     assert float(state.done) == 1
     assert float(state.metrics["success"]) == 1
     assert not bool(state.pipeline_state.episode.is_placed.any())

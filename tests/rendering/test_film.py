@@ -17,8 +17,8 @@ from cluttergen_jax.rendering.overlay import Ring, ring_around, with_caption, wi
 from cluttergen_jax.rendering.renderer import Trail, thresholds
 from cluttergen_jax.rendering.scene_renderer import RED, PictureConfig, RenderStyle, scene_renderer, swept
 from cluttergen_jax.rendering.video import save_film
+from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes
-from tests.rendering.test_render import needs_gl
 
 SMALL = PictureConfig(width=160, height=120, samples=2)
 

@@ -9,82 +9,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.object import ObjectAsset, RestingPose
-from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.assets import object_sheet, render_scene, scene_spec
-from cluttergen_jax.rendering.camera import axes, corners, fitted_eye
+from cluttergen_jax.rendering.camera import axes, fitted_eye
 from cluttergen_jax.rendering.config import CameraView
-from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.rendering.lighting import add_lighting
 from cluttergen_jax.rendering.picture import contact_sheet, render_model, save_png
-
-IS_DRAWING, STATUS = renderer_status()
-needs_gl = pytest.mark.skipif(not IS_DRAWING, reason=STATUS)
-CUBE_FACES = np.reshape(
-    [
-        0,
-        1,
-        3,
-        0,
-        3,
-        2,
-        4,
-        6,
-        7,
-        4,
-        7,
-        5,
-        0,
-        4,
-        5,
-        0,
-        5,
-        1,
-        2,
-        3,
-        7,
-        2,
-        7,
-        6,
-        0,
-        2,
-        6,
-        0,
-        6,
-        4,
-        1,
-        5,
-        7,
-        1,
-        7,
-        3,
-    ],
-    (12, 3),
-)
-
-
-def cube(name, half, rgba):
-    vertices = corners(-np.full(3, half), np.full(3, half))
-    mesh = Mesh(vertices, CUBE_FACES)
-    return ObjectAsset(
-        name=name,
-        label=name,
-        pieces=(Piece(mesh, rgba),),
-        parts=(Mesh.points(vertices),),
-        mass=0.2,
-        center_of_mass=np.zeros(3),
-        inertia=np.eye(3) * 0.2 * (2 * half) ** 2 / 6,
-        cloud=np.zeros((1024, 3), np.float32),
-        resting=(RestingPose((1, 0, 0, 0), half, 1.0),),
-        provenance=Provenance("test", "Apache-2.0"),
-    )
-
-
-RED = cube("red", 0.05, (0.9, 0.1, 0.1, 1.0))
-GREEN = cube("green", 0.04, (0.1, 0.8, 0.1, 1.0))
+from tests.helpers.drawing import GREEN, RED, needs_gl
 
 
 def status_with(value):

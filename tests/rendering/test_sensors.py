@@ -24,8 +24,8 @@ from cluttergen_jax.rendering.sensors import (
     segmentation_png,
     sense,
 )
+from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes
-from tests.rendering.test_render import needs_gl
 
 
 @pytest.fixture(scope="module")

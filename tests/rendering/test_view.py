@@ -22,8 +22,8 @@ from cluttergen_jax.rendering.viewer.viewer import free_port, open_server
 from cluttergen_jax.rendering.viewer.words import attempt_words, scene_words
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
+from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes
-from tests.rendering.test_render import needs_gl
 
 GENERATE = ["generate", "--objects", "mug", "bowl", "--support", "table-0.20x0.24", "--method", "random"]
 

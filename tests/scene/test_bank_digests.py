@@ -17,18 +17,6 @@ from tests.helpers import banks
 PART, SCENE = "assets/objects/prism/part-00.obj", "scenes/000000.xml"
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    path = tmp_path_factory.mktemp("banks") / "bank"
-    banks.with_files(path)
-    return path
-
-
-@pytest.fixture
-def bank(whole, tmp_path):
-    return Path(shutil.copytree(whole, tmp_path / "bank"))
-
-
 def all_bytes(path):
     files = [each for each in path.rglob("*") if each.is_file() and each.name != "verification.json"]
     return {each.relative_to(path): each.read_bytes() for each in files}

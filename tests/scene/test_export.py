@@ -14,78 +14,28 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shading import linear, shaded
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.cli.parse import parse_numbers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotate
-from cluttergen_jax.scene import Origin, Scene
 from cluttergen_jax.scene.bank.reference import parse_reference
 from cluttergen_jax.scene.bank.verify import verify_scene
 from cluttergen_jax.scene.export import FORMATS, export_scenes
 from cluttergen_jax.scene.export.frames import euler_of, principal_of
 from cluttergen_jax.scene.export.scene_json import scene_bounds
+from tests.helpers.exports import CLOSE, assert_same_pose, dining_scene, exporter, matrix, spread
 from tests.helpers.shapes import slab
 from tests.helpers.worlds import trio
-
-NAMES = ("mug", "fork", "soup_can", "mug#2")
-CLOSE = 1e-5
-
-
-def spread(objects, support, names=None, index=0, turn=0.7):
-    """A scene of objects that stand apart on a support, each turned by another angle."""
-    names = names or tuple(asset.name for asset in objects)
-    poses = np.zeros((len(objects), 7))
-    x, y = support.region.center
-    for place, asset in enumerate(objects):
-        angle = turn * (place + 1) / 2
-        poses[place] = (
-            x + 0.14 * (place % 2 - 0.5) * 2,
-            y + 0.15 * (place // 2 - 0.5) * 2,
-            support.top + asset.resting[0].height,
-            np.cos(angle),
-            0,
-            0,
-            np.sin(angle),
-        )
-    origin = Origin(bank="bank", index=index, method="clear", seed=3, verdict="stable", is_success=True)
-    return Scene(names, tuple(objects), poses, support, origin=origin)
 
 
 @pytest.fixture(scope="module")
 def scene():
-    """Four objects, one of them twice, on a table with surfaces of its own."""
-    pool = find_pool("dining")
-    objects = [pool[name.split("#")[0]] for name in NAMES]
-    return spread(objects, find_support("round_table"), NAMES)
+    return dining_scene()
 
 
 @pytest.fixture(scope="module")
 def folder_of(scene, tmp_path_factory):
-    """The scene exported in a format, each made once."""
-    made = {}
-
-    def make(format):
-        if format not in made:
-            made[format] = export_scenes([scene], tmp_path_factory.mktemp("out") / format, format)
-        return made[format]
-
-    return make
-
-
-def matrix(pose):
-    """f64[4, 4]: T_world_object of a pose."""
-    result = np.eye(4)
-    result[:3, :3] = rotate(np, pose[3:], np.eye(3)).T
-    result[:3, 3] = pose[:3]
-    return result
-
-
-def assert_same_pose(position, quaternion, pose):
-    """Equal position and equal turn; the quaternion's sign is nobody's business."""
-    np.testing.assert_allclose(position, pose[:3], atol=CLOSE)
-    sign = np.sign(np.dot(quaternion, pose[3:]))
-    np.testing.assert_allclose(sign * np.asarray(quaternion), pose[3:], atol=CLOSE)
+    return exporter(scene, tmp_path_factory)
 
 
 @pytest.mark.parametrize("format", sorted(set(FORMATS) - {"usd"}))

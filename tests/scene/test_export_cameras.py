@@ -15,9 +15,8 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.gl import gl_context
 from cluttergen_jax.scene import CAMERAS, scene_cameras
 from cluttergen_jax.scene.export import FORMATS, export_scenes
-from tests.rendering.test_render import needs_gl
-from tests.scene.test_export import spread
-from tests.scene.test_export_cli import bank  # noqa: F401
+from tests.helpers.drawing import needs_gl
+from tests.helpers.exports import exporter, fourteen_scenes, spread
 
 NAMES = ("mug", "bottle", "soup_can", "bowl")
 
@@ -30,15 +29,12 @@ def scene():
 
 @pytest.fixture(scope="module")
 def folder_of(scene, tmp_path_factory):
-    made = {}
+    return exporter(scene, tmp_path_factory, cameras=CAMERAS)
 
-    def make(format):
-        if format not in made:
-            out = tmp_path_factory.mktemp("cameras") / format
-            made[format] = export_scenes([scene], out, format, cameras=CAMERAS)
-        return made[format]
 
-    return make
+@pytest.fixture(scope="module")
+def bank(tmp_path_factory):
+    return fourteen_scenes(tmp_path_factory.mktemp("export") / "bank")
 
 
 def turn_of(w, x, y, z):
@@ -203,7 +199,7 @@ def test_without_being_asked_for_there_are_none(scene, tmp_path, format):
         assert b"camera" not in path.read_bytes().lower()
 
 
-def test_command_line(bank, tmp_path, capsys):  # noqa: F811
+def test_command_line(bank, tmp_path, capsys):
     out = str(tmp_path / "out")
     assert main(["export", f"{bank}:0", "--cameras", "wrist", "overhead", "--out", out]) == 0
     model = mujoco.MjModel.from_xml_path(f"{out}/scenes/000000.xml")

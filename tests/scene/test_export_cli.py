@@ -1,73 +1,23 @@
 """`cluttergen export`, as a user would call it."""
 
 import json
-from dataclasses import asdict
 
 import mujoco
 import numpy as np
-import pyarrow as pa
 import pytest
 
-from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.scene import collect
-from cluttergen_jax.scene.bank import BankWriter, read_bank
+from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.reference import numbers_text
 from cluttergen_jax.scene.bank.scene import read_scenes
-from cluttergen_jax.scene.bank.table import SCHEMA
 from cluttergen_jax.scene.bank.verify import verify_scene
-from cluttergen_jax.scene.xml import scene_xml
-from tests.helpers.worlds import trio
-from tests.scene.test_export import spread
-
-
-def row_of(scene, index, is_success):
-    """A bank's row of a scene."""
-    num = len(scene.names)
-    # What an export does not look at is filled so that the row is complete.
-    rest = {field.name: [0] * num if pa.types.is_list(field.type) else 0 for field in SCHEMA}
-    return rest | {
-        "index": index,
-        "is_success": is_success,
-        "is_filled": True,
-        "verdict": "stable" if is_success else "crept",
-        "drift": 0.0001 if is_success else 0.02,
-        "num_placed": num,
-        "object_index": list(range(num)),
-        "objects": list(scene.names),
-        "is_placed": [True] * num,
-        "poses": scene.poses.tolist(),
-        "attempts": [1] * num,
-        "steps": [30] * num,
-        "rest_steps": [30] * num,
-        "simulated_steps": 90,
-    }
+from tests.helpers.exports import fourteen_scenes
 
 
 @pytest.fixture(scope="module")
 def bank(tmp_path_factory):
-    """Fourteen scenes, of which every fifth failed; what made them is made up, the scenes stand."""
-    path = tmp_path_factory.mktemp("export") / "bank"
-    scenes = [spread(trio(), cuboid_table(), turn=0.2 * index) for index in range(14)]
-    recipe = {
-        "pool": "somewhere/trio",
-        "method": "random",
-        "seed": 5,
-        "checkpoint": None,
-        "stability": asdict(StabilityConfig()),
-        "contact": asdict(ContactConfig()),
-        "versions": {"mujoco": mujoco.__version__},
-    }
-    rows = [row_of(scene, index, index % 5 != 4) for index, scene in enumerate(scenes)]
-    assets = {asset.name: asset for asset in trio()}
-    with BankWriter(path, recipe, len(rows), assets, cuboid_table()) as writer:
-        writer.write_block(0, pa.Table.from_pylist(rows, schema=SCHEMA))
-    (path / "scenes").mkdir(exist_ok=True)
-    for index, scene in enumerate(scenes):
-        text = scene_xml(scene.objects, scene.poses, scene.support, scene.stability, scene.contact)
-        (path / "scenes" / f"{index:06d}.xml").write_bytes(text)
-    return path
+    return fourteen_scenes(tmp_path_factory.mktemp("export") / "bank")
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.scene.export import export_scenes
-from tests.scene.test_export import NAMES, assert_same_pose, spread
+from tests.helpers.exports import NAMES, assert_same_pose, spread
 
 PEERS = Path(__file__).parents[1] / "peers"
 SECONDS = 2.0

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shading import linear
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.scene.export import export_scenes
+from tests.helpers.exports import CLOSE, dining_scene, matrix, spread
 from tests.helpers.worlds import trio
-from tests.scene.test_export import CLOSE, NAMES, matrix, spread
 
 pytest.importorskip("pxr", reason="needs the extra usd")
 
@@ -19,8 +17,7 @@ from pxr import Usd, UsdGeom, UsdPhysics, UsdShade, UsdValidation
 
 @pytest.fixture(scope="module")
 def scene():
-    pool = find_pool("dining")
-    return spread([pool[name.split("#")[0]] for name in NAMES], find_support("round_table"), NAMES)
+    return dining_scene()
 
 
 @pytest.fixture(scope="module")

@@ -41,13 +41,6 @@ COMMANDS = {
 }
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    path = tmp_path_factory.mktemp("banks") / "bank"
-    banks.with_files(path)
-    return path
-
-
 @pytest.fixture
 def bank(whole, tmp_path):
     """A bank deep enough that what leads out of it stays in the test's own folder."""
@@ -107,7 +100,9 @@ def refused(command, bank, capsys):
     status = main([words[0], str(bank), *words[1:], *more])
     assert tree(root, bank, out) == before
     said = capsys.readouterr()
-    assert status in (0, 1) or "error: " in said.err
+    assert status in (0, 1, 2)
+    if status == 2:
+        assert "error: " in said.err
     # What many scenes are asked of tells of each that failed, and ends with 1.
     return status == 2 or (status == 1 and OUTSIDE in said.out + said.err)
 
@@ -223,15 +218,15 @@ def test_links_that_lead_out_are_neither_read_nor_written_through(bank, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
+    ("old", "new", "said"),
     [
-        ('meshdir="../assets"', 'meshdir="/usr/share"'),
-        ('meshdir="../assets"', 'meshdir="../../../assets"'),
-        ('file="objects/box/part-00.obj"', 'file="../../part.obj"'),
-        ("<worldbody>", '<include file="/etc/hostname"/><worldbody>'),
+        ('meshdir="../assets"', 'meshdir="/usr/share"', "000000.xml names the folder"),
+        ('meshdir="../assets"', 'meshdir="../../../assets"', "000000.xml names the folder"),
+        ('file="objects/box/part-00.obj"', 'file="../../part.obj"', "names the path"),
+        ("<worldbody>", '<include file="/etc/hostname"/><worldbody>', "000000.xml includes another file"),
     ],
 )
-def test_a_scene_file_of_a_bank_names_files_of_the_bank(bank, capsys, old, new):
+def test_a_scene_file_of_a_bank_names_files_of_the_bank(bank, capsys, old, new, said):
     file = bank / "scenes/000000.xml"
     text = file.read_text()
     assert old in text
@@ -240,7 +235,7 @@ def test_a_scene_file_of_a_bank_names_files_of_the_bank(bank, capsys, old, new):
     record["files"] |= digests_in(bank, "scenes")
     sign_index(bank, record)
     assert main(["verify", str(bank), "--seconds", "0.1"]) == 2
-    assert "000000.xml" in (said := capsys.readouterr().err) or "names the path" in said
+    assert said in capsys.readouterr().err
 
 
 BAD = [OUTSIDE, "/etc/passwd", "a//b", "", ".", "a/..", "a\\b", "c:x", "a\0b", "a\nb", None, 3, ["a"]]

@@ -18,31 +18,16 @@ from cluttergen_jax.scene.bank.bank import index_bytes
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.hub import find_bank, hub_of, local_paths, pulled_path
 from cluttergen_jax.scene.bank.hubs import FolderHub
-from tests.helpers import banks
 from tests.helpers.hub_server import TOKEN, hub_server, sha_of
 
 NAME = "me/few-scenes"
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    path = tmp_path_factory.mktemp("banks") / "bank"
-    banks.with_files(path)
-    return path
-
-
-@pytest.fixture
-def bank(whole, tmp_path):
-    return Path(shutil.copytree(whole, tmp_path / "bank"))
-
-
 @pytest.fixture(autouse=True)
-def home(tmp_path, monkeypatch):
+def nobody(home, monkeypatch):
     """Nobody's own folders, token or hub."""
-    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("HF_TOKEN", TOKEN)
     monkeypatch.delenv("CLUTTERGEN_HUB", raising=False)
-    return tmp_path / "home"
 
 
 @pytest.fixture

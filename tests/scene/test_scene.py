@@ -8,8 +8,8 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.scene import Scene, collect
+from tests.helpers.exports import spread
 from tests.helpers.worlds import box, trio
-from tests.scene.test_export import spread
 
 
 @pytest.fixture(scope="module")

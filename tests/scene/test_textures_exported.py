@@ -20,10 +20,10 @@ from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.rendering.assets import render_scene
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import gl_context
-from cluttergen_jax.scene.export import export_scenes
-from tests.assets.test_textures import assert_upright
 from tests.helpers import textured
-from tests.rendering.test_render import needs_gl
+from tests.helpers.drawing import needs_gl
+from tests.helpers.exports import exporter
+from tests.helpers.textured import assert_upright
 
 PEERS = Path(__file__).parents[1] / "peers"
 
@@ -36,15 +36,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def folder_of(scene, tmp_path_factory):
-    """The scene exported in a format, each made once."""
-    made = {}
-
-    def make(format):
-        if format not in made:
-            made[format] = export_scenes([scene], tmp_path_factory.mktemp("out") / format, format)
-        return made[format]
-
-    return make
+    return exporter(scene, tmp_path_factory)
 
 
 def assert_colours(pixels, center, step):
