@@ -4,7 +4,7 @@ The poses stand in each body's pos and quat and in the keyframe `scene`, with th
 needs; time step, solver and contact parameters are written out, so any MuJoCo simulates what was verified.
 
 Why MJCF is written in four places. Models compiled here come from `assets.mjcf.populated_spec`. MuJoCo's
-own `MjSpec.to_xml` rounds to six digits, enough for an object alone (`assets.object_xml`) and too few for
+own `MjSpec.to_xml` rounds to six digits, enough for an object alone (`assets.mjcf`) and too few for
 a pile that touches; and it would write every mesh once for each copy of an object. So this file is written
 element by element. `scene.export.robosuite` is a dialect: groups, sites and missing joints as robosuite asks.
 """
