@@ -53,7 +53,8 @@ def evaluate(
         "rotation", "shrinkage", "expansion" or "all".
       exclude: names of objects to leave out of each pool; exclude=("mug",) is the same as pools="dining~mug".
       checkpoint: the policy's folder, for learned methods; else the embedded ones are taken.
-      checkpoints: a folder of training runs, POOL-VARIANT[-attemptsA][-SEED], instead of the embedded ones.
+      checkpoints: a folder of training runs (POOL-VARIANT, with -attemptsA and -SEED behind it where those
+        differ), instead of the embedded ones.
       engine: "auto", "native", "warp" or "jax".
       num_threads: simulation threads; 0 takes every core.
       fresh: make rows again that are at hand.

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 
+from cluttergen_jax import train_suite
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.config import VARIANTS
@@ -19,7 +20,7 @@ from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy, save_state
 from cluttergen_jax.learning.training.run import Run, RunConfig
 from cluttergen_jax.learning.training.suite import POOLS, TABLE_ATTEMPTS, PlannedRun, plan
-from cluttergen_jax.learning.training.suite_run import config_of, train_suite
+from cluttergen_jax.learning.training.suite_run import config_of
 from cluttergen_jax.learning.training.train import TrainConfig, recipe_of
 from cluttergen_jax.placement.baselines import BASELINES
 from tests.helpers.problems import made_up_rules
@@ -187,9 +188,9 @@ def test_evaluation_finds_the_runs_by_their_names(tmp_path):
     for attempts in TABLE_ATTEMPTS:
         trial = Trial(method="policy", pool="dining", attempts=attempts)
         extra = "" if attempts == 5 else f"-attempts{attempts}"
-        assert found.find(trial) == tmp_path / f"dining-policy{extra}-0" / "policy"
+        assert found.find(trial).path == tmp_path / f"dining-policy{extra}-0" / "policy"
         # Other seeds are trained with the usual number alone, and act with whatever number is asked for.
-        assert found.find(replace(trial, training_seed=2)) == tmp_path / "dining-policy-2" / "policy"
+        assert found.find(replace(trial, training_seed=2)).path == tmp_path / "dining-policy-2" / "policy"
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,11 @@ def test_both_distributions_are_ready_to_be_published(tmp_path):
     files = {path for name in ("cluttergen_jax", "scenes") for path in (ROOT / name).rglob("*")}
     data = {path.relative_to(ROOT) for path in files if path.is_file() and "__pycache__" not in path.parts}
     assert "cluttergen_jax/py.typed" in held
-    inside = (path if path.parts[0] == "cluttergen_jax" else "cluttergen_jax" / path for path in data)
+    # The folder `scenes` of a checkout is installed as `cluttergen_jax/data`.
+    package = Path("cluttergen_jax")
+    inside = (
+        path if path.parts[0] == package.name else package / "data" / Path(*path.parts[1:]) for path in data
+    )
     assert {str(path) for path in inside} <= held
 
 

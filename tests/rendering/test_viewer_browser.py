@@ -268,7 +268,7 @@ def test_two_browsers_look_at_different_scenes(page, open_page):
     other.until(lambda: "scene 1" in other.text())
     other.tick("Hulls")
     other.until(lambda: other.session.nodes.shown.hulls)
-    assert changed(before, other.picture())
+    other.until(lambda: changed(before, other.picture()))
     # The first browser has noticed nothing of it.
     assert "scene 0" in page.text()
     assert "scene 1" not in page.text()
