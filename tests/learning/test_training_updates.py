@@ -133,6 +133,7 @@ def test_diverged_run_keeps_the_last_good_state(tmp_path, monkeypatch):
     assert (tmp_path / "run" / "policy" / "weights.npz").exists()
 
 
+@pytest.mark.slow
 def test_calls_of_a_run_do_not_change_it(tmp_path, monkeypatch):
     """A run that makes one update a call ends with the same bits as one that makes as many as it may."""
     module = "cluttergen_jax.learning.training.run.num_updates"

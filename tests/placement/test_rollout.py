@@ -58,7 +58,13 @@ def compiled():
     jax.monitoring.clear_event_listeners()
 
 
-@pytest.mark.parametrize("method", ["random", "drop", *NETWORKS])
+SLOW = {"mixture", "ranked"}
+
+
+@pytest.mark.parametrize(
+    "method",
+    [pytest.param(each, marks=[pytest.mark.slow] * (each in SLOW)) for each in ("random", "drop", *NETWORKS)],
+)
 def test_a_world_of_equal_sizes_compiles_nothing(method, compiled):
     rollout, (first, second) = Rollout(), (sampler_of(method, scale) for scale in (1.0, 0.5))
     key = jax.random.key(3)
