@@ -95,7 +95,7 @@ class StabilityConfig:
       per_axis: compare every axis alone, as the published code does, instead of Euclidean norms.
       stop_when_decided: end an attempt at the last step at which it could still have become stable.
       judge_neighbours: ask that placed objects stay put and nothing penetrates. Without it only the
-        object in hand is judged and the others are put back: the paper's looser count.
+        current object is judged and the others are put back: the paper's looser count.
       max_shift: metres that a placed object may move during an attempt.
       max_turn: radians that a placed object may turn during an attempt.
       max_penetration: metres that any two bodies may overlap at the end of an attempt.

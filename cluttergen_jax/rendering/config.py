@@ -48,7 +48,7 @@ class FilmConfig:
       fps: frames per second.
       seconds: the longest that it takes; what would last longer is shown faster.
       slowdown: how many times slower than in reality objects settle, where there is time.
-      lift: metres above its release from which an object is let down (for the eye: that was not simulated).
+      lift: metres above its release from which an object is lowered (for the eye: that was not simulated).
       captions: write into the picture what is tried and how it ends.
     """
 
