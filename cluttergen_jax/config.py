@@ -29,7 +29,7 @@ and `normal` are the full method with the paper's heads; `open_loop` and `short_
 and on one attempt; `ranked` chooses among poses that geometry has found."""
 Preset = Literal["cpu", "tight", "gpu", "paper"]
 Engine = Literal["auto", "native", "warp", "jax"]
-Order = Literal["random", "fixed"]
+Order = Literal["random", "fixed", "largest", "weighted"]
 Containment = Literal["center", "footprint"]
 Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "all"]
 Reward = Literal["paper", "code", "compressed"]

@@ -71,6 +71,8 @@ class Settling(struct.PyTreeNode):
       margin: f32[K], metres, after an attempt that came to rest: the support margin (`physics.margin`) of the
         focus object, and of each neighbour that it moved by 0.01 mm or more; infinite for all others, -inf
         for what nothing carries. Zero after other attempts.
+      touches: bool[K], after an attempt that came to rest: the placed objects that touch the focus object.
+      bears: bool[K], those among them that press it upwards.
     """
 
     verdict: Array
@@ -84,6 +86,8 @@ class Settling(struct.PyTreeNode):
     penetration: Array
     is_quiet: Array
     margin: Array
+    touches: Array
+    bears: Array
 
 
 class Standing(struct.PyTreeNode):

@@ -79,6 +79,16 @@ def _distance(side: tuple[Point, Point]) -> float:
     return math.hypot(x0 + along * dx, y0 + along * dy)
 
 
+def bearers_of(layout: Layout, data: mujoco.MjData, index: int) -> np.ndarray:
+    """The objects that press object `index` upwards, in a scene whose contacts are computed: bool[K]."""
+    contact = data.contact
+    pair, lift = layout.geom_object[contact.geom], contact.frame[:, 2]
+    carried, carrier = np.where(lift > 0, pair.T[::-1], pair.T)
+    bears = np.zeros(layout.num_objects + 1, bool)
+    bears[carrier[(carried == index) & (np.abs(lift) >= MIN_LIFT) & (contact.dist < 0)]] = True
+    return bears[:-1]
+
+
 def margins_of(layout: Layout, data: mujoco.MjData, objects: np.ndarray) -> np.ndarray:
     """Support margins of some objects of a scene at rest whose contacts are computed.
 

@@ -167,6 +167,7 @@ class MjxPhysics(OneScenePhysics):
         )
         report = empty_settling(jnp, (num_scenes,), num_objects, config)
         deepest = jnp.where(run.overflowed, 0.0, depths.max(axis=(1, 2)))
+        is_at_rest, focus = track.is_quiet & is_finite, jnp.argmax(is_focus, axis=1)
         return report.replace(
             verdict=jnp.where(is_active, verdict, report.verdict),
             num_steps=track.step,
@@ -178,7 +179,9 @@ class MjxPhysics(OneScenePhysics):
             turn=kept(jnp, track.turn, is_finite),
             penetration=kept(jnp, deepest, is_finite),
             is_quiet=is_quiet,
-            margin=kept(jnp, self._margins(run, final, is_placed, is_focus), track.is_quiet & is_finite),
+            margin=kept(jnp, self._margins(run, final, is_placed, is_focus), is_at_rest),
+            touches=kept(jnp, (depths[jnp.arange(num_scenes), focus] > 0)[:, :-1], is_at_rest),
+            bears=kept(jnp, self.scenes.bearers(run.data, focus), is_at_rest),
         )
 
     def _margins(self, run: _Attempts, final: Array, is_placed: Array, is_focus: Array) -> Array:

@@ -174,6 +174,21 @@ class MjxScenes:
         depths = depths.at[contacts.scene, pair[:, 0], pair[:, 1]].max(contacts.depth, mode="drop")
         return jnp.maximum(depths, depths.swapaxes(1, 2))
 
+    def bearers(self, data: mjx.Data, focus: Array) -> Array:
+        """bool[N, K]: who presses each scene's focus object upwards at the start of the last step.
+
+        Args:
+          focus: i32[N].
+        """
+        contacts, num_objects = self.contacts(data), self._layout.num_objects
+        pair = jnp.asarray(self._layout.geom_object)[contacts.geom]
+        is_up = contacts.lift > 0
+        carried, carrier = (jnp.where(is_up, pair[:, i], pair[:, 1 - i]) for i in (1, 0))
+        presses = (contacts.depth > 0) & (jnp.abs(contacts.lift) >= MIN_LIFT)
+        presses &= carried == focus[jnp.minimum(contacts.scene, len(focus) - 1)]
+        bears = jnp.zeros((len(focus), num_objects + 1), bool)
+        return bears.at[contacts.scene, carrier].max(presses, mode="drop")[:, :-1]
+
     def margins(self, data: mjx.Data, poses: Array) -> Array:
         """f32[N, K]: every object's support margin, metres, at the poses from which the last step started.
 

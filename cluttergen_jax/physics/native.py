@@ -34,12 +34,14 @@ class AtRest(NamedTuple):
     Attributes:
       penetrates: a pair overlaps too much.
       penetration: metres, the deepest overlap.
-      margin: f64[K], see `Settling.margin`.
+      margin: f64[K]; touches, bears: bool[K], see `Settling`.
     """
 
     penetrates: bool
     penetration: float
     margin: np.ndarray
+    touches: np.ndarray
+    bears: np.ndarray
 
 
 class NativePhysics(HostPhysics):
@@ -116,13 +118,14 @@ class NativePhysics(HostPhysics):
         deepest, margin = float(depths.max()), np.full(len(is_placed), np.inf)
         moved = np.flatnonzero(is_moved)
         margin[moved] = self._probe.margins(moved)
+        touches, bears = depths[focus, :-1] > 0, self._probe.bearers(focus)
         if deepest <= self.config.max_added_penetration:
-            return AtRest(False, deepest, margin)
+            return AtRest(False, deepest, margin, touches, bears)
         depths_before = self._probe.depths(before, is_placed & (np.arange(len(is_placed)) != focus))
         if depths_before is None:
             return None
         too_much = stability.penetrates(np, depths.ravel(), depths_before.ravel(), self.config)
-        return AtRest(bool(too_much), deepest, margin)
+        return AtRest(bool(too_much), deepest, margin, touches, bears)
 
     def _stand_block(
         self, poses: np.ndarray, is_placed: np.ndarray, result: Standing, block: np.ndarray
@@ -229,7 +232,9 @@ class _Attempt:
             if found is None:
                 self.overflowed[row] = True
             else:
-                penetrates[row], result.penetration[block[row]], result.margin[block[row]] = found
+                penetrates[row], at = found.penetrates, block[row]
+                result.penetration[at], result.margin[at] = found.penetration, found.margin
+                result.touches[at], result.bears[at] = found.touches, found.bears
         return penetrates
 
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.physics.layout import Layout
-from cluttergen_jax.physics.margin import margins_of
+from cluttergen_jax.physics.margin import bearers_of, margins_of
 
 
 class OverlapProbe:
@@ -47,3 +47,7 @@ class OverlapProbe:
     def margins(self, objects: np.ndarray) -> np.ndarray:
         """Support margins of these objects, i[n], in the scene whose depths were asked for last: f64[n]."""
         return margins_of(self._layout, self._data, objects)
+
+    def bearers(self, index: int) -> np.ndarray:
+        """The objects that press object `index` upwards in that scene: bool[K]."""
+        return bearers_of(self._layout, self._data, index)

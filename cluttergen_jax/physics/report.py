@@ -23,6 +23,8 @@ def empty_settling(xp: Any, batch: tuple[int, ...], num_objects: int, config: St
         penetration=xp.zeros(batch, dtype=xp.float32),
         is_quiet=xp.zeros(batch, dtype=xp.bool),
         margin=xp.zeros((*batch, num_objects), dtype=xp.float32),
+        touches=xp.zeros((*batch, num_objects), dtype=xp.bool),
+        bears=xp.zeros((*batch, num_objects), dtype=xp.bool),
     )
 
 

@@ -14,6 +14,12 @@ MAX_ATTEMPTS = 10
 MAX_MARGIN = 0.1
 MIN_MARGIN = 0.003
 """Metres of support margin that what is generated has by default (`PlacementConfig.min_margin`)."""
+MAX_BUDGET = 10_000
+RUIN_AFTER = 3
+"""Failed attempts in a row after which a scene is partly taken apart, where that is done."""
+ORDER_POWER = 4.0
+"""Of a footprint in the weights of the order "weighted"."""
+_ADDED = ("min_margin", "ruin_after", "budget")
 CONTAINMENTS, ORDERS, REWARDS = get_args(Containment), get_args(Order), get_args(Reward)
 
 
@@ -27,7 +33,9 @@ class PlacementConfig:
       containment: what must lie in the queried region once settled: the bounding box's "center" or the
         whole "footprint".
       order: "random" draws a fresh uniform permutation of a uniform subset each episode; "fixed" takes the
-        world's objects in their order.
+        world's objects in their order; "largest" sorts a uniform subset by footprint, largest first;
+        "weighted" draws its order one by one, each with a weight of its footprint to the power
+        `ORDER_POWER` (Plackett-Luce): mostly, but not always, largest first.
       reward: "paper" (its equation 1), "code" (what its published code pays) or "compressed".
       history_stride: keep every so many rows of a failed attempt's trajectory, release first; 0 remembers no
         attempt at all, which is faster for methods that never look back.
@@ -35,6 +43,9 @@ class PlacementConfig:
       success_reward: R0 of the paper's equation 1.
       min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0, as
         in the paper, asks for nothing. A narrow object is asked for a third of what it has on a flat table.
+      ruin_after: failed attempts in a row after which some placed objects are taken away and put into the
+        order again (`placement.ruin`); 0 never does, and the scene has failed after `max_attempts`.
+      budget: attempts of a scene in all; None for `num_objects` x `max_attempts`.
     """
 
     num_objects: int = 10
@@ -46,6 +57,8 @@ class PlacementConfig:
     motion_cost: float = 0.005
     success_reward: float = 100.0
     min_margin: float = 0.0
+    ruin_after: int = 0
+    budget: int | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.num_objects <= MAX_SLOTS:
@@ -60,6 +73,14 @@ class PlacementConfig:
                 f"0 to {MAX_MARGIN} m",
                 f"{MIN_MARGIN}, or 0 to ask for nothing",
             )
+        if not 0 <= self.ruin_after <= self.max_attempts:
+            raise ConfigError(
+                f"ruin_after = {self.ruin_after} with max_attempts = {self.max_attempts}",
+                f"0 to {self.max_attempts}",
+                f"{RUIN_AFTER}, or 0 to take nothing away",
+            )
+        if self.budget is not None and not 1 <= self.budget <= MAX_BUDGET:
+            raise ConfigError(f"budget = {self.budget}", f"1 to {MAX_BUDGET} attempts", "leaving it out")
         for name, value, allowed in (
             ("containment", self.containment, CONTAINMENTS),
             ("order", self.order, ORDERS),
@@ -73,10 +94,16 @@ class PlacementConfig:
                     closest(value, allowed),
                 )
 
+    @property
+    def max_scene_attempts(self) -> int:
+        """Attempts of a scene in all, at most."""
+        return self.num_objects * self.max_attempts if self.budget is None else self.budget
+
 
 def placement_record(config: PlacementConfig) -> dict[str, Any]:
-    """The config as records keep it: a margin only where one is asked for, as older versions knew none."""
+    """The config as records keep it: without those settings, at rest, that older versions did not know."""
     record = asdict(config)
-    if not config.min_margin:
-        del record["min_margin"]
+    for name in _ADDED:
+        if not record[name]:
+            del record[name]
     return record

@@ -154,7 +154,7 @@ class PlacementEnv(Env):
     @property
     def episode_length(self) -> int:
         """The most attempts that an episode can take."""
-        return self.rules.config.num_objects * self.rules.config.max_attempts
+        return self.rules.config.max_scene_attempts
 
     @property
     def backend(self) -> str:

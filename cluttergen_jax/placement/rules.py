@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.physics.protocol import Physics
-from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.region import (
     KeepOut,
     Region,
@@ -19,7 +19,8 @@ from cluttergen_jax.placement.region import (
     pose_of_action,
 )
 from cluttergen_jax.placement.reward import reward_of
-from cluttergen_jax.placement.types import Counts, Episode, Geometry, History, Start, Transition
+from cluttergen_jax.placement.ruin import carried_by, choose_ruin, footprint_area
+from cluttergen_jax.placement.types import Bearing, Counts, Episode, Geometry, History, Start, Transition
 from cluttergen_jax.types import Array, Settling, Verdict
 
 _OWN_SHARE = 1 / 3
@@ -55,6 +56,8 @@ class Rules(struct.PyTreeNode, eq=False):
       region: the queried region of every episode that is not given another; the largest of drawn ones.
       num_started: the most objects that may stand there already when an episode begins.
       draw_region: draws an episode's region from a key; None where all take `region`.
+      keeps_bearing: episodes know what carries what, as methods that look at it need; where objects are
+        taken away again they do in any case.
       history_steps: of an attempt that took longer the history tells so many steps, as if it had been cut
         off then; None tells them all. A policy reads histories of the length that it was trained with.
     """
@@ -65,6 +68,7 @@ class Rules(struct.PyTreeNode, eq=False):
     region: Region
     num_started: int = struct.field(pytree_node=False, default=0)
     draw_region: RegionDraw | None = struct.field(pytree_node=False, default=None)
+    keeps_bearing: bool = struct.field(pytree_node=False, default=False)
     history_steps: int | None = struct.field(pytree_node=False, default=None)
 
     def begin(
@@ -112,6 +116,16 @@ class Rules(struct.PyTreeNode, eq=False):
             is_success=jnp.bool_(False),
             verdict=jnp.int32(Verdict.NONE),
             drift=jnp.float32(0),
+            bearing=self._nothing_borne() if self.keeps_bearing or config.ruin_after else None,
+        )
+
+    def _nothing_borne(self) -> Bearing:
+        number = self.geometry.num_objects
+        # What stands there already is trusted as on a flat table.
+        return Bearing(
+            leans_on=jnp.zeros((number, number), bool),
+            level=jnp.zeros(number, jnp.int32),
+            margin=jnp.asarray(self.geometry.own_margin, jnp.float32),
         )
 
     @property
@@ -143,10 +157,20 @@ class Rules(struct.PyTreeNode, eq=False):
         ranks = jnp.where(is_taken, jnp.inf, ranks)
         chosen = jnp.argsort(ranks)[: self.config.num_objects].astype(jnp.int32)
         chosen = jnp.where(jnp.isfinite(ranks[chosen]), chosen, -1)
+        if self.config.order in ("largest", "weighted"):
+            chosen = chosen[jnp.argsort(-self._weight(key)[chosen])]
         standing = jnp.nonzero(is_taken, size=self.num_started, fill_value=-1)[0].astype(jnp.int32)
         slots = jnp.concatenate([standing, chosen])
         slots = jnp.pad(slots, (0, self.num_slots - slots.shape[0]), constant_values=-1)
         return slots[jnp.argsort(slots < 0, stable=True)]
+
+    def _weight(self, key: Array) -> Array:
+        """f32[K]: who comes first, highest first. With noise of Gumbel's it is a draw by Plackett-Luce."""
+        weight = jnp.log(footprint_area(self.geometry))
+        if self.config.order == "largest":
+            return weight
+        noise = jax.random.gumbel(jax.random.fold_in(key, 1), weight.shape)
+        return ORDER_POWER * weight + noise
 
     def focus(self, episode: Episode) -> Array:
         """i32: the current object (of a finished episode: some object)."""
@@ -184,6 +208,7 @@ class Rules(struct.PyTreeNode, eq=False):
         after = self._push(episode, action, height_range, settling)
         after = self._commit(after, focus, settling, is_stable)
         after = self._count(after, episode.slot, settling, verdict, reward)
+        after = self._take_apart(after)
         after = self._finish(after, is_stable & is_last & is_active)
         after = jax.tree.map(lambda new, old: jnp.where(is_active, new, old), after, episode)
         return after, Transition(
@@ -210,10 +235,8 @@ class Rules(struct.PyTreeNode, eq=False):
 
     def _is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""
-        objects = jnp.arange(self.geometry.num_objects)
-        is_started = jnp.arange(self.num_slots)[:, None] < episode.first_slot
-        is_started = jnp.any(is_started & (episode.object_index[:, None] == objects), axis=0)
-        is_judged = (episode.is_placed | (objects == focus)) & ~is_started
+        is_focus = jnp.arange(self.geometry.num_objects) == focus
+        is_judged = (episode.is_placed | is_focus) & ~self._is_started(episode)
         asked = jnp.minimum(self.config.min_margin, _OWN_SHARE * self.geometry.own_margin)
         return ~jnp.any(is_judged & (settling.margin < asked))
 
@@ -240,6 +263,7 @@ class Rules(struct.PyTreeNode, eq=False):
         """Stable: the settled poses of all stay and the next slot begins. Else: as it was before."""
         is_focus = jnp.arange(self.geometry.num_objects) == focus
         is_placed = episode.is_placed | is_focus
+        bearing = episode.bearing and _borne(episode.bearing, is_focus, settling)
         # Where neighbours are not judged, the paper's looser count puts them back by hand.
         moves = is_placed if self.physics.config.judge_neighbours else is_focus
         attempt = jnp.where(is_stable, 0, episode.attempt + 1)
@@ -248,7 +272,7 @@ class Rules(struct.PyTreeNode, eq=False):
             is_placed=jnp.where(is_stable, is_placed, episode.is_placed),
             slot=episode.slot + is_stable.astype(jnp.int32),
             attempt=attempt,
-            is_over=attempt >= self.config.max_attempts,
+            bearing=jax.tree.map(lambda new, old: jnp.where(is_stable, new, old), bearing, episode.bearing),
             history=jax.tree.map(
                 lambda rows: jnp.where(is_stable, jnp.zeros_like(rows), rows), episode.history
             ),
@@ -273,6 +297,69 @@ class Rules(struct.PyTreeNode, eq=False):
             ),
         )
 
+    def _take_apart(self, episode: Episode) -> Episode:
+        """After failures: the episode is over, or some objects are taken away and come again."""
+        config = self.config
+        is_over = self._is_spent(episode)
+        if not config.ruin_after:
+            return episode.replace(is_over=is_over | (episode.attempt >= config.max_attempts))
+        ruined = self.remove(episode, choose_ruin(episode, self.geometry, self._is_started(episode)))
+        # What could not be filled again within the budget is not worth taking apart.
+        is_ruined = (episode.attempt >= config.ruin_after) & ~self._is_spent(ruined)
+        after = jax.tree.map(lambda new, old: jnp.where(is_ruined, new, old), ruined, episode)
+        return after.replace(is_over=is_over)
+
+    def _is_spent(self, episode: Episode) -> Array:
+        """Whether the attempts that are left are fewer than the slots to fill, bool."""
+        left = episode.num_slots - episode.slot
+        return episode.counts.attempts.sum() + left > self.config.max_scene_attempts
+
+    def remove(self, episode: Episode, which: Array) -> Episode:
+        """The episode without some placed objects, and without all that leans on them.
+
+        They come again, after the current object. What was spent on them stays counted, in their new slots.
+
+        Args:
+          which: bool[K]; of what stood there from the beginning nothing is taken.
+
+        Raises:
+          ValueError: the episode does not know what carries what (`keeps_bearing`).
+        """
+        if episode.bearing is None:
+            raise ValueError(
+                "remove needs an episode that knows what carries what: Rules(keeps_bearing=True)"
+            )
+        which = carried_by(which & episode.is_placed, episode.bearing.leans_on) & ~self._is_started(episode)
+        slots, index = jnp.arange(self.num_slots), jnp.maximum(episode.object_index, 0)
+        is_kept = (slots < episode.slot) & ~which[index]
+        group = jnp.where(is_kept, 0, jnp.where(slots == episode.slot, 1, 2))
+        order = jnp.argsort(jnp.where(episode.object_index < 0, 3, group), stable=True)
+        empty, bearing, counts = self._nothing_borne(), episode.bearing, episode.counts
+        return episode.replace(
+            object_index=episode.object_index[order],
+            slot=is_kept.sum().astype(jnp.int32),
+            attempt=jnp.int32(0),
+            poses=jnp.where(which[:, None], empty_start(len(which)).poses, episode.poses),
+            is_placed=episode.is_placed & ~which,
+            history=jax.tree.map(jnp.zeros_like, episode.history),
+            counts=counts.replace(
+                attempts=counts.attempts[order],
+                steps=counts.steps[order],
+                rest_steps=counts.rest_steps[order],
+            ),
+            bearing=Bearing(
+                leans_on=bearing.leans_on & ~which[:, None] & ~which,
+                level=jnp.where(which, empty.level, bearing.level),
+                margin=jnp.where(which, empty.margin, bearing.margin),
+            ),
+        )
+
+    def _is_started(self, episode: Episode) -> Array:
+        """bool[K]: the objects that stood there when the episode began."""
+        is_started = jnp.arange(self.num_slots)[:, None] < episode.first_slot
+        objects = jnp.arange(self.geometry.num_objects)
+        return jnp.any(is_started & (episode.object_index[:, None] == objects), axis=0)
+
     def _finish(self, episode: Episode, is_filled: Array) -> Episode:
         """The episode after the last check, which runs only if every slot has just been filled."""
         standing = self.physics.stand(episode.poses, episode.is_placed, is_filled)
@@ -284,6 +371,17 @@ class Rules(struct.PyTreeNode, eq=False):
             drift=jnp.max(standing.shift),
             counts=counts.replace(simulated_steps=counts.simulated_steps + standing.num_steps),
         )
+
+
+def _borne(bearing: Bearing, is_focus: Array, settling: Settling) -> Bearing:
+    """What carries what once the focus object, bool[K], has come to rest."""
+    highest = jnp.max(jnp.where(settling.bears, bearing.level, -1), initial=-1)
+    return Bearing(
+        leans_on=jnp.where(is_focus[:, None], settling.touches, bearing.leans_on),
+        level=jnp.where(is_focus, highest + 1, bearing.level).astype(jnp.int32),
+        # Those that an attempt did not move keep theirs: they are told as infinite.
+        margin=jnp.where(jnp.isfinite(settling.margin), settling.margin, bearing.margin),
+    )
 
 
 def empty_start(num_objects: int) -> Start:

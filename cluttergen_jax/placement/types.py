@@ -94,6 +94,21 @@ class Counts(struct.PyTreeNode):
     reward: Array
 
 
+class Bearing(struct.PyTreeNode):
+    """What carries what among the placed objects of an episode, known from contacts at rest.
+
+    Attributes:
+      leans_on: bool[K, K], row k: the objects that touched object k when it came to rest.
+      level: i32[K], 0 on the support alone, else one more than the highest of what bears the object.
+      margin: f32[K], metres, the support margin (`physics.margin`) when it was last measured; 0 for what is
+        not placed.
+    """
+
+    leans_on: Array
+    level: Array
+    margin: Array
+
+
 class Episode(struct.PyTreeNode):
     """Filling one support. K objects in the world, S slots.
 
@@ -113,6 +128,7 @@ class Episode(struct.PyTreeNode):
       is_success: bool, every slot is filled and the finished scene stands.
       verdict: i32, the latest attempt's verdict; once all slots are filled, the last check's.
       drift: f32, metres, the largest movement in the last check.
+      bearing: what carries what; None where nobody asks.
     """
 
     key: Array
@@ -130,6 +146,7 @@ class Episode(struct.PyTreeNode):
     is_success: Array
     verdict: Array
     drift: Array
+    bearing: Bearing | None = None
 
     @property
     def num_slots(self) -> Array:
