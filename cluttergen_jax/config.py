@@ -14,6 +14,7 @@ Method = Literal[
     "random",
     "clear",
     "drop",
+    "spread",
     "policy",
     "beta",
     "normal",

@@ -21,6 +21,8 @@ from cluttergen_jax.placement.setup import Setup
 
 FILTERED = "policy-clear"
 METHODS = (*BASELINES, *VARIANTS, FILTERED)
+TRUSTED_METHODS = ("spread", "guided")
+"""Those that ask what carries what, and that take objects away when they are stuck unless told otherwise."""
 DEFAULT_METHOD = "policy"
 FALLBACK_METHOD = "clear"
 GOOD_SUCCESS = 0.9
@@ -131,7 +133,11 @@ def sampler_of(setup: Setup, method: Method) -> BlockSampler:
       PoolError, ConfigError: its checkpoint cannot be read, or is of another problem.
     """
     rules = setup.problem.rules
-    rules = replace(rules, config=suited(rules.config, method.checkpoint))
+    rules = replace(
+        rules,
+        config=suited(rules.config, method.checkpoint),
+        keeps_bearing=method.name in TRUSTED_METHODS,
+    )
     return BlockSampler(rules, proposer_of(*method, rules), setup.keep_out, setup.start)
 
 

@@ -24,6 +24,8 @@ _GROUND_CELL = 0.0025
 _MOST_GROUND_CELLS = 2_000_000
 _NARROW_GAP = 0.02
 _LOWEST_GROUND = -0.01
+_OWNER_BITS = 8
+_DEEPEST = 1_000_000
 
 
 class HeightMap(struct.PyTreeNode):
@@ -34,11 +36,13 @@ class HeightMap(struct.PyTreeNode):
         Axis 0 runs along the region's x, axis 1 along its y. The cells of the border are VOID.
       corner: f32[2], where cell (0, 0) begins in the region frame, metres.
       cell: the sides of a cell, metres.
+      owner: i32[W, H], whose surface that is, K for the support; None unless asked for.
     """
 
     height: Array
     corner: Array
     cell: tuple[float, float] = struct.field(pytree_node=False)
+    owner: Array | None = None
 
     def index_of(self, x: Array, y: Array) -> Array:
         """i32[...]: the cells of points f32[...] in the flattened map; off the map, one of its border."""
@@ -51,6 +55,11 @@ class HeightMap(struct.PyTreeNode):
     def at(self, index: Array) -> Array:
         """f32[...]: the heights of cells i32[...] from `index_of`."""
         return self.height.reshape(-1).at[index].get(mode="clip")
+
+    def owner_at(self, index: Array) -> Array:
+        """i32[...]: whose surface the cells i32[...] show."""
+        assert self.owner is not None
+        return self.owner.reshape(-1).at[index].get(mode="clip")
 
 
 class _Ground(struct.PyTreeNode):
@@ -99,8 +108,11 @@ class HeightMapper(struct.PyTreeNode):
         shape = (int(counts[0]) + 2, int(counts[1]) + 2)
         return HeightMapper(geometry, _ground_of(boxes, top), cell, shape)
 
-    def __call__(self, region: Region, poses: Array, is_placed: Array) -> HeightMap:
-        """The map of one scene: poses f32[K, 7], world; is_placed bool[K]."""
+    def __call__(self, region: Region, poses: Array, is_placed: Array, with_owner: bool = False) -> HeightMap:
+        """The map of one scene: poses f32[K, 7], world; is_placed bool[K].
+
+        With owners, heights are whole micrometres.
+        """
         corner = -jnp.array(self.shape, jnp.float32) / 2 * jnp.array(self.cell)
         bare = HeightMap(self._bare(region, corner), corner, self.cell)
         # Poses of objects that are not placed may be anything.
@@ -115,8 +127,20 @@ class HeightMapper(struct.PyTreeNode):
         )
         index = bare.index_of(x, y)
         height = jnp.where(is_placed[self.geometry.surface_owner][:, None], z, VOID)
+        if with_owner:
+            return self._with_owner(bare, index, height)
         raised = bare.height.reshape(-1).at[index.reshape(-1)].max(height.reshape(-1), mode="drop")
         return bare.replace(height=_with_void_border(raised.reshape(self.shape)))
+
+    def _with_owner(self, bare: HeightMap, index: Array, height: Array) -> HeightMap:
+        """Height and owner packed into one whole number, so that one pass finds both."""
+        nobody = self.geometry.num_objects
+        packed = _pack(bare.height, jnp.int32(nobody)).reshape(-1)
+        points = _pack(height, self.geometry.surface_owner[:, None])
+        packed = packed.at[index.reshape(-1)].max(points.reshape(-1), mode="drop").reshape(self.shape)
+        micrometres, owner = packed >> _OWNER_BITS, packed & (2**_OWNER_BITS - 1)
+        height = jnp.where(micrometres <= -_DEEPEST, VOID, micrometres * 1e-6)
+        return bare.replace(height=_with_void_border(height), owner=owner)
 
     def _bare(self, region: Region, corner: Array) -> Array:
         """f32[W, H]: the heights of the support itself."""
@@ -134,6 +158,12 @@ class HeightMapper(struct.PyTreeNode):
         )
         flat = ground.height.reshape(-1)
         return _with_void_border(flat.at[i * ground.height.shape[1] + j].get(mode="clip"))
+
+
+def _pack(height: Array, owner: Array) -> Array:
+    """i32[...]: whole micrometres, at most 4 m up, above an owner's number."""
+    micrometres = jnp.clip(jnp.round(height * 1e6), -_DEEPEST, 4e6).astype(jnp.int32)
+    return (micrometres << _OWNER_BITS) | owner
 
 
 def _with_void_border(height: Array) -> Array:
