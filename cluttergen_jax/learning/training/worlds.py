@@ -55,7 +55,8 @@ class TrainingWorld:
 
     Attributes:
       setting: where and how many; world: what is compiled.
-      rules: of its episodes. Those of one setting have arrays of equal shapes, and the same physics object.
+      rules: of its episodes, which know what carries what. Those of one setting have arrays of equal shapes,
+        and the same physics object.
       mapper: of its height maps, for `Search(rules, mapper=mapper)`; of one size in each setting.
     """
 
@@ -128,6 +129,7 @@ class WorldMaker:
             physics=self.physics,
             geometry=padded(geometry_of(world), NUM_COLUMN_SAMPLES, self.num_runs),
             region=region_of(support.region, support),
+            keeps_bearing=True,
         )
         return TrainingWorld(
             setting, world, rules, HeightMapper.of(rules.geometry, rules.region, self.radius)
