@@ -28,8 +28,9 @@ HELD_OUT_FAMILIES = (
     "spray_bottle",
     "tape_roll",
 )
-"""Families of the modeller that nothing is trained on, two of each pool, of all sorts: hollow, on a thin stem,
-wide with a handle, long and thin, round on a foot, hinged, open trays, a flat block, a tall bottle, a ring."""
+"""Families of the modeller that nothing is trained on, two of each pool, of all sorts: hollow, on a thin
+stem, wide with a handle, long and thin, round on a foot, hinged, open trays, a flat block, a tall bottle,
+a ring."""
 
 TRAINING_FAMILIES = tuple(family for family in FAMILIES if family not in HELD_OUT_FAMILIES)
 """The other families."""
