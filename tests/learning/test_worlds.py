@@ -1,5 +1,6 @@
 """Training worlds: settings within their ranges, and worlds of one setting that share what is compiled."""
 
+import weakref
 from collections import Counter
 from dataclasses import replace
 
@@ -73,6 +74,15 @@ def test_worlds_of_one_setting_share_a_program_and_scenes_are_those_of_unpadded_
     np.testing.assert_array_equal(scenes.object_index, expected.object_index)
     np.testing.assert_array_equal(scenes.poses, expected.poses)
     np.testing.assert_array_equal(scenes.counts.verdicts, expected.counts.verdicts)
+
+
+def test_one_engine_holds_simulations_at_a_time(maker):
+    world = maker.make(Setting("table-0.30x0.36", 3, 1.0), 0)
+    world.start_engine(num_threads=1)
+    held = weakref.ref(maker.physics.engine.simulations(2))
+    assert held() is not None
+    world.start_engine(num_threads=1)
+    assert held() is None
 
 
 def test_a_radius_widens_maps_only_where_the_support_goes_on(maker):

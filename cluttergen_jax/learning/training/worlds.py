@@ -68,7 +68,7 @@ class TrainingWorld:
     def start_engine(self, num_threads: int = 0) -> None:
         """From now on the physics that all worlds of its maker share simulates this one.
 
-        Its simulations, some 500 MB of them, go when the next world's engine starts.
+        What the one before held, some 500 MB of simulations, is given back.
 
         Args:
           num_threads: of the native engine; 0 takes every core.
@@ -76,6 +76,8 @@ class TrainingWorld:
         physics = self.rules.physics
         assert isinstance(physics, SwappablePhysics)
         engine = make_physics(self.world.layout, physics.config, "native", num_threads)
+        if hasattr(physics, "engine"):
+            physics.engine.free()
         physics.engine = cast(BatchEngine, engine)
 
 
