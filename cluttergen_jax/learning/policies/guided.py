@@ -40,7 +40,7 @@ class Guided(TrustedSearch, eq=False):
     def trust(self, episode: Episode, menu: Menu) -> Array:
         """See `TrustedSearch`."""
         features = features_of(self.search.rules, episode, menu)
-        outlook = StabilityNet(self.network).apply(self.params, features)
+        outlook: Any = StabilityNet(self.network).apply(self.params, features)
         return jax.nn.sigmoid(outlook.is_robust if self.is_robust else outlook.stands)
 
 
