@@ -11,6 +11,7 @@ from flax import struct
 from cluttergen_jax.learning.networks.stability import features_of
 from cluttergen_jax.learning.policies.guided import Guided
 from cluttergen_jax.placement.region import action_scale
+from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.trusted import Menu
 from cluttergen_jax.placement.types import Episode, Transition

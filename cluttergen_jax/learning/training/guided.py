@@ -1,4 +1,4 @@
-"""Training of `guided`: rounds of attempts in worlds of the modeller's variants, each with the network so far."""
+"""Training of `guided`: rounds of attempts among variants of the modeller, each with the network so far."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.networks.stability import StabilityNetConfig
-from cluttergen_jax.learning.policies.guided import blank_params
+from cluttergen_jax.learning.policies.guided import KIND, blank_params
 from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.learning.training.attempts import Examples, Explorer, begin, collect_step
 from cluttergen_jax.learning.training.interrupt import Interrupt
@@ -136,7 +136,9 @@ class GuidedTraining:
             held_out = _Crowds(config, families, 1, config.seed + 1)
             tested = _joined(self._see(held_out, 0, "held-out", params, config.exploration, interrupt))
         self._save(params, examples, tested)
-        self._show(f"time       {(time.monotonic() - started) / 60:.1f} minutes; policy in {self.folder / 'policy'}")
+        self._show(
+            f"time       {(time.monotonic() - started) / 60:.1f} minutes; policy in {self.folder / 'policy'}"
+        )
         return self.folder / "policy"
 
     def _see(
@@ -145,7 +147,9 @@ class GuidedTraining:
         """The attempts of a round, by setting: from their files, or made now."""
         config, seen = self.config, []
         title = f"attempts {name}"
-        with Progress(title, config.num_settings * config.num_steps * config.num_episodes, "attempt") as progress:
+        with Progress(
+            title, config.num_settings * config.num_steps * config.num_episodes, "attempt"
+        ) as progress:
             for index in range(config.num_settings):
                 file = self.folder / "attempts" / f"{name}-{index:02d}.npz"
                 if file.exists():
@@ -184,7 +188,7 @@ class GuidedTraining:
         self._show(f"held out   {found}")
         self._show(f"robust     {robust}")
         record = {
-            "kind": "stability",
+            "kind": KIND,
             "variant": "guided",
             "config": asdict(config),
             "network": asdict(config.network),

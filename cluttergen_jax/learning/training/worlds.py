@@ -55,7 +55,8 @@ class TrainingWorld:
 
     Attributes:
       setting: where and how many; world: what is compiled.
-      rules: of its episodes. Those of one setting have arrays of equal shapes, and the same physics object.
+      rules: of its episodes. Those of one setting have arrays of equal shapes, and the same physics object
+        where they are judged alike.
       mapper: of its height maps, for `Search(rules, mapper=mapper)`; of one size in each setting.
     """
 
@@ -87,7 +88,7 @@ class WorldMaker:
     Args:
       sets: K objects each.
       placement: what is asked of episodes; the number of objects is the setting's.
-      stability, contact: of the simulations.
+      contact: of the simulations.
 
     Raises:
       ConfigError: there is no set, or they differ in size.
@@ -97,7 +98,6 @@ class WorldMaker:
         self,
         sets: Sequence[Sequence[ObjectAsset]],
         placement: PlacementConfig | None = None,
-        stability: StabilityConfig | None = None,
         contact: ContactConfig | None = None,
     ) -> None:
         sizes = sorted({len(each) for each in sets})
@@ -105,8 +105,8 @@ class WorldMaker:
             raise ConfigError(f"sets of {sizes} objects", "sets of one size", "`object_sets`")
         self.sets = tuple(tuple(each) for each in sets)
         self.placement = placement or PlacementConfig(history_stride=0)
-        self.stability, self.contact = stability or StabilityConfig(), contact or ContactConfig()
-        self.physics = SwappablePhysics(sizes[0], self.stability)
+        self.contact = contact or ContactConfig()
+        self._physics: dict[StabilityConfig, SwappablePhysics] = {}
         objects = list(dict.fromkeys(asset for each in self.sets for asset in each))
         self.radius = max(float(np.linalg.norm(asset.half_extents[:2])) for asset in objects)
         self._columns = {
@@ -114,7 +114,9 @@ class WorldMaker:
         }
         self.num_runs = max(sum(num_runs_of(self._columns[asset]) for asset in each) for each in self.sets)
 
-    def make(self, setting: Setting, set_index: int) -> TrainingWorld:
+    def make(
+        self, setting: Setting, set_index: int, stability: StabilityConfig | None = None
+    ) -> TrainingWorld:
         """The world of one of the sets in a setting; `start_engine` before it is run.
 
         Raises:
@@ -122,12 +124,15 @@ class WorldMaker:
         """
         objects, support = self.sets[set_index], find_support(setting.support)
         check_number(setting.num_objects, len(objects), "of variants")
-        world = make_world(objects, support, self.stability, self.contact, self._columns.__getitem__)
+        stability = stability or StabilityConfig()
+        physics = self._physics.setdefault(stability, SwappablePhysics(len(objects), stability))
+        world = make_world(objects, support, stability, self.contact, self._columns.__getitem__)
         rules = Rules(
             config=replace(self.placement, num_objects=setting.num_objects),
-            physics=self.physics,
+            physics=physics,
             geometry=padded(geometry_of(world), NUM_COLUMN_SAMPLES, self.num_runs),
             region=region_of(support.region, support),
+            keeps_bearing=True,
         )
         return TrainingWorld(
             setting, world, rules, HeightMapper.of(rules.geometry, rules.region, self.radius)
