@@ -11,6 +11,7 @@ from cluttergen_jax.config import VARIANTS
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
+from cluttergen_jax.learning.policies.guided import KIND, load_guided
 from cluttergen_jax.learning.policies.policy import FilteredPolicy, TrainedPolicy, load_policy
 from cluttergen_jax.placement.baselines import BASELINES, Clear, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
@@ -116,6 +117,8 @@ def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Pro
     """
     if checkpoint is None:
         return make_proposer(method, rules)
+    if checkpoint.kind == KIND:
+        return load_guided(checkpoint, rules)
     policy = load_policy(checkpoint, rules)
     if method != FILTERED:
         return policy

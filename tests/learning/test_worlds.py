@@ -79,7 +79,7 @@ def test_worlds_of_one_setting_share_a_program_and_scenes_are_those_of_unpadded_
 def test_one_engine_holds_simulations_at_a_time(maker):
     world = maker.make(Setting("table-0.30x0.36", 3, 1.0), 0)
     world.start_engine(num_threads=1)
-    held = weakref.ref(maker.physics.engine.simulations(2))
+    held = weakref.ref(world.rules.physics.engine.simulations(2))
     assert held() is not None
     world.start_engine(num_threads=1)
     assert held() is None

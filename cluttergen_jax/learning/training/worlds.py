@@ -56,7 +56,7 @@ class TrainingWorld:
     Attributes:
       setting: where and how many; world: what is compiled.
       rules: of its episodes, which know what carries what. Those of one setting have arrays of equal shapes,
-        and the same physics object.
+        and the same physics object where they are judged alike.
       mapper: of its height maps, for `Search(rules, mapper=mapper)`; of one size in each setting.
     """
 
@@ -66,9 +66,9 @@ class TrainingWorld:
     mapper: HeightMapper
 
     def start_engine(self, num_threads: int = 0) -> None:
-        """From now on the physics that all worlds of its maker share simulates this one.
+        """From now on the physics that it shares with its maker's worlds simulates this one.
 
-        What the one before held, some 500 MB of simulations, is given back.
+        What the engine before held, some 500 MB of simulations, is given back.
 
         Args:
           num_threads: of the native engine; 0 takes every core.
@@ -85,12 +85,12 @@ class WorldMaker:
     """Makes worlds of sets of objects, such that those of one setting share what is compiled.
 
     Their columns and surfaces are padded to sizes that serve every set, and their height maps are made for
-    the largest object of all. One engine is at work at a time.
+    the largest object of all. Of worlds that are judged alike one has an engine at a time.
 
     Args:
       sets: K objects each.
       placement: what is asked of episodes; the number of objects is the setting's.
-      stability, contact: of the simulations.
+      contact: of the simulations.
 
     Raises:
       ConfigError: there is no set, or they differ in size.
@@ -100,7 +100,6 @@ class WorldMaker:
         self,
         sets: Sequence[Sequence[ObjectAsset]],
         placement: PlacementConfig | None = None,
-        stability: StabilityConfig | None = None,
         contact: ContactConfig | None = None,
     ) -> None:
         sizes = sorted({len(each) for each in sets})
@@ -108,8 +107,8 @@ class WorldMaker:
             raise ConfigError(f"sets of {sizes} objects", "sets of one size", "`object_sets`")
         self.sets = tuple(tuple(each) for each in sets)
         self.placement = placement or PlacementConfig(history_stride=0)
-        self.stability, self.contact = stability or StabilityConfig(), contact or ContactConfig()
-        self.physics = SwappablePhysics(sizes[0], self.stability)
+        self.contact = contact or ContactConfig()
+        self._physics: dict[StabilityConfig, SwappablePhysics] = {}
         objects = list(dict.fromkeys(asset for each in self.sets for asset in each))
         self.radius = max(float(np.linalg.norm(asset.half_extents[:2])) for asset in objects)
         self._columns = {
@@ -117,7 +116,9 @@ class WorldMaker:
         }
         self.num_runs = max(sum(num_runs_of(self._columns[asset]) for asset in each) for each in self.sets)
 
-    def make(self, setting: Setting, set_index: int) -> TrainingWorld:
+    def make(
+        self, setting: Setting, set_index: int, stability: StabilityConfig | None = None
+    ) -> TrainingWorld:
         """The world of one of the sets in a setting; `start_engine` before it is run.
 
         Raises:
@@ -125,10 +126,12 @@ class WorldMaker:
         """
         objects, support = self.sets[set_index], find_support(setting.support)
         check_number(setting.num_objects, len(objects), "of variants")
-        world = make_world(objects, support, self.stability, self.contact, self._columns.__getitem__)
+        stability = stability or StabilityConfig()
+        physics = self._physics.setdefault(stability, SwappablePhysics(len(objects), stability))
+        world = make_world(objects, support, stability, self.contact, self._columns.__getitem__)
         rules = Rules(
             config=replace(self.placement, num_objects=setting.num_objects),
-            physics=self.physics,
+            physics=physics,
             geometry=padded(geometry_of(world), NUM_COLUMN_SAMPLES, self.num_runs),
             region=region_of(support.region, support),
             keeps_bearing=True,
