@@ -12,6 +12,7 @@ from cluttergen_jax.config import VARIANTS, Setting
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
+from cluttergen_jax.learning.policies.guided import KIND, load_guided
 from cluttergen_jax.learning.policies.policy import FilteredPolicy, TrainedPolicy, load_policy
 from cluttergen_jax.placement.baselines import BASELINES, Clear, make_proposer
 from cluttergen_jax.placement.config import MIN_MARGIN, RUIN_AFTER, PlacementConfig
@@ -22,6 +23,8 @@ from cluttergen_jax.placement.setup import Setup
 
 FILTERED = "policy-clear"
 METHODS = (*BASELINES, *VARIANTS, FILTERED)
+TRUSTED_METHODS = ("spread", "guided")
+"""Those that ask what carries what, and that take objects away when they are stuck unless told otherwise."""
 DEFAULT_METHOD = "policy"
 FALLBACK_METHOD = "clear"
 GOOD_SUCCESS = 0.9
@@ -147,6 +150,8 @@ def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Pro
     """
     if checkpoint is None:
         return make_proposer(method, rules)
+    if checkpoint.kind == KIND:
+        return load_guided(checkpoint, rules)
     policy = load_policy(checkpoint, rules)
     if method != FILTERED:
         return policy
@@ -164,7 +169,11 @@ def sampler_of(setup: Setup, method: Method) -> BlockSampler:
       PoolError, ConfigError: its checkpoint cannot be read, or is of another problem.
     """
     rules = setup.problem.rules
-    rules = replace(rules, config=suited(rules.config, method.checkpoint))
+    rules = replace(
+        rules,
+        config=suited(rules.config, method.checkpoint),
+        keeps_bearing=method.name in TRUSTED_METHODS,
+    )
     return BlockSampler(rules, proposer_of(*method, rules), setup.keep_out, setup.start)
 
 

@@ -226,14 +226,14 @@ class Rules(struct.PyTreeNode, eq=False):
         """The attempt's verdict once margins, queried region and keep-out boxes have their say, i32."""
         verdict = settling.verdict
         if self.config.min_margin:
-            is_poor = (verdict == Verdict.STABLE) & ~self._is_supported(episode, focus, settling)
+            is_poor = (verdict == Verdict.STABLE) & ~self.is_supported(episode, focus, settling)
             verdict = jnp.where(is_poor, int(Verdict.UNSUPPORTED), verdict)
         pose, half_extents = settling.poses[focus], self.geometry.half_extents[focus]
         inside = is_inside(pose, half_extents, episode.region, self.config.containment)
         inside &= ~is_kept_out(pose, half_extents, episode.keep_out)
         return jnp.where((verdict == Verdict.STABLE) & ~inside, int(Verdict.OUTSIDE), verdict)
 
-    def _is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
+    def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""
         is_focus = jnp.arange(self.geometry.num_objects) == focus
         is_judged = (episode.is_placed | is_focus) & ~self._is_started(episode)
