@@ -286,7 +286,7 @@ def test_around_a_saved_scene(pool, bank):
         ({"num_scene_points": 10.5}, "a whole number"),
         ({"num_threads": 10**6}, "0 to 4096"),
         ({"objects": "tall"}, "sequence of names"),
-        ({"setting": "papers"}, "default, paper.*Did you mean 'paper'"),
+        ({"setting": "papers"}, "Did you mean 'paper'.*default, paper"),
         ({"order": "smallest"}, "largest"),
         ({"ruin_after": 2.5}, "a whole number"),
         ({"ruin_after": 6}, "0 to 5"),
