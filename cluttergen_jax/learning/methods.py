@@ -29,9 +29,6 @@ DEFAULT_METHOD = "policy"
 FALLBACK_METHOD = "clear"
 GOOD_SUCCESS = 0.9
 """Success, as its record tells it, from which an embedded policy is what a user gets unasked."""
-TRUSTED_METHODS = ("spread", "guided")
-"""They draw uniformly among poses that they trust. Unless something else is asked for, large objects mostly
-come first there, and a scene that is stuck is taken apart."""
 SETTINGS = get_args(Setting)
 
 
