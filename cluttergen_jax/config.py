@@ -33,6 +33,7 @@ and on one attempt; `ranked` chooses among poses that geometry has found."""
 Preset = Literal["cpu", "tight", "gpu", "paper"]
 Engine = Literal["auto", "native", "warp", "jax"]
 Order = Literal["random", "fixed", "largest", "weighted"]
+Setting = Literal["default", "paper"]
 Containment = Literal["center", "footprint"]
 Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "all"]
 Reward = Literal["paper", "code", "compressed"]
