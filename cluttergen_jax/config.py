@@ -27,9 +27,11 @@ Method = Literal[
 Variant = Literal["guided", "policy", "beta", "normal", "open_loop", "short_memory", "ranked"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 PPO_VARIANTS = VARIANTS[1:]
-"""`guided` is no policy: its network learns by supervision what will stand. `policy` is the full method with the preset's head (a mixture; in `paper` a Beta a coordinate); `beta`
-and `normal` are the full method with the paper's heads; `open_loop` and `short_memory` look back on nothing
-and on one attempt; `ranked` chooses among poses that geometry has found."""
+"""`guided` is no policy: its network learns by supervision what will stand, for every pool.
+
+`policy` is the full method with the preset's head (a mixture; in `paper` a Beta a coordinate); `beta` and
+`normal` are the full method with the paper's heads; `open_loop` and `short_memory` look back on nothing and
+on one attempt; `ranked` chooses among poses that geometry has found."""
 Preset = Literal["cpu", "tight", "gpu", "paper"]
 Engine = Literal["auto", "native", "warp", "jax"]
 Order = Literal["random", "fixed", "largest", "weighted"]

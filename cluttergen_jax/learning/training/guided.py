@@ -7,7 +7,7 @@ import io
 import time
 import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -86,7 +86,7 @@ class GuidedConfig:
                 raise ConfigError(f"{name} = {getattr(self, name)}", f"{SET_SIZE} or more")
         if self.num_steps < 1:
             raise ConfigError(
-                f"{self.num_attempts} attempts of {self.num_episodes} episodes in {self.num_settings} settings",
+                f"{self.num_attempts} attempts a round",
                 f"{self.num_episodes * self.num_settings} attempts or more",
             )
 
@@ -94,6 +94,23 @@ class GuidedConfig:
     def num_steps(self) -> int:
         """Attempts of each episode in one setting and round."""
         return self.num_attempts // (self.num_settings * self.num_episodes)
+
+
+def train_guided(
+    num_attempts: int | None, seed: int, out: str | Path | None, show: Callable[[str], None]
+) -> Path:
+    """`cluttergen_jax.train(variant="guided")`; the policy's folder.
+
+    Raises:
+      ConfigError: too few attempts, or the folder holds a run with another config.
+      KeyboardInterrupt: on Ctrl-C; what was seen in the settings that are done is kept.
+    """
+    config = GuidedConfig(seed=seed)
+    if num_attempts is not None:
+        config = replace(config, num_attempts=num_attempts // config.num_rounds)
+    folder = Path(out or f"runs/guided-{seed}")
+    show(f"run        {folder}")
+    return GuidedTraining(config, folder, show).run()
 
 
 class GuidedTraining:
