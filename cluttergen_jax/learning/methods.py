@@ -166,11 +166,7 @@ def sampler_of(setup: Setup, method: Method) -> BlockSampler:
       PoolError, ConfigError: its checkpoint cannot be read, or is of another problem.
     """
     rules = setup.problem.rules
-    rules = replace(
-        rules,
-        config=suited(rules.config, method.checkpoint),
-        keeps_bearing=method.name in TRUSTED_METHODS,
-    )
+    rules = replace(rules, config=suited(rules.config, method.checkpoint))
     return BlockSampler(rules, proposer_of(*method, rules), setup.keep_out, setup.start)
 
 
