@@ -35,6 +35,7 @@ def generate(
     order: Order = "random",
     max_attempts: int = 5,
     min_margin: float = MIN_MARGIN,
+    robust: bool = False,
     repeat: bool = False,
     start: str | None = None,
     keep_out: Sequence[Rectangle | str] = (),
@@ -70,6 +71,8 @@ def generate(
       max_attempts: attempts per object, 1 to 10.
       min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
         asks for nothing, as the paper does.
+      robust: ask that an object also stands, with whatever it touches, while gravity tilts by 3 degrees and
+        friction is 0.7 times as much; native engine alone.
       repeat: let objects stand there more than once.
       start: a scene to start from, BANK:INDEX; its objects stay and count as neighbours.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.

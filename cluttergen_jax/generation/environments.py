@@ -49,6 +49,7 @@ def make_env(
     order: str = "random",
     max_attempts: int = 5,
     min_margin: float = MIN_MARGIN,
+    robust: bool = False,
     engine: str = "auto",
     num_threads: int = 0,
     **unknown: Never,
@@ -67,7 +68,7 @@ def make_env(
 
     Args:
       pool, support, num_objects, objects, exclude, repeat, region, keep_out, start, containment, order,
-        max_attempts, min_margin, engine, num_threads: as in `make_sampler`.
+        max_attempts, min_margin, robust, engine, num_threads: as in `make_sampler`.
       observation: "flat" for one vector f32[D] (`generation.wrappers.FlatObservation` lists its parts), or
         "dict" for what `placement.observation.observe` describes.
       action: "pose" for those four numbers, or "surface" for f32[3], x, y and turn: the height is that at

@@ -38,6 +38,7 @@ def make_sampler(
     order: str = "random",
     max_attempts: int = 5,
     min_margin: float = MIN_MARGIN,
+    robust: bool = False,
     num_scene_points: int = 0,
     engine: str = "auto",
     num_threads: int = 0,
@@ -69,6 +70,8 @@ def make_sampler(
       max_attempts: per object, 1 to 10; a policy of poses allows as many as it was trained with at most.
       min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
         asks for nothing, as the paper does.
+      robust: ask that an object also stands, with whatever it touches, while gravity tilts by 3 degrees and
+        friction is 0.7 times as much; native engine alone.
       num_scene_points: points of each scene's cloud, up to 200,000; 0 for none.
       engine: "auto", "native", "warp" or "jax".
       num_threads: of the native engine; 0 takes every core.
