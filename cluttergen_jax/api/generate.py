@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import Containment, Engine, Method, Order
+from cluttergen_jax.config import Containment, Engine, Method, Order, Setting
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.config import MIN_MARGIN
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
@@ -32,10 +31,13 @@ def generate(
     support: str | Path = "table",
     region: Rectangle | str | None = None,
     containment: Containment = "center",
-    order: Order = "random",
+    order: Order | None = None,
     max_attempts: int = 5,
-    min_margin: float = MIN_MARGIN,
+    ruin_after: int | None = None,
+    budget: int | None = None,
+    min_margin: float | None = None,
     robust: bool = False,
+    setting: Setting = "default",
     repeat: bool = False,
     start: str | None = None,
     keep_out: Sequence[Rectangle | str] = (),
@@ -67,12 +69,18 @@ def generate(
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
         In Python also a `Rectangle`.
       containment: what must lie in the region: the bounding box's "center", or its whole "footprint".
-      order: "random", or "fixed" to the pool's order.
+      order: in which objects come: "random"; "fixed" to the pool's order; "largest" footprint first; or
+        "weighted", mostly but not always so. If not given: the method's own, "random" for most.
       max_attempts: attempts per object, 1 to 10.
+      ruin_after: failed attempts in a row after which some placed objects, with all that leans on them, are
+        taken away and placed again; 0 takes nothing away. If not given: the method's own, 0 for most.
+      budget: attempts of a scene in all; `max_attempts` for each object if not given.
       min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
-        asks for nothing, as the paper does.
+        asks for nothing. If not given: 0.003.
       robust: ask that an object also stands, with whatever it touches, while gravity tilts by 3 degrees and
         friction is 0.7 times as much; native engine alone.
+      setting: what holds of these where they are not given: "default", or "paper" for the paper's rules: a
+        random order, nothing taken away, no margin.
       repeat: let objects stand there more than once.
       start: a scene to start from, BANK:INDEX; its objects stay and count as neighbours.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.
@@ -104,8 +112,8 @@ def generate(
     boxes = [parse_keep_out(box) if isinstance(box, str) else box for box in keep_out]
     if isinstance(region, str):
         region = parse_region(region, find_support(support).region)
-    config = problem_config(locals() | {"keep_out": boxes})
-    chosen, setup = set_up(config, method, checkpoint, boxes, start)
+    given = locals() | {"keep_out": boxes}
+    chosen, setup = set_up(problem_config(given), given)
     recipe = recipe_of(setup.problem, chosen) | {
         "start": start,
         "keep_out": [box if isinstance(box, str) else dataclasses.asdict(box) for box in keep_out],

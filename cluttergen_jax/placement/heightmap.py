@@ -24,6 +24,8 @@ _GROUND_CELL = 0.0025
 _MOST_GROUND_CELLS = 2_000_000
 _NARROW_GAP = 0.02
 _LOWEST_GROUND = -0.01
+_OWNER_BITS = 8
+_DEEPEST = 1_000_000
 
 
 class HeightMap(struct.PyTreeNode):
@@ -34,11 +36,13 @@ class HeightMap(struct.PyTreeNode):
         Axis 0 runs along the region's x, axis 1 along its y. The cells of the border are VOID.
       corner: f32[2], where cell (0, 0) begins in the region frame, metres.
       cell: the sides of a cell, metres.
+      owner: i32[W, H], whose surface that is, K for the support; None unless asked for.
     """
 
     height: Array
     corner: Array
     cell: tuple[float, float] = struct.field(pytree_node=False)
+    owner: Array | None = None
 
     def index_of(self, x: Array, y: Array) -> Array:
         """i32[...]: the cells of points f32[...] in the flattened map; off the map, one of its border."""
@@ -51,6 +55,11 @@ class HeightMap(struct.PyTreeNode):
     def at(self, index: Array) -> Array:
         """f32[...]: the heights of cells i32[...] from `index_of`."""
         return self.height.reshape(-1).at[index].get(mode="clip")
+
+    def owner_at(self, index: Array) -> Array:
+        """i32[...]: whose surface the cells i32[...] show."""
+        assert self.owner is not None
+        return self.owner.reshape(-1).at[index].get(mode="clip")
 
 
 class _Ground(struct.PyTreeNode):
@@ -80,25 +89,30 @@ class HeightMapper(struct.PyTreeNode):
     shape: tuple[int, int] = struct.field(pytree_node=False)
 
     @staticmethod
-    def of(geometry: Geometry, region: Region) -> HeightMapper:
+    def of(geometry: Geometry, region: Region, radius: float | None = None) -> HeightMapper:
         """Reads the arrays of `geometry`, outside `jit`.
 
         Args:
           region: the usual region. Maps are as large as it is, and wider by an object's radius where the
             support goes on; regions up to that size are wholly mapped.
+          radius: metres, that of the largest object seen from above; its own if None. Worlds on one support
+            that are given the same one have maps of the same size.
         """
         boxes = np.asarray(geometry.boxes, np.float64)
         top = float(geometry.top)
         boxes = boxes[boxes[:, 2] + boxes[:, 5] - top > _LOWEST_GROUND]
-        half = np.asarray(region.half_extents, np.float64) + _margin(geometry, region, boxes)
+        half = np.asarray(region.half_extents, np.float64) + _margin(geometry, region, boxes, radius)
         counts = np.ceil(2 * half / max(_FINEST_CELL, np.sqrt(4 * half.prod() / _MOST_CELLS)) - 1e-4)
         # The sides are whole numbers of cells, so that cells end where the support does.
         cell = (float(2 * half[0] / counts[0]), float(2 * half[1] / counts[1]))
         shape = (int(counts[0]) + 2, int(counts[1]) + 2)
         return HeightMapper(geometry, _ground_of(boxes, top), cell, shape)
 
-    def __call__(self, region: Region, poses: Array, is_placed: Array) -> HeightMap:
-        """The map of one scene: poses f32[K, 7], world; is_placed bool[K]."""
+    def __call__(self, region: Region, poses: Array, is_placed: Array, with_owner: bool = False) -> HeightMap:
+        """The map of one scene: poses f32[K, 7], world; is_placed bool[K].
+
+        With owners, heights are whole micrometres.
+        """
         corner = -jnp.array(self.shape, jnp.float32) / 2 * jnp.array(self.cell)
         bare = HeightMap(self._bare(region, corner), corner, self.cell)
         # Poses of objects that are not placed may be anything.
@@ -113,8 +127,20 @@ class HeightMapper(struct.PyTreeNode):
         )
         index = bare.index_of(x, y)
         height = jnp.where(is_placed[self.geometry.surface_owner][:, None], z, VOID)
+        if with_owner:
+            return self._with_owner(bare, index, height)
         raised = bare.height.reshape(-1).at[index.reshape(-1)].max(height.reshape(-1), mode="drop")
         return bare.replace(height=_with_void_border(raised.reshape(self.shape)))
+
+    def _with_owner(self, bare: HeightMap, index: Array, height: Array) -> HeightMap:
+        """Height and owner packed into one whole number, so that one pass finds both."""
+        nobody = self.geometry.num_objects
+        packed = _pack(bare.height, jnp.int32(nobody)).reshape(-1)
+        points = _pack(height, self.geometry.surface_owner[:, None])
+        packed = packed.at[index.reshape(-1)].max(points.reshape(-1), mode="drop").reshape(self.shape)
+        micrometres, owner = packed >> _OWNER_BITS, packed & (2**_OWNER_BITS - 1)
+        height = jnp.where(micrometres <= -_DEEPEST, VOID, micrometres * 1e-6)
+        return bare.replace(height=_with_void_border(height), owner=owner)
 
     def _bare(self, region: Region, corner: Array) -> Array:
         """f32[W, H]: the heights of the support itself."""
@@ -134,18 +160,25 @@ class HeightMapper(struct.PyTreeNode):
         return _with_void_border(flat.at[i * ground.height.shape[1] + j].get(mode="clip"))
 
 
+def _pack(height: Array, owner: Array) -> Array:
+    """i32[...]: whole micrometres, at most 4 m up, above an owner's number."""
+    micrometres = jnp.clip(jnp.round(height * 1e6), -_DEEPEST, 4e6).astype(jnp.int32)
+    return (micrometres << _OWNER_BITS) | owner
+
+
 def _with_void_border(height: Array) -> Array:
     i, j = (jnp.arange(side) for side in height.shape)
     inner = ((i > 0) & (i < height.shape[0] - 1))[:, None] & ((j > 0) & (j < height.shape[1] - 1))
     return jnp.where(inner, height, VOID)
 
 
-def _margin(geometry: Geometry, region: Region, boxes: np.ndarray) -> np.ndarray:
+def _margin(geometry: Geometry, region: Region, boxes: np.ndarray, radius: float | None) -> np.ndarray:
     """f64[2]: how far beyond the region's sides objects centred in it can find the support."""
     inverse = np.asarray(region.T_world_region.inverse().as_matrix(), np.float64)
     local = _corners(boxes) @ inverse[:2, :2].T + inverse[:2, 3]
     beyond = np.abs(local).max(0) - np.asarray(region.half_extents)
-    radius = np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max()
+    if radius is None:
+        radius = np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max()
     return np.clip(beyond, 0.0, radius)
 
 

@@ -1,16 +1,24 @@
-"""Geometric placers that a learned policy has to beat: `random`, `clear` and `drop`."""
+"""Geometric placers that a learned policy has to beat: `random`, `clear`, `drop` and `spread`."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.baselines.clear import Clear
 from cluttergen_jax.placement.baselines.lowest import LowestFit
 from cluttergen_jax.placement.baselines.random import Random
+from cluttergen_jax.placement.baselines.spread import Spread
 from cluttergen_jax.placement.rules import Proposer, Rules
 
-__all__ = ["BASELINES", "Clear", "LowestFit", "make_proposer"]
+__all__ = ["BASELINES", "Clear", "LowestFit", "Spread", "make_proposer"]
 
-BASELINES = {"random": Random, "clear": Clear, "drop": LowestFit}
+BASELINES: dict[str, Callable[[Rules], Proposer]] = {
+    "random": Random,
+    "clear": Clear,
+    "drop": LowestFit,
+    "spread": Spread.of,
+}
 
 
 def make_proposer(method: str, rules: Rules) -> Proposer:

@@ -22,9 +22,15 @@ def cost_of_lying(scores: CandidateScores) -> Array:
     half-way to the centre of mass; what stands on objects wants to be carried almost all around, since
     their height is less well known.
     """
+    gap, tipping = costs_of_staying(scores)
+    return scores.lift + gap + tipping
+
+
+def costs_of_staying(scores: CandidateScores) -> tuple[Array, Array]:
+    """f32[N] each: what speaks against a candidate's staying where it would lie (`cost_of_lying`)."""
     enough = jnp.where(scores.lift > _LIFTED, _ENOUGH_ON_OBJECTS, _ENOUGH_ON_TOP)
     tipping = _TIPPING_COST * jnp.maximum(enough - scores.support, 0.0)
-    return scores.lift + (scores.fit.gap / _GAP_SCALE) ** 2 + tipping
+    return (scores.fit.gap / _GAP_SCALE) ** 2, tipping
 
 
 class LowestFit(Search, eq=False):

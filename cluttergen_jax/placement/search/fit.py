@@ -72,7 +72,7 @@ class LoweredFit(struct.PyTreeNode):
 
 def lower_onto(under: UnderSide, heights: HeightMap, candidates: Candidates) -> LoweredFit:
     """Lowers an object vertically to first contact with a height map, at each candidate."""
-    below = heights.at(_cells(under, heights, candidates))
+    below = heights.at(cells_under(under, heights, candidates))
     is_column = under.is_column
     lowest = jnp.min(jnp.where(is_column, under.bottom, jnp.inf))
     is_base = is_column & (under.bottom < lowest + _BASE)
@@ -89,7 +89,7 @@ def lower_onto(under: UnderSide, heights: HeightMap, candidates: Candidates) -> 
 
 def mean_under(under: UnderSide, field: HeightMap, candidates: Candidates) -> Array:
     """f32[N]: the mean of any map over the object's columns at each candidate."""
-    values = jnp.where(under.is_column, field.at(_cells(under, field, candidates)), 0.0)
+    values = jnp.where(under.is_column, field.at(cells_under(under, field, candidates)), 0.0)
     return values.sum(1) / jnp.maximum(under.is_column.sum(), 1)
 
 
@@ -101,11 +101,16 @@ def support_share(under: UnderSide, heights: HeightMap, candidates: Candidates, 
     Args:
       rest: f32[N], from `lower_onto`.
     """
-    below = heights.at(_cells(under, heights, candidates))
-    touches = (rest[:, None] + under.bottom - below < _CONTACT_GAP) & under.is_column
+    touches = touching(under, heights, candidates, rest)
     lowest = jnp.min(jnp.where(under.is_column, under.bottom, jnp.inf))
     on_ground = (under.bottom < lowest + _CONTACT_GAP) & under.is_column
     return _margin(under, touches) / jnp.maximum(_margin(under, on_ground[None]), 1e-3)
+
+
+def touching(under: UnderSide, heights: HeightMap, candidates: Candidates, rest: Array) -> Array:
+    """bool[N, C]: the columns that would touch what lies below, at the heights `rest`, f32[N]."""
+    below = heights.at(cells_under(under, heights, candidates))
+    return (rest[:, None] + under.bottom - below < _CONTACT_GAP) & under.is_column
 
 
 def _margin(under: UnderSide, touches: Array) -> Array:
@@ -134,7 +139,7 @@ def _reduce(*terms: tuple[Array, Callable[[Array, Array], Array], float]) -> tup
     )
 
 
-def _cells(under: UnderSide, heights: HeightMap, candidates: Candidates) -> Array:
+def cells_under(under: UnderSide, heights: HeightMap, candidates: Candidates) -> Array:
     """i32[N, C]: the cell under each column at each candidate."""
     cos, sin = jnp.cos(candidates.yaw)[:, None], jnp.sin(candidates.yaw)[:, None]
     x = cos * under.xy[:, 0] - sin * under.xy[:, 1] + candidates.xy[:, 0, None]

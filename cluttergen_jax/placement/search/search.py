@@ -85,6 +85,25 @@ class TopCandidates(struct.PyTreeNode):
     heights: HeightMap
 
 
+class SearchScene(struct.PyTreeNode):
+    """What a search knows of an episode before it looks at candidates.
+
+    Attributes:
+      episode: its state; focus: i32, the current object.
+      height_range: f32, metres, of actions (`Rules.height_range`).
+      heights: the scene from above; crowded: how much of each cell's surroundings is taken (`crowding`).
+      under: the current object's under-side; sparse: some of its columns.
+    """
+
+    episode: Episode
+    focus: Array
+    height_range: Array
+    heights: HeightMap
+    crowded: HeightMap
+    under: UnderSide
+    sparse: UnderSide
+
+
 class Search(struct.PyTreeNode, eq=False):
     """Proposes the cheapest of many poses, uniform over region and turn; a subclass says what is cheap.
 
@@ -116,32 +135,54 @@ class Search(struct.PyTreeNode, eq=False):
 
     def narrow(self, candidates: Candidates, episode: Episode) -> TopCandidates:
         """The finalists among given candidates."""
-        config = self.config
-        focus, height_range = self.rules.focus(episode), self.rules.height_range(episode)
-        bare_rest = self.rules.geometry.half_extents[focus, 2]
+        return self.closely(self.scene(episode), candidates, self.config.num_finalists)
+
+    def scene(self, episode: Episode, with_owner: bool = False) -> SearchScene:
+        """What there is to know of an episode before candidates are looked at."""
+        focus = self.rules.focus(episode)
         assert self.mapper is not None
-        heights = self.mapper(episode.region, episode.poses, episode.is_placed)
-        crowded = crowding(heights)
+        heights = self.mapper(episode.region, episode.poses, episode.is_placed, with_owner)
         under = under_side(self.rules, focus)
-        sparse = under.first(config.num_coarse)
+        return SearchScene(
+            episode=episode,
+            focus=focus,
+            height_range=self.rules.height_range(episode),
+            heights=heights,
+            crowded=crowding(heights),
+            under=under,
+            sparse=under.first(self.config.num_coarse),
+        )
 
-        def rank(candidates: Candidates, fit: LoweredFit, support: Array) -> tuple[CandidateScores, Array]:
-            crowd = mean_under(sparse, crowded, candidates)
-            scores = CandidateScores(fit, fit.rest - bare_rest, support, crowd, episode.attempt)
-            is_allowed = self._is_allowed(episode, focus, candidates) & (fit.rest + CLEARANCE <= height_range)
-            cost = self.cost(scores)
-            return scores, jnp.where(is_allowed, cost, cost + FORBIDDEN)
+    def best(self, scene: SearchScene, candidates: Candidates, number: int) -> Candidates:
+        """The cheapest of many candidates, looked at coarsely."""
+        fit = lower_onto(scene.sparse, scene.heights, candidates)
+        _, cost = self._rank(scene, candidates, fit, jnp.ones_like(fit.rest))
+        return candidates.take(jax.lax.top_k(-cost, number)[1])
 
-        fit = lower_onto(sparse, heights, candidates)
-        _, cost = rank(candidates, fit, jnp.ones_like(fit.rest))
-        finalists = candidates.take(jax.lax.top_k(-cost, config.num_finalists)[1])
-        fit = lower_onto(under, heights, finalists)
-        scores, cost = rank(finalists, fit, support_share(under, heights, finalists, fit.rest))
+    def closely(self, scene: SearchScene, candidates: Candidates, number: int | None = None) -> TopCandidates:
+        """Candidates wholly looked at: those that `best` finds, or all of them."""
+        finalists = candidates if number is None else self.best(scene, candidates, number)
+        fit = lower_onto(scene.under, scene.heights, finalists)
+        support = support_share(scene.under, scene.heights, finalists, fit.rest)
+        scores, cost = self._rank(scene, finalists, fit, support)
         position = jnp.concatenate([finalists.xy, fit.rest[:, None] + CLEARANCE], axis=1)
         action = jax.vmap(action_of_pose, in_axes=(0, 0, None, None))(
-            position, finalists.yaw, episode.region, height_range
+            position, finalists.yaw, scene.episode.region, scene.height_range
         )
-        return TopCandidates(finalists, scores, cost, action, heights)
+        return TopCandidates(finalists, scores, cost, action, scene.heights)
+
+    def _rank(
+        self, scene: SearchScene, candidates: Candidates, fit: LoweredFit, support: Array
+    ) -> tuple[CandidateScores, Array]:
+        """What is known of candidates, and f32[N] what each costs."""
+        episode, focus = scene.episode, scene.focus
+        crowd = mean_under(scene.sparse, scene.crowded, candidates)
+        bare_rest = self.rules.geometry.half_extents[focus, 2]
+        scores = CandidateScores(fit, fit.rest - bare_rest, support, crowd, episode.attempt)
+        is_allowed = self._is_allowed(episode, focus, candidates)
+        is_allowed &= fit.rest + CLEARANCE <= scene.height_range
+        cost = self.cost(scores)
+        return scores, jnp.where(is_allowed, cost, cost + FORBIDDEN)
 
     def _is_allowed(self, episode: Episode, focus: Array, candidates: Candidates) -> Array:
         """bool[N]: where the object would count as inside and out of every keep-out box."""

@@ -30,8 +30,8 @@ _COLUMNS = {
     "is_placed": "slot by slot, whether it was placed",
     "poses": "slot by slot, position (metres) and quaternion wxyz in the world: z up, origin on the floor "
     "below the support's centre",
-    "attempts": "slot by slot, attempts used",
-    "steps": "slot by slot, steps of all its attempts",
+    "attempts": "slot by slot, attempts at its object, at places that it was taken from again included",
+    "steps": "slot by slot, steps of all these attempts",
     "rest_steps": "slot by slot, steps of the attempt that succeeded",
     "simulated_steps": "steps simulated for the scene",
     "residual_speed": "after `cluttergen certify`: m/s, the fastest object 0.25 s after the scene is let go",
@@ -158,7 +158,10 @@ def _made(recipe: dict[str, Any]) -> str:
         "pool": public_name(str(recipe.get("pool"))),
         "support": Path(str(recipe.get("support"))).name,
         "objects per scene": placement.get("num_objects"),
+        "order of objects": placement.get("order"),
         "attempts per object": placement.get("max_attempts"),
+        "attempts per scene": placement.get("budget") or "so many for each object",
+        "failed attempts after which objects are taken away": placement.get("ruin_after") or "none are",
         "method": recipe.get("method"),
         "checkpoint": recipe.get("checkpoint_hash") or "none",
         "seed": recipe.get("seed"),
@@ -166,6 +169,7 @@ def _made(recipe: dict[str, Any]) -> str:
         "queried region": recipe.get("region"),
         "containment": placement.get("containment"),
         "support margin asked for, metres": placement.get("min_margin", 0),
+        "robust": "asked for" if recipe.get("stability", {}).get("robust_tilt") else "not asked for",
         "versions": ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items()),
     }
     return "\n".join(["## How it was made", "", *(f"- {name}: {value}" for name, value in rows.items())])

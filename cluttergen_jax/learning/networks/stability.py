@@ -1,0 +1,111 @@
+"""The stability network: will this candidate stand?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import flax.linen as nn
+import jax.numpy as jnp
+from flax import struct
+
+from cluttergen_jax.placement.baselines.lowest import costs_of_staying
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.search.trusted import Menu
+from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.types import Array
+
+NUM_FEATURES = 24
+_DEEPEST, _HIGHEST = -0.05, 0.3
+
+
+@dataclass(frozen=True)
+class StabilityNetConfig:
+    """Sizes of the stability network.
+
+    Attributes:
+      width: of its hidden layers; depth: how many there are.
+    """
+
+    width: int = 64
+    depth: int = 2
+
+
+class Outlook(struct.PyTreeNode):
+    """What the network expects of N candidates.
+
+    Attributes:
+      stands: f32[N], logit: the attempt would be stable.
+      is_robust: f32[N], logit: it would be stable, and stay so under change (`StabilityConfig.robust_tilt`).
+      disturbs: f32[N], logit: a placed object would be moved.
+      shift: f32[N], decimetres that the object would move in plan as it settles.
+      margin: f32[N], its support margin at rest, in units of 5 cm.
+    """
+
+    stands: Array
+    is_robust: Array
+    disturbs: Array
+    shift: Array
+    margin: Array
+
+
+class StabilityNet(nn.Module):
+    """A perceptron on what geometry tells of a candidate (`features_of`)."""
+
+    config: StabilityNetConfig = StabilityNetConfig()
+
+    @nn.compact
+    def __call__(self, features: Array) -> Outlook:
+        """Args: features: f32[..., NUM_FEATURES]."""
+        hidden = features
+        for _ in range(self.config.depth):
+            hidden = nn.relu(nn.Dense(self.config.width)(hidden))
+        heads = nn.Dense(5)(hidden)
+        return Outlook(*(heads[..., index] for index in range(5)))
+
+
+def features_of(rules: Rules, episode: Episode, menu: Menu) -> Array:
+    """f32[N, NUM_FEATURES]: what is known of each candidate; lengths in decimetres, so that they are about 1.
+
+    Nothing in it says which object it is, or of which pool.
+    """
+    scores, fit, borne = menu.found.scores, menu.found.scores.fit, menu.bearers
+    geometry, focus = rules.geometry, rules.focus(episode)
+    cost = sum(costs_of_staying(scores))
+    of_candidates = jnp.stack(
+        [
+            10 * jnp.clip(scores.lift, _DEEPEST, _HIGHEST),
+            jnp.clip(scores.support, -1, 1),
+            100 * jnp.clip(fit.gap, 0, 0.05),
+            fit.blocked,
+            fit.hanging,
+            scores.crowd,
+            10 * jnp.clip(fit.rest, _DEEPEST, _HIGHEST),
+            jnp.clip(cost, 0.0, 2.0),
+            jnp.log(jnp.clip(cost, 1e-3, 10.0)) / 4,
+            borne.is_on.astype(jnp.float32),
+            borne.level / 3,
+            20 * jnp.clip(borne.margin, -0.05, 0.1),
+            20 * borne.offset,
+        ],
+        axis=1,
+    )
+    half, center = geometry.half_extents[focus], geometry.center_of_mass[focus]
+    own = jnp.clip(geometry.own_margin[focus], 0.0, 0.1)
+    of_object = jnp.concatenate(
+        [
+            10 * half,
+            20 * center,
+            jnp.stack(
+                [
+                    20 * own,
+                    # How far it may lean on flat ground before it tips.
+                    own / jnp.maximum(half[2] + center[2], 0.005) / 2,
+                    episode.is_placed.sum() / 20,
+                    10 * rules.height_range(episode) / 3,
+                    jnp.log(4 * half[0] * half[1] / (4 * jnp.prod(episode.region.half_extents))) / 4,
+                ]
+            ),
+        ]
+    )
+    shape = (of_candidates.shape[0], of_object.shape[0])
+    return jnp.concatenate([of_candidates, jnp.broadcast_to(of_object, shape)], axis=1)

@@ -1,0 +1,74 @@
+"""What would bear an object at a candidate pose, and how safely that stands itself."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from flax import struct
+
+from cluttergen_jax.placement.region import from_pose
+from cluttergen_jax.placement.search.fit import Candidates, cells_under, touching
+from cluttergen_jax.placement.search.search import SearchScene
+from cluttergen_jax.placement.types import Geometry
+from cluttergen_jax.types import Array
+
+_SAFE = 0.1
+
+
+class Bearers(struct.PyTreeNode):
+    """The placed objects that would carry the current one at N candidates.
+
+    Attributes:
+      is_on: bool[N], something other than the support would carry it.
+      level: f32[N], how many objects would be below it, one upon the other.
+      margin: f32[N], metres, the least support margin of those that carry it; 0.1 for the support.
+      offset: f32[N], metres, the most by which its centre of mass would lie beyond the support of one that
+        carries it, in plan: that one's own margin around that one's centre of mass; -0.1 for the support.
+    """
+
+    is_on: Array
+    level: Array
+    margin: Array
+    offset: Array
+
+
+def bearers(scene: SearchScene, geometry: Geometry, candidates: Candidates, rest: Array) -> Bearers:
+    """Who would carry the current object at each candidate.
+
+    Args:
+      scene: with owners, of an episode that knows what carries what.
+      rest: f32[N], from `lower_onto`, metres.
+    """
+    bearing, under, heights = scene.episode.bearing, scene.under, scene.heights
+    assert bearing is not None
+    touches = touching(under, heights, candidates, rest)
+    owner = heights.owner_at(cells_under(under, heights, candidates))
+    is_by_object = touches & (owner < geometry.num_objects)
+    place = jnp.where(is_by_object, owner, geometry.num_objects)
+
+    def most(of_objects: Array, of_support: float) -> Array:
+        """f32[N]: the largest value among those that carry it."""
+        values = jnp.append(of_objects, of_support)
+        return jnp.max(values.at[place].get(mode="clip"), axis=1)
+
+    # The lowest margin decides, so their negatives are compared.
+    margin = -most(-jnp.minimum(bearing.margin, _SAFE), -_SAFE)
+    center = from_pose(scene.episode.poses).apply(geometry.center_of_mass)[:, :2]
+    distance = jnp.linalg.norm(_in_world(scene, candidates)[:, None] - center, axis=-1)
+    beyond = jnp.append(distance - bearing.margin, jnp.full((len(rest), 1), -_SAFE), axis=1)
+    offset = jnp.max(jnp.take_along_axis(beyond, place, axis=1), axis=1)
+    return Bearers(
+        is_on=jnp.any(is_by_object, axis=1),
+        level=most(bearing.level + 1.0, 0.0),
+        margin=margin,
+        offset=jnp.clip(offset, -_SAFE, _SAFE),
+    )
+
+
+def _in_world(scene: SearchScene, candidates: Candidates) -> Array:
+    """f32[N, 2]: the centres of mass at the candidates, world x and y."""
+    T_world_region = scene.episode.region.T_world_region
+    turn = T_world_region.rotation().as_matrix()[:2, :2]
+    cos, sin = jnp.cos(candidates.yaw), jnp.sin(candidates.yaw)
+    x, y = scene.under.center_of_mass
+    local = candidates.xy + jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
+    return local @ turn.T + T_world_region.translation()[:2]

@@ -1,0 +1,132 @@
+"""Placers that draw uniformly among the candidate poses that are trusted to stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.search.bearers import Bearers, bearers
+from cluttergen_jax.placement.search.fit import Candidates
+from cluttergen_jax.placement.search.search import (
+    FORBIDDEN,
+    Search,
+    SearchScene,
+    TopCandidates,
+    draw_candidates,
+)
+from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.types import Array
+
+
+@dataclass(frozen=True)
+class TrustedConfig:
+    """How many candidates are looked at, and which are trusted.
+
+    Attributes:
+      num_uniform: uniform over region and turn.
+      num_finalists: the cheapest of many by the search's cost (`SearchConfig.num_candidates`).
+      num_above: over a placed object drawn for each.
+      thresholds: the trust asked for at an object's first attempt, its second, and so on; the last one holds
+        for all further ones. Where no candidate has it, the most trusted one is taken.
+    """
+
+    num_uniform: int = 80
+    num_finalists: int = 16
+    num_above: int = 0
+    thresholds: tuple[float, ...] = (0.9, 0.8, 0.6)
+
+
+class Menu(struct.PyTreeNode):
+    """N candidates for one attempt, wholly looked at.
+
+    Attributes:
+      found: where they are and how they would lie.
+      bearers: what would carry them.
+      is_allowed: bool[N], those that would count.
+    """
+
+    found: TopCandidates
+    bearers: Bearers
+    is_allowed: Array
+
+
+class TrustedSearch(struct.PyTreeNode, eq=False):
+    """A proposer: candidates from three sources, a uniform draw among those that a subclass trusts.
+
+    With poses drawn uniformly, an exact judge of what stands, and what stands as the only condition, scenes
+    would be those of rejection sampling; how near a judge comes is what `evaluate` measures.
+
+    Attributes:
+      search: finds the finalists and looks at all candidates; its rules keep what carries what.
+      config: how many, and the trust that is asked for.
+    """
+
+    search: Search
+    config: TrustedConfig = struct.field(pytree_node=False, default=TrustedConfig())
+
+    def trust(self, episode: Episode, menu: Menu) -> Array:
+        """f32[N], 0 to 1: how likely each candidate is to stand and to disturb nothing."""
+        raise NotImplementedError
+
+    def __call__(self, key: Array, episode: Episode) -> Array:
+        """See `placement.rules.Proposer`."""
+        key_draw, key_choice = jax.random.split(key)
+        menu = self.menu(key_draw, episode)
+        trust = jnp.where(menu.is_allowed, self.trust(episode, menu), -1.0)
+        thresholds = jnp.array(self.config.thresholds)
+        asked = thresholds[jnp.minimum(episode.attempt, len(thresholds) - 1)]
+        noise = jax.random.gumbel(key_choice, trust.shape)
+        # Whoever is trusted comes before all others, and among the others the most trusted.
+        return menu.found.action[jnp.argmax(jnp.where(trust >= asked, 2.0 + noise - jnp.min(noise), trust))]
+
+    def menu(self, key: Array, episode: Episode) -> Menu:
+        """The candidates for the episode's next attempt."""
+        search, config = self.search, self.config
+        keys = jax.random.split(key, 3)
+        scene = search.scene(episode, with_owner=True)
+        drawn = [draw_candidates(keys[0], episode.region, config.num_uniform)]
+        if config.num_finalists:
+            many = draw_candidates(keys[1], episode.region, search.config.num_candidates)
+            drawn.append(search.best(scene, many, config.num_finalists))
+        if config.num_above:
+            drawn.append(above_objects(keys[2], scene, search.rules, config.num_above))
+        return self._look(scene, jax.tree.map(lambda *parts: jnp.concatenate(parts), *drawn))
+
+    def look(self, episode: Episode, candidates: Candidates) -> Menu:
+        """Given candidates for the episode's next attempt."""
+        return self._look(self.search.scene(episode, with_owner=True), candidates)
+
+    def _look(self, scene: SearchScene, candidates: Candidates) -> Menu:
+        search = self.search
+        found = search.closely(scene, candidates)
+        return Menu(
+            found=found,
+            bearers=bearers(scene, search.rules.geometry, candidates, found.scores.fit.rest),
+            is_allowed=found.cost < FORBIDDEN / 2,
+        )
+
+
+def above_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> Candidates:
+    """Candidates over placed objects, uniform over the box of one drawn for each; region frame.
+
+    With nothing placed they are over the region's centre.
+    """
+    episode, half = scene.episode, rules.geometry.half_extents
+    key_which, key_at, key_yaw = jax.random.split(key, 3)
+    chance = jnp.where(episode.is_placed, 0.0, -jnp.inf)
+    noise = jax.random.gumbel(key_which, (number, len(chance)))
+    which = jnp.argmax(chance + noise, axis=1)
+    T_region_world = episode.region.T_world_region.inverse()
+    turn, shift = T_region_world.rotation().as_matrix()[:2, :2], T_region_world.translation()[:2]
+    center = episode.poses[which, :2] @ turn.T + shift
+    # Boxes are turned about z and sometimes tipped: a disc as wide as the box is near enough.
+    reach = jnp.linalg.norm(half[which, :2], axis=1) / jnp.sqrt(2.0)
+    xy = center + reach[:, None] * jax.random.uniform(key_at, (number, 2), minval=-1.0)
+    xy = jnp.where(jnp.any(episode.is_placed), xy, 0.0)
+    limit = episode.region.half_extents
+    yaw = jax.random.uniform(key_yaw, (number,), maxval=2 * jnp.pi)
+    return Candidates(jnp.clip(xy, -limit, limit), yaw)
