@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Never
@@ -10,7 +10,7 @@ from typing import Never
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.generation.arguments import check_known
 from cluttergen_jax.generation.sampler import Sampler
-from cluttergen_jax.learning.methods import Method, choose_method, sampler_of, suited
+from cluttergen_jax.learning.methods import Method, check_steered, choose_method, sampler_of, suited
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.problem import ProblemConfig
@@ -38,6 +38,9 @@ def make_sampler(
     order: str = "random",
     max_attempts: int = 5,
     min_margin: float = MIN_MARGIN,
+    overhang: str = "any",
+    clutter: str | Mapping[str, float] | None = None,
+    natural: bool = False,
     num_scene_points: int = 0,
     engine: str = "auto",
     num_threads: int = 0,
@@ -69,6 +72,13 @@ def make_sampler(
       max_attempts: per object, 1 to 10; a policy of poses allows as many as it was trained with at most.
       min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
         asks for nothing, as the paper does.
+      overhang: how much of an object may reach beyond the support's edge once it rests, seen from above:
+        "any"; "half", a quarter of its footprint, half of where an even body tips; or "none".
+      clutter: what scenes should have, on average (method "spread"): stack, objects on others; depth, objects
+        below each, summed; contacts, pairs that touch; near, metres to the nearest other object, mean;
+        occlusion, mean share of an object that others hide. As text "stack=3,near=0.02"; in Python also a
+        mapping.
+      natural: prefer wide, flat things below and small ones on them (method "spread").
       num_scene_points: points of each scene's cloud, up to 200,000; 0 for none.
       engine: "auto", "native", "warp" or "jax".
       num_threads: of the native engine; 0 takes every core.
@@ -108,5 +118,6 @@ def set_up(
     """
     placement = config.placement
     chosen = choose_method(method, config.pool, config.support, placement.num_objects, checkpoint)
+    check_steered(chosen.name, placement)
     config = replace(config, placement=suited(placement, chosen.checkpoint))
     return chosen, make_setup(config, keep_out, read_start(start))
