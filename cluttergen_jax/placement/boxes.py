@@ -11,6 +11,8 @@ from cluttergen_jax.types import Array
 
 NUM_CAMERAS = 8
 CAMERA_ELEVATION = np.radians(30.0)
+_FILL = 0.6
+"""Of the rectangle that bounds its box in a picture, so much an object fills and hides."""
 
 
 class Boxes(struct.PyTreeNode):
@@ -103,9 +105,11 @@ def _axes(boxes: Boxes) -> Array:
 
 
 def hidden_shares(ours: Views, theirs: Views) -> Array:
-    """f32[N, K, C]: the share of each of N bounding rectangles that each of K hides, where it is in front.
+    """f32[N, K, C]: the share of each of N objects that each of K hides, where that one is in front.
 
-    In front is whose centre is nearer to the camera: horizontally, unless neither lies wholly before the other.
+    It is the share of the one's bounding rectangle in the other's, times 0.6: so much of its own an object fills.
+
+    In front is whose centre is nearer to the camera: horizontally, unless neither is wholly before the other.
     """
     low = jnp.maximum((ours.middle - ours.half)[:, None], (theirs.middle - theirs.half)[None])
     high = jnp.minimum((ours.middle + ours.half)[:, None], (theirs.middle + theirs.half)[None])
@@ -114,7 +118,7 @@ def hidden_shares(ours: Views, theirs: Views) -> Array:
     before = theirs.ahead[None] - ours.ahead[:, None]
     is_apart = jnp.abs(before) > theirs.reach[None] + ours.reach[:, None]
     is_in_front = jnp.where(is_apart, before, theirs.depth[None] - ours.depth[:, None]) > 0
-    return jnp.where(is_in_front, jnp.clip(covered / area[:, None], 0.0, 1.0), 0.0)
+    return jnp.where(is_in_front, _FILL * jnp.clip(covered / area[:, None], 0.0, 1.0), 0.0)
 
 
 def nearest_gaps(boxes: Boxes, is_there: Array) -> Array:
