@@ -107,7 +107,7 @@ def _axes(boxes: Boxes) -> Array:
 def hidden_shares(ours: Views, theirs: Views) -> Array:
     """f32[N, K, C]: the share of each of N objects that each of K hides, where that one is in front.
 
-    It is the share of the one's bounding rectangle in the other's, times 0.6: so much of its own an object fills.
+    It is the share of the one's bounding rectangle in the other's, times 0.6: so much of it an object fills.
 
     In front is whose centre is nearer to the camera: horizontally, unless neither is wholly before the other.
     """
