@@ -15,6 +15,7 @@ Method = Literal[
     "clear",
     "drop",
     "spread",
+    "guided",
     "policy",
     "beta",
     "normal",
@@ -23,14 +24,18 @@ Method = Literal[
     "ranked",
     "policy-clear",
 ]
-Variant = Literal["policy", "beta", "normal", "open_loop", "short_memory", "ranked"]
+Variant = Literal["guided", "policy", "beta", "normal", "open_loop", "short_memory", "ranked"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
-"""`policy` is the full method with the preset's head (a mixture; in `paper` a Beta a coordinate); `beta`
-and `normal` are the full method with the paper's heads; `open_loop` and `short_memory` look back on nothing
-and on one attempt; `ranked` chooses among poses that geometry has found."""
+PPO_VARIANTS = VARIANTS[1:]
+"""`guided` is no policy: its network learns by supervision what will stand, for every pool.
+
+`policy` is the full method with the preset's head (a mixture; in `paper` a Beta a coordinate); `beta` and
+`normal` are the full method with the paper's heads; `open_loop` and `short_memory` look back on nothing and
+on one attempt; `ranked` chooses among poses that geometry has found."""
 Preset = Literal["cpu", "tight", "gpu", "paper"]
 Engine = Literal["auto", "native", "warp", "jax"]
 Order = Literal["random", "fixed", "largest", "weighted"]
+Setting = Literal["default", "paper"]
 Containment = Literal["center", "footprint"]
 Overhang = Literal["any", "half", "none"]
 Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "all"]

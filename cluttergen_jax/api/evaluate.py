@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import Change, Engine, Method, Suite, check_workers
+from cluttergen_jax.config import Change, Engine, Method, Order, Setting, Suite, check_workers
 from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -25,6 +26,11 @@ def evaluate(
     trials: int | None = None,
     seed: int = 0,
     max_attempts: int = 5,
+    order: Order | None = None,
+    ruin_after: int | None = None,
+    budget: int | None = None,
+    min_margin: float | None = None,
+    setting: Setting = "default",
     repeat: bool = False,
     change: Change = "none",
     exclude: Sequence[str] = (),
@@ -48,6 +54,10 @@ def evaluate(
       trials: scenes per row; 1000 if not given, and what each study asks for in a suite.
       seed: of the scenes.
       max_attempts: per object.
+      order, ruin_after, budget, min_margin: as `generate` takes them, for all rows; where they are not given,
+        each method has its own.
+      setting: what holds of these where they are not given: "default", or "paper" for the paper's rules (a
+        random order, nothing taken away, no margin), as in a suite.
       repeat: let objects stand there more than once.
       change: how the queried region is changed at random in every episode: "none", "translation",
         "rotation", "shrinkage", "expansion" or "all".
@@ -69,8 +79,10 @@ def evaluate(
     from cluttergen_jax.evaluation.comparison import compare, open_runner
     from cluttergen_jax.evaluation.studies.study import grid
     from cluttergen_jax.evaluation.trial import Trial
+    from cluttergen_jax.learning.methods import rules_asked
     from cluttergen_jax.placement.baselines import BASELINES
 
+    given = locals()
     check_workers("num_threads", num_threads)
     if not supports:
         raise ConfigError("supports = ()", "one name or more")
@@ -83,7 +95,10 @@ def evaluate(
         change=change,
     )
     named = [composed(pool, exclude) for pool in pools or ("dining",)]
-    planned = grid(base, pool=named, support=supports, method=methods or BASELINES)
+    planned = [
+        replace(trial, **rules_asked(trial.method, max_attempts, given))
+        for trial in grid(base, pool=named, support=supports, method=methods or BASELINES)
+    ]
     folder = None if out is None else Path(out)
     runner = open_runner(folder, planned, checkpoint, checkpoints, engine, num_threads, fresh)
     return compare(runner, planned, folder)
@@ -113,7 +128,7 @@ def evaluate_suite(
 
     Args:
       suite: "paper" (its tables and figures) or "extended" (what it does not ask); what the studies' own is
-        cannot be given then: supports, objects, attempts, repeats and changes.
+        cannot be given then: supports, objects, attempts, rules, repeats and changes.
       only: names of studies of the suite; all of them if not given.
       quick: a few trials a row: the whole paper suite in minutes.
       seeds: training seeds where a table asks for several, 3 if not given, 1 if quick; those without a

@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import Containment, Engine, Method, Order, Overhang
+from cluttergen_jax.config import Containment, Engine, Method, Order, Overhang, Setting
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.config import MIN_MARGIN
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
@@ -32,9 +31,12 @@ def generate(
     support: str | Path = "table",
     region: Rectangle | str | None = None,
     containment: Containment = "center",
-    order: Order = "random",
+    order: Order | None = None,
     max_attempts: int = 5,
-    min_margin: float = MIN_MARGIN,
+    ruin_after: int | None = None,
+    budget: int | None = None,
+    min_margin: float | None = None,
+    setting: Setting = "default",
     overhang: Overhang = "any",
     clutter: str | Mapping[str, float] | None = None,
     natural: bool = False,
@@ -69,10 +71,16 @@ def generate(
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
         In Python also a `Rectangle`.
       containment: what must lie in the region: the bounding box's "center", or its whole "footprint".
-      order: "random", or "fixed" to the pool's order.
+      order: in which objects come: "random"; "fixed" to the pool's order; "largest" footprint first; or
+        "weighted", mostly but not always so. If not given: the method's own, "random" for most.
       max_attempts: attempts per object, 1 to 10.
+      ruin_after: failed attempts in a row after which some placed objects, with all that leans on them, are
+        taken away and placed again; 0 takes nothing away. If not given: the method's own, 0 for most.
+      budget: attempts of a scene in all; `max_attempts` for each object if not given.
       min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
-        asks for nothing, as the paper does.
+        asks for nothing. If not given: 0.003.
+      setting: what holds of these where they are not given: "default", or "paper" for the paper's rules: a
+        random order, nothing taken away, no margin.
       overhang: how much of an object may reach beyond the support's edge once it rests, seen from above:
         "any"; "half", a quarter of its footprint, half of where an even body tips; or "none".
       clutter: what scenes should have, on average (method "spread"): stack, objects on others; depth, objects
@@ -111,8 +119,8 @@ def generate(
     boxes = [parse_keep_out(box) if isinstance(box, str) else box for box in keep_out]
     if isinstance(region, str):
         region = parse_region(region, find_support(support).region)
-    config = problem_config(locals() | {"keep_out": boxes})
-    chosen, setup = set_up(config, method, checkpoint, boxes, start)
+    given = locals() | {"keep_out": boxes}
+    chosen, setup = set_up(problem_config(given), given)
     recipe = recipe_of(setup.problem, chosen) | {
         "start": start,
         "keep_out": [box if isinstance(box, str) else dataclasses.asdict(box) for box in keep_out],

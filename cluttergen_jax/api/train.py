@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cluttergen_jax.config import Change, Encoder, Engine, EvalAction, Preset, Reward, Suite, Variant
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.training.suite import POOLS, SEEDS
 
 if TYPE_CHECKING:
@@ -53,7 +55,8 @@ def train(
         "rotation", "shrinkage", "expansion" or "all".
       max_attempts: per object, 1 to 10.
       preset: "cpu", "tight" (for crowded tables), "gpu" or "paper".
-      variant: "policy" (the full method), "open_loop", "short_memory", "normal", "beta" or "ranked".
+      variant: "guided" (no policy: one network for every pool, which takes `num_attempts`, `seed` and `out`
+        alone), "policy" (the full method), "open_loop", "short_memory", "normal", "beta" or "ranked".
       num_attempts: environment steps of the run; the preset's if not given.
       num_envs: environments side by side; the preset's if not given.
       seed: of weights, episodes and actions, 0 to 4294967295.
@@ -61,7 +64,8 @@ def train(
       encoder: of the scene: "set", "pointnet" or "pointnet2"; the preset's if not given.
       encoder_weights: folder of pretrained weights that the point encoders begin with (`pretrain`).
       encoder_frozen: leave these weights as they are.
-      out: the run's folder, runs/POOL-VARIANT-SEED if not given; of a suite, the folder of all its runs.
+      out: the run's folder, runs/POOL-VARIANT-SEED (runs/guided-SEED) if not given; of a suite, the folder
+        of all its runs.
       engine: "auto", "native", "warp" or "jax".
       eval_every: attempts between evaluations; 0 evaluates at the end only.
       eval_episodes: fresh episodes of each evaluation; 0 leaves evaluations out.
@@ -87,9 +91,29 @@ def train(
     from cluttergen_jax.learning.training.distributed import join
     from cluttergen_jax.learning.training.train import run_training, train_config
 
+    if variant == "guided":
+        from cluttergen_jax.learning.training.guided import train_guided
+
+        _refuse(given, _TAKEN_BY_GUIDED)
+        return train_guided(num_attempts, seed, out, show)
     config = train_config(given | {"pool": composed(pool, exclude)})
     join(coordinator, num_processes, process_id)
     return run_training(config, show=show)
+
+
+_TAKEN_BY_GUIDED = ("variant", "seed", "num_attempts", "out", "show")
+
+
+def _refuse(given: Mapping[str, Any], taken: Sequence[str]) -> None:
+    """Refuses arguments of `train` that a variant does not take and that are not at their defaults."""
+    kinds = inspect.signature(train).parameters
+    for name, value in given.items():
+        if name not in taken and value != kinds[name].default:
+            raise ConfigError(
+                f"{name} = {value!r} with variant {given['variant']!r}",
+                "seed, num_attempts and out: one network learns from shapes of the modeller, for every pool",
+                f"leaving {name} out",
+            )
 
 
 def train_suite(

@@ -25,7 +25,7 @@ class Attempts(struct.PyTreeNode):
     """Attempts in the order in which they were made. M attempts.
 
     Attributes:
-      scene, slot, object_index, ordinal: i32[M]; a slot's first attempt is 1.
+      scene, slot, object_index, ordinal: i32[M], as of `Transition`; the first of an object's turn is 1.
       steps: i32[M], simulated; is_stable: bool[M].
       action: f32[M, 4], what was proposed.
       is_made: bool[M]; on the host, all of them.
@@ -164,20 +164,22 @@ def figures_of(outcome: Outcome, has_last_check: bool = True) -> dict[str, Any]:
 def steps_by_attempt(attempts: Attempts) -> list[dict[str, Any]]:
     """Steps of the first attempt, the second and so on, over placements that took at least three.
 
-    A placement is a slot that was filled in the end.
+    A placement is a turn of an object that ended with it in place.
 
     Returns:
       One entry per attempt number: `attempt` and the spread of steps.
     """
     if not len(attempts.scene):
         return []
-    place = attempts.scene.astype(np.int64) * (int(attempts.slot.max()) + 1) + attempts.slot
-    _, slot = np.unique(place, return_inverse=True)
-    size = int(slot.max()) + 1
+    # Turns of one object after another: a slot may have several, where objects are taken away again.
+    order = np.argsort(attempts.scene, kind="stable")
+    turn = np.empty(len(order), np.int64)
+    turn[order] = np.cumsum(attempts.ordinal[order] == 1)
+    size = int(turn.max()) + 1
     is_filled = np.zeros(size, bool)
-    is_filled[slot[attempts.is_stable]] = True
-    is_long = np.bincount(slot, minlength=size) >= LEAST_ATTEMPTS
-    chosen = (is_filled & is_long)[slot]
+    is_filled[turn[attempts.is_stable]] = True
+    is_long = np.bincount(turn, minlength=size) >= LEAST_ATTEMPTS
+    chosen = (is_filled & is_long)[turn]
     most = int(attempts.ordinal[chosen].max(initial=0))
     return [
         {"attempt": number, **spread_of(attempts.steps[chosen & (attempts.ordinal == number)])}

@@ -230,7 +230,12 @@ class Runner:
             engine=self.engine,
             num_threads=self.num_threads,
             placement=PlacementConfig(
-                num_objects=trial.num_objects, max_attempts=trial.attempts, min_margin=trial.min_margin
+                num_objects=trial.num_objects,
+                max_attempts=trial.attempts,
+                order=trial.order,
+                min_margin=trial.min_margin,
+                ruin_after=trial.ruin_after,
+                budget=trial.budget,
             ),
         )
         if config not in self._setups:

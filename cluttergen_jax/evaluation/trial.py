@@ -13,6 +13,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.changes import find_change
 
 MAX_TRIALS = 1_000_000
+_ADDED = ("min_margin", "order", "ruin_after", "budget")
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class Trial:
       paper_count: run it a second time with the paper's looser count (only the current object is judged, the
         others are put back by hand, no last check).
       min_margin: metres of support margin asked of what is placed; 0 asks for nothing, as the paper does.
+      order, ruin_after, budget: of a `PlacementConfig`; the paper's unless given.
     """
 
     pool: str = "dining"
@@ -49,6 +51,9 @@ class Trial:
     whole_attempts: bool = False
     paper_count: bool = False
     min_margin: float = 0.0
+    order: str = "random"
+    ruin_after: int = 0
+    budget: int | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials <= MAX_TRIALS:
@@ -83,6 +88,9 @@ class Trial:
         words += [f"seed {self.training_seed}"] if self.training_seed else []
         words += [self.change] if self.change != "none" else []
         words += [f"margin {1000 * self.min_margin:g} mm"] if self.min_margin else []
+        words += [self.order] if self.order != "random" else []
+        words += [f"ruin after {self.ruin_after}"] if self.ruin_after else []
+        words += [f"budget {self.budget}"] if self.budget else []
         return " ".join([*words, f"{self.num_objects} objects", f"{self.attempts} attempts"])
 
 
@@ -92,8 +100,10 @@ def key_of(trial: Trial, sources: dict[str, Any]) -> str:
     Args:
       sources: hashes of what the trial names (pool, support, checkpoint) and versions.
     """
-    # Where no margin is asked for, results of versions that knew none are found again.
-    left_out = ("pool", "support", *(() if trial.min_margin else ("min_margin",)))
+    # Where the rules are the paper's, results of versions that knew no others are found again.
+    paper = Trial()
+    is_paper = {name: getattr(trial, name) == getattr(paper, name) for name in _ADDED}
+    left_out = ("pool", "support", *(name for name in _ADDED if is_paper[name]))
     asked = {name: value for name, value in asdict(trial).items() if name not in left_out}
     text = json.dumps({"trial": asked, "sources": sources}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:20]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Never
 
@@ -10,8 +11,8 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.generation.arguments import check_known
 from cluttergen_jax.generation.wrappers import ActionRange, FlatObservation, OnSurface
+from cluttergen_jax.learning.methods import rules_asked
 from cluttergen_jax.placement.brax_env import Env
-from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.setup import check_range, check_whole, make_setup, problem_config
@@ -46,9 +47,12 @@ def make_env(
     start: str | None = None,
     change: str = "none",
     containment: str = "center",
-    order: str = "random",
+    order: str | None = None,
     max_attempts: int = 5,
-    min_margin: float = MIN_MARGIN,
+    ruin_after: int | None = None,
+    budget: int | None = None,
+    min_margin: float | None = None,
+    setting: str = "default",
     engine: str = "auto",
     num_threads: int = 0,
     **unknown: Never,
@@ -67,7 +71,8 @@ def make_env(
 
     Args:
       pool, support, num_objects, objects, exclude, repeat, region, keep_out, start, containment, order,
-        max_attempts, min_margin, engine, num_threads: as in `make_sampler`.
+        max_attempts, ruin_after, budget, min_margin, setting, engine, num_threads: as in `make_sampler`; the
+        order is "random" and nothing is taken away unless it is asked for.
       observation: "flat" for one vector f32[D] (`generation.wrappers.FlatObservation` lists its parts), or
         "dict" for what `placement.observation.observe` describes.
       action: "pose" for those four numbers, or "surface" for f32[3], x, y and turn: the height is that at
@@ -92,7 +97,9 @@ def make_env(
     check_whole(num_cells=num_cells, history_stride=history_stride, num_scene_points=num_scene_points)
     _check_choices(observation, action)
     observed = ObservationConfig(num_scene_points=num_scene_points, num_cells=num_cells)
-    config = problem_config(locals())
+    given = locals()
+    config = problem_config(given)
+    config = replace(config, placement=replace(config.placement, **rules_asked(None, max_attempts, given)))
     setup = make_setup(config, keep_out, read_start(start))
     env: Env = PlacementEnv(
         setup.problem.rules,

@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Never
+from typing import Any, Never
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.generation.arguments import check_known
 from cluttergen_jax.generation.sampler import Sampler
-from cluttergen_jax.learning.methods import Method, check_steered, choose_method, sampler_of, suited
-from cluttergen_jax.placement.config import MIN_MARGIN
+from cluttergen_jax.learning.methods import (
+    Method,
+    check_steered,
+    choose_method,
+    rules_asked,
+    sampler_of,
+    suited,
+)
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.setup import Setup, check_range, check_whole, make_setup, problem_config
@@ -35,9 +41,12 @@ def make_sampler(
     keep_out: Sequence[Rectangle] = (),
     start: str | None = None,
     containment: str = "center",
-    order: str = "random",
+    order: str | None = None,
     max_attempts: int = 5,
-    min_margin: float = MIN_MARGIN,
+    ruin_after: int | None = None,
+    budget: int | None = None,
+    min_margin: float | None = None,
+    setting: str = "default",
     overhang: str = "any",
     clutter: str | Mapping[str, float] | None = None,
     natural: bool = False,
@@ -68,10 +77,16 @@ def make_sampler(
       keep_out: `Rectangle`s, likewise, that no object may meet once it has settled, seen from above.
       start: a saved scene, "BANK:INDEX", whose objects stand there and count as neighbours.
       containment: what must lie in the region: the bounding box's "center" or the whole "footprint".
-      order: "random", or "fixed" to the pool's order.
+      order: in which objects come: "random"; "fixed" to the pool's order; "largest" footprint first; or
+        "weighted", mostly but not always so. If not given: the method's own, "random" for most.
       max_attempts: per object, 1 to 10; a policy of poses allows as many as it was trained with at most.
+      ruin_after: failed attempts in a row after which some placed objects, with all that leans on them, are
+        taken away and placed again; 0 takes nothing away. If not given: the method's own, 0 for most.
+      budget: attempts of a scene in all; `max_attempts` for each object if not given.
       min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
-        asks for nothing, as the paper does.
+        asks for nothing. If not given: 0.003.
+      setting: what holds of these where they are not given: "default", or "paper" for the paper's rules: a
+        random order, nothing taken away, no margin.
       overhang: how much of an object may reach beyond the support's edge once it rests, seen from above:
         "any"; "half", a quarter of its footprint, half of where an even body tips; or "none".
       clutter: what scenes should have, on average (method "spread"): stack, objects on others; depth, objects
@@ -92,8 +107,8 @@ def make_sampler(
     check_range("max_retries", max_retries, 0, MAX_RETRIES, 5)
     check_whole(num_scene_points=num_scene_points)
     ObservationConfig(num_scene_points=num_scene_points)
-    config = problem_config(locals())
-    chosen, setup = set_up(config, method, checkpoint, keep_out, start)
+    given = locals()
+    chosen, setup = set_up(problem_config(given), given)
     return Sampler(
         problem=setup.problem,
         steps=sampler_of(setup, chosen),
@@ -104,20 +119,20 @@ def make_sampler(
     )
 
 
-def set_up(
-    config: ProblemConfig,
-    method: str | None,
-    checkpoint: str | Path | None,
-    keep_out: Sequence[Rectangle],
-    start: str | None,
-) -> tuple[Method, Setup]:
-    """A method, and the problem compiled for it: with the history that it looks back on.
+def set_up(config: ProblemConfig, given: Mapping[str, Any]) -> tuple[Method, Setup]:
+    """A method, and the problem compiled for it: with its rules, and the history that it looks back on.
+
+    Args:
+      given: the arguments of `make_sampler` or `generate` by name, boxes as `Rectangle`s.
 
     Raises:
       ConfigError, PoolError, BankError: see `make_sampler`.
     """
     placement = config.placement
-    chosen = choose_method(method, config.pool, config.support, placement.num_objects, checkpoint)
+    chosen = choose_method(
+        given["method"], config.pool, config.support, placement.num_objects, given["checkpoint"]
+    )
     check_steered(chosen.name, placement)
-    config = replace(config, placement=suited(placement, chosen.checkpoint))
-    return chosen, make_setup(config, keep_out, read_start(start))
+    rules = rules_asked(chosen.name, placement.max_attempts, given)
+    config = replace(config, placement=suited(replace(placement, **rules), chosen.checkpoint))
+    return chosen, make_setup(config, given["keep_out"], read_start(given["start"]))

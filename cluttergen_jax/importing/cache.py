@@ -20,9 +20,9 @@ from cluttergen_jax.importing.readers.companions import companions
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 
 BODY_VERSION = 1
-"""Raised when the code makes another body of the same files: geometry, masses, checks, colours or the files
-that hold them. Every cached body is then made again. `test_bodies_are_those_of_this_version` fails where that
-was forgotten."""
+"""Raised when the code makes another body of the same files, or of the modeller's same shapes: geometry,
+masses, checks, colours or the files that hold them. Every cached body is then made again.
+`test_bodies_are_those_of_this_version` fails where that was forgotten."""
 
 _LIBRARIES = ("mujoco", "coacd", "manifold3d", "trimesh", "numpy", "scipy", "fast-simplification", "pillow")
 
@@ -60,9 +60,7 @@ def source_digest(source: ObjectFile) -> str:
 def cache_key(source: ObjectFile, config: Any) -> str:
     """Hex digest that names the body of a source under a config (a dataclass)."""
     provenance = None if source.provenance is None else asdict(source.provenance)
-    parts = [
-        BODY_VERSION,
-        [version(library) for library in _LIBRARIES],
+    return _digest(
         source_digest(source),
         source.path.name,
         source.kind,
@@ -71,8 +69,18 @@ def cache_key(source: ObjectFile, config: Any) -> str:
         list(source.notes),
         provenance,
         asdict(config),
-    ]
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    )
+
+
+def shape_key(family: str, seed: int, config: Any) -> str:
+    """Hex digest that names the body of a modeller's shape under a config (a dataclass)."""
+    return _digest("modeller", family, seed, asdict(config))
+
+
+def _digest(*parts: Any) -> str:
+    """Of what a body is made of, and of the code that makes it."""
+    made_by = [BODY_VERSION, [version(library) for library in _LIBRARIES]]
+    return hashlib.sha256(json.dumps([*made_by, *parts], sort_keys=True).encode()).hexdigest()
 
 
 def load(key: str, name: str) -> ObjectAsset | None:

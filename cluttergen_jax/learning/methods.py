@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from cluttergen_jax.assets.pool import without_exclusions
-from cluttergen_jax.config import VARIANTS
+from cluttergen_jax.config import VARIANTS, Setting
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
+from cluttergen_jax.learning.policies.guided import KIND, load_guided
 from cluttergen_jax.learning.policies.policy import FilteredPolicy, TrainedPolicy, load_policy
 from cluttergen_jax.placement.baselines import BASELINES, Clear, make_proposer
-from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.config import MIN_MARGIN, RUIN_AFTER, PlacementConfig
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.placement.search import SearchConfig
@@ -27,6 +29,7 @@ DEFAULT_METHOD = "policy"
 FALLBACK_METHOD = "clear"
 GOOD_SUCCESS = 0.9
 """Success, as its record tells it, from which an embedded policy is what a user gets unasked."""
+SETTINGS = get_args(Setting)
 
 
 class Method(NamedTuple):
@@ -63,6 +66,34 @@ def choose_method(
     is_trained = found.record.get("support") == support and num_objects <= found.placement["num_objects"]
     is_good = found.record.get("evaluation", {}).get("success", 0.0) >= GOOD_SUCCESS
     return Method(DEFAULT_METHOD, found) if is_trained and is_good else Method(FALLBACK_METHOD)
+
+
+def rules_asked(method: str | None, max_attempts: int, given: Mapping[str, Any]) -> dict[str, Any]:
+    """`order`, `ruin_after`, `budget` and `min_margin` of a `PlacementConfig`, all of them.
+
+    Args:
+      method: by name; None for whoever acts in an environment.
+      max_attempts: per object.
+      given: arguments by name. Those four count where they are not None; for the others `setting` decides:
+        "paper" for the paper's rules whatever the method, "default" for a margin and what suits the method.
+
+    Raises:
+      ConfigError: there is no such setting.
+    """
+    setting = given["setting"]
+    if setting not in SETTINGS:
+        raise ConfigError(
+            f"setting = {setting!r}", ", ".join(SETTINGS), "setting='paper'", closest(setting, SETTINGS)
+        )
+    is_default = setting == "default"
+    is_trusted = is_default and method in TRUSTED_METHODS
+    own = {
+        "order": "weighted" if is_trusted else "random",
+        "ruin_after": min(RUIN_AFTER, max_attempts) if is_trusted else 0,
+        "budget": None,
+        "min_margin": MIN_MARGIN if is_default else 0.0,
+    }
+    return {name: value if given[name] is None else given[name] for name, value in own.items()}
 
 
 def checkpoint_of(method: str, pool: str, given: Checkpoint | None = None) -> Checkpoint | None:
@@ -131,6 +162,8 @@ def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Pro
     """
     if checkpoint is None:
         return make_proposer(method, rules)
+    if checkpoint.kind == KIND:
+        return load_guided(checkpoint, rules)
     policy = load_policy(checkpoint, rules)
     if method != FILTERED:
         return policy

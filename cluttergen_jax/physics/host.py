@@ -60,6 +60,10 @@ class BatchEngine(Protocol):
         """`protocol.Physics.stand` for each of them."""
         ...
 
+    def free(self) -> None:
+        """Gives back what it holds for its next batches; they are only slower to begin."""
+        ...
+
 
 class HostPhysics(OneScenePhysics):
     """`protocol.Physics` by the methods of a `BatchEngine`, which subclasses have.

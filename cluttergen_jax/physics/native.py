@@ -104,6 +104,11 @@ class NativePhysics(HostPhysics):
         self._cache.move_to_end(size)
         return self._cache[size]
 
+    def free(self) -> None:
+        """See `BatchEngine`: the simulations."""
+        with self._lock:
+            self._cache.clear()
+
     def at_rest(
         self, before: np.ndarray, after: np.ndarray, is_placed: np.ndarray, focus: int, is_moved: np.ndarray
     ) -> AtRest | None:

@@ -38,7 +38,8 @@ class PlacementConfig:
 
     Attributes:
       num_objects: slots to fill.
-      max_attempts: attempts per object (paper: 5).
+      max_attempts: attempts per object (paper: 5). Where objects are taken away, this and `num_objects`
+        alone make the budget of the scene, and so many failed attempts are remembered.
       containment: what must lie in the queried region once settled: the bounding box's "center" or the
         whole "footprint".
       order: "random" draws a fresh uniform permutation of a uniform subset each episode; "fixed" takes the
@@ -54,7 +55,8 @@ class PlacementConfig:
         in the paper, asks for nothing. A narrow object is asked for a third of what it has on a flat table.
       ruin_after: failed attempts in a row after which some placed objects are taken away and put into the
         order again (`placement.ruin`); 0 never does, and the scene has failed after `max_attempts`.
-      budget: attempts of a scene in all; None for `num_objects` x `max_attempts`.
+      budget: attempts of a scene in all, of which it ends when fewer are left than slots to fill; None for
+        `num_objects` x `max_attempts`.
       overhang: how much of an object may reach beyond the support's edge once it rests, seen from above:
         "any"; "half", a quarter of its footprint, half of where an even body tips; or "none".
       clutter: what the trusted methods should bring about (`Clutter`, or what `Clutter.of` takes).
@@ -95,8 +97,12 @@ class PlacementConfig:
                 f"0 to {self.max_attempts}",
                 f"{RUIN_AFTER}, or 0 to take nothing away",
             )
-        if self.budget is not None and not 1 <= self.budget <= MAX_BUDGET:
-            raise ConfigError(f"budget = {self.budget}", f"1 to {MAX_BUDGET} attempts", "leaving it out")
+        if self.budget is not None and not self.num_objects <= self.budget <= MAX_BUDGET:
+            raise ConfigError(
+                f"budget = {self.budget} with num_objects = {self.num_objects}",
+                f"{self.num_objects} to {MAX_BUDGET} attempts a scene",
+                f"{self.max_attempts * self.num_objects}, {self.max_attempts} an object",
+            )
         for name, value, allowed in (
             ("containment", self.containment, CONTAINMENTS),
             ("order", self.order, ORDERS),

@@ -103,15 +103,17 @@ class HeightMapper(struct.PyTreeNode):
     shape: tuple[int, int] = struct.field(pytree_node=False)
 
     @staticmethod
-    def of(geometry: Geometry, region: Region) -> HeightMapper:
+    def of(geometry: Geometry, region: Region, radius: float | None = None) -> HeightMapper:
         """Reads the arrays of `geometry`, outside `jit`.
 
         Args:
           region: the usual region. Maps are as large as it is, and wider by an object's radius where the
             support goes on; regions up to that size are wholly mapped.
+          radius: metres, that of the largest object seen from above; its own if None. Worlds on one support
+            that are given the same one have maps of the same size.
         """
         boxes = _top_boxes(geometry)
-        half = np.asarray(region.half_extents, np.float64) + _margin(geometry, region, boxes)
+        half = np.asarray(region.half_extents, np.float64) + _margin(geometry, region, boxes, radius)
         counts = np.ceil(2 * half / max(_FINEST_CELL, np.sqrt(4 * half.prod() / _MOST_CELLS)) - 1e-4)
         # The sides are whole numbers of cells, so that cells end where the support does.
         cell = (float(2 * half[0] / counts[0]), float(2 * half[1] / counts[1]))
@@ -182,12 +184,13 @@ def _with_void_border(height: Array) -> Array:
     return jnp.where(inner, height, VOID)
 
 
-def _margin(geometry: Geometry, region: Region, boxes: np.ndarray) -> np.ndarray:
+def _margin(geometry: Geometry, region: Region, boxes: np.ndarray, radius: float | None) -> np.ndarray:
     """f64[2]: how far beyond the region's sides objects centred in it can find the support."""
     inverse = np.asarray(region.T_world_region.inverse().as_matrix(), np.float64)
     local = _corners(boxes) @ inverse[:2, :2].T + inverse[:2, 3]
     beyond = np.abs(local).max(0) - np.asarray(region.half_extents)
-    radius = np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max()
+    if radius is None:
+        radius = np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max()
     return np.clip(beyond, 0.0, radius)
 
 

@@ -217,6 +217,11 @@ def _own_margin(asset: ObjectAsset) -> float:
     return support_margin(bottom[:, :2] - asset.center_of_mass[:2])
 
 
+def num_runs_of(columns: Columns) -> int:
+    """In how many runs an object's upper surface stands in `Geometry.surface`."""
+    return -(-len(columns.surface) // _RUN)
+
+
 def _surface_runs(columns: Columns) -> np.ndarray:
     """f64[M, 64, 3]: an object's grown upper surface, padded with its first point."""
     padding = np.repeat(columns.surface[:1], -len(columns.surface) % _RUN, axis=0)

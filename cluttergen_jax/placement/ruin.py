@@ -20,12 +20,14 @@ def footprint_area(geometry: Geometry) -> Array:
 def choose_ruin(episode: Episode, geometry: Geometry, is_started: Array) -> Array:
     """The placed objects nearest to a random one, until enough footprint is free: bool[K].
 
-    Drawn with the episode's key. What leans on them is for `Rules.remove` to find.
+    Drawn with the episode's key, anew after every attempt. What leans on them is for `Rules.remove` to find.
 
     Args:
       is_started: bool[K], those that stood there from the beginning and stay.
     """
-    key_center, key_share = jax.random.split(jax.random.fold_in(episode.key, 2))
+    # Those who step an episode by themselves need not change its key.
+    key = jax.random.fold_in(jax.random.fold_in(episode.key, 2), episode.counts.attempts.sum())
+    key_center, key_share = jax.random.split(key)
     is_mine = episode.is_placed & ~is_started
     center = jnp.argmax(jax.random.gumbel(key_center, is_mine.shape) + jnp.where(is_mine, 0.0, -jnp.inf))
     offset = episode.poses[:, :2] - episode.poses[center, :2]

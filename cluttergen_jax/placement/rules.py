@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.physics.protocol import Physics
-from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
+from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.heightmap import Ground
 from cluttergen_jax.placement.overhang import most_beyond, shares_beyond
 from cluttergen_jax.placement.region import (
@@ -153,10 +153,10 @@ class Rules(struct.PyTreeNode, eq=False):
     def _draw_slots(self, key: Array, is_taken: Array) -> Array:
         """i32[S]: the objects that stand, then those to place, then -1 for slots without an object.
 
-        Those to place are a uniform permutation of a uniform subset of the objects not taken.
+        Those to place are a uniform subset of the objects not taken, whatever their order but "fixed".
         """
         ranks = jnp.arange(self.geometry.num_objects, dtype=jnp.float32)
-        if self.config.order == "random":
+        if self.config.order != "fixed":
             ranks = jax.random.uniform(key, ranks.shape)
         ranks = jnp.where(is_taken, jnp.inf, ranks)
         chosen = jnp.argsort(ranks)[: self.config.num_objects].astype(jnp.int32)
@@ -230,7 +230,7 @@ class Rules(struct.PyTreeNode, eq=False):
         """The attempt's verdict once margins, queried region and keep-out boxes have their say, i32."""
         verdict = settling.verdict
         if self.config.min_margin:
-            is_poor = (verdict == Verdict.STABLE) & ~self._is_supported(episode, focus, settling)
+            is_poor = (verdict == Verdict.STABLE) & ~self.is_supported(episode, focus, settling)
             verdict = jnp.where(is_poor, int(Verdict.UNSUPPORTED), verdict)
         pose, half_extents = settling.poses[focus], self.geometry.half_extents[focus]
         inside = is_inside(pose, half_extents, episode.region, self.config.containment)
@@ -247,7 +247,7 @@ class Rules(struct.PyTreeNode, eq=False):
         shares = shares_beyond(self.ground, self.geometry, settling.poses)
         return jnp.any(is_judged & (shares > most_beyond(self.config.overhang)))
 
-    def _is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
+    def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""
         is_focus = jnp.arange(self.geometry.num_objects) == focus
         is_judged = (episode.is_placed | is_focus) & ~self._is_started(episode)
@@ -343,7 +343,8 @@ class Rules(struct.PyTreeNode, eq=False):
             raise ValueError(
                 "remove needs an episode that knows what carries what: Rules(keeps_bearing=True)"
             )
-        which = carried_by(which & episode.is_placed, episode.bearing.leans_on) & ~self._is_started(episode)
+        is_mine = episode.is_placed & ~self._is_started(episode)
+        which = carried_by(which & is_mine, episode.bearing.leans_on & is_mine[:, None])
         slots, index = jnp.arange(self.num_slots), jnp.maximum(episode.object_index, 0)
         is_kept = (slots < episode.slot) & ~which[index]
         group = jnp.where(is_kept, 0, jnp.where(slots == episode.slot, 1, 2))
@@ -359,7 +360,7 @@ class Rules(struct.PyTreeNode, eq=False):
             counts=counts.replace(
                 attempts=counts.attempts[order],
                 steps=counts.steps[order],
-                rest_steps=counts.rest_steps[order],
+                rest_steps=jnp.where(is_kept, counts.rest_steps, 0)[order],
             ),
             bearing=Bearing(
                 leans_on=bearing.leans_on & ~which[:, None] & ~which,
@@ -390,11 +391,14 @@ class Rules(struct.PyTreeNode, eq=False):
 def _borne(bearing: Bearing, is_focus: Array, settling: Settling) -> Bearing:
     """What carries what once the focus object, bool[K], has come to rest."""
     highest = jnp.max(jnp.where(settling.bears, bearing.level, -1), initial=-1)
+    # Those that an attempt did not move have an infinite margin: nothing about them is new. A neighbour that
+    # it moved may have come to lean on the new object.
+    is_moved = ~jnp.isposinf(settling.margin) & ~is_focus
+    leans_on = bearing.leans_on | ((is_moved & settling.touches)[:, None] & is_focus)
     return Bearing(
-        leans_on=jnp.where(is_focus[:, None], settling.touches, bearing.leans_on),
+        leans_on=jnp.where(is_focus[:, None], settling.touches, leans_on),
         level=jnp.where(is_focus, highest + 1, bearing.level).astype(jnp.int32),
-        # Those that an attempt did not move keep theirs: they are told as infinite.
-        margin=jnp.where(jnp.isfinite(settling.margin), settling.margin, bearing.margin),
+        margin=jnp.where(is_moved | is_focus, jnp.maximum(settling.margin, -MAX_MARGIN), bearing.margin),
     )
 
 

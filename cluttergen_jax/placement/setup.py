@@ -29,6 +29,7 @@ from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import World
 
+_WHOLE = ("num_objects", "max_attempts", "ruin_after", "budget", "num_threads")
 Standing = tuple[Sequence[ObjectAsset], np.ndarray]
 """Objects that stand there when an episode begins, and their world poses f32[N, 7], metres, wxyz."""
 
@@ -80,14 +81,15 @@ def problem_config(given: Mapping[str, Any]) -> ProblemConfig:
     """What `make_sampler`, `make_env` and `generate` are given alike, checked before anything is compiled.
 
     Args:
-      given: the arguments of one of them by name, its `locals()`; what is of no concern here is passed over.
+      given: the arguments of one of them by name, its `locals()`; what is of no concern here is passed over,
+        and rules that are None are those of `PlacementConfig`.
 
     Raises:
       ConfigError: an argument is of a wrong type, out of range, or contradicts another.
       PoolError: there is no such pool.
     """
     objects, exclude, num_objects = given["objects"], given["exclude"], given["num_objects"]
-    check_whole(**{name: given[name] for name in ("num_objects", "max_attempts", "num_threads")})
+    check_whole(**{name: given[name] for name in _WHOLE})
     check_names(objects, "objects")
     check_names(exclude, "exclude")
     check_rectangles(given["region"], given["keep_out"])
@@ -96,7 +98,8 @@ def problem_config(given: Mapping[str, Any]) -> ProblemConfig:
     if num_objects is None:
         num_objects = min(available, MAX_SLOTS)
     check_number(num_objects, available, pool, given["repeat"])
-    placement = PlacementConfig(**_fields_in(given, PlacementConfig) | {"num_objects": num_objects})
+    asked = {name: value for name, value in _fields_in(given, PlacementConfig).items() if value is not None}
+    placement = PlacementConfig(**asked | {"num_objects": num_objects})
     found = {
         "pool": pool,
         "objects": tuple(objects),

@@ -76,10 +76,10 @@ class Counts(struct.PyTreeNode):
     """Figures of one episode so far. S slots.
 
     Attributes:
-      attempts: i32[S], attempts used by each slot.
-      steps: i32[S], steps of all attempts of each slot added up. The paper's stable steps, if attempts run
+      attempts: i32[S], attempts used by each slot's object, those at a place that was taken away included.
+      steps: i32[S], steps of all those attempts added up. The paper's stable steps, if attempts run
         to their end (`StabilityConfig.stop_when_decided` off).
-      rest_steps: i32[S], steps of the attempt that succeeded.
+      rest_steps: i32[S], steps of the attempt that succeeded; 0 where the object does not stand.
       verdicts: i32[V], attempts by `Verdict` code: STABLE to NON_FINITE, or to UNSUPPORTED where a margin is
         asked for.
       simulated_steps: i32, steps simulated, the last check included.
@@ -98,10 +98,11 @@ class Bearing(struct.PyTreeNode):
     """What carries what among the placed objects of an episode, known from contacts at rest.
 
     Attributes:
-      leans_on: bool[K, K], row k: the objects that touched object k when it came to rest.
+      leans_on: bool[K, K], row k: the objects that touched object k when it came to rest, and those that
+        came to touch it later and moved it.
       level: i32[K], 0 on the support alone, else one more than the highest of what bears the object.
-      margin: f32[K], metres, the support margin (`physics.margin`) when it was last measured; 0 for what is
-        not placed.
+      margin: f32[K], metres, the support margin (`physics.margin`) when it was last measured, at least
+        -`MAX_MARGIN`; on a flat table for what is not placed, or stood there from the beginning.
     """
 
     leans_on: Array
@@ -119,12 +120,12 @@ class Episode(struct.PyTreeNode):
       object_index: i32[S], the object of each slot, padded with -1.
       first_slot: i32, slots that were filled when the episode began.
       slot: i32, the current slot; S or the first padded one when all are filled.
-      attempt: i32, attempts of this slot that failed so far.
+      attempt: i32, attempts of the current object that failed since its turn began.
       poses: f32[K, 7], world poses of the placed objects, zero elsewhere.
       is_placed: bool[K].
       history: failed attempts of the current object.
       counts: figures so far.
-      is_over: bool, every slot is filled or one slot's attempts are used up.
+      is_over: bool, every slot is filled, or the attempts of a slot or of the scene are used up.
       is_success: bool, every slot is filled and the finished scene stands.
       verdict: i32, the latest attempt's verdict; once all slots are filled, the last check's.
       drift: f32, metres, the largest movement in the last check.
@@ -159,7 +160,8 @@ class Transition(struct.PyTreeNode):
 
     Attributes:
       slot: i32, the slot that was to be filled; object_index: i32, the current object.
-      ordinal: i32, 1 for the object's first attempt.
+      ordinal: i32, the object's attempt in a row since its turn began, from 1; a turn begins anew where
+        objects are taken away.
       action: f32[4], what was proposed.
       settling: what the simulator saw.
       verdict: i32, the attempt's verdict by the rules.

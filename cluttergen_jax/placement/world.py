@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,13 +65,22 @@ def repeated(objects: Sequence[ObjectAsset], num_objects: int) -> tuple[ObjectAs
     return tuple(objects) * -(-num_objects // len(objects))
 
 
+def columns_of(asset: ObjectAsset) -> Columns:
+    """An asset's columns as worlds have them."""
+    return cut_columns(asset, COLUMN_SPACING, NUM_COLUMN_SAMPLES)
+
+
 def make_world(
     objects: Sequence[ObjectAsset],
     support: SupportAsset,
     stability: StabilityConfig,
     contact: ContactConfig,
+    cut: Callable[[ObjectAsset], Columns] = columns_of,
 ) -> World:
     """Compiles a world.
+
+    Args:
+      cut: makes each asset's columns; whoever makes many worlds of the same objects keeps them.
 
     Raises:
       ConfigError: there are no objects, or more than MAX_OBJECTS.
@@ -82,7 +91,7 @@ def make_world(
     model = populated_spec(names, objects, support, stability.timestep, contact).compile()
     # Bodies keep their parking place as qpos0, at the identity orientation.
     assert np.all(model.qpos0.reshape(-1, 7)[:, 3] == 1.0)
-    columns = {id(asset): cut_columns(asset, COLUMN_SPACING, NUM_COLUMN_SAMPLES) for asset in objects}
+    columns = {id(asset): cut(asset) for asset in objects}
     return World(
         names=names,
         objects=tuple(objects),

@@ -33,12 +33,12 @@ def closed_loop_slot(recording: Replay, min_failures: int = 2) -> int:
     """
     candidates = []
     for index in recording.placed:
-        attempts = recording.attempts_at(int(index))
+        attempts = recording.last_turn(int(index))
         if len(attempts) > min_failures and attempts[-1].is_stable:
             crowd = int(attempts[-1].is_placed.sum())
             candidates.append((not _is_scattered(recording, attempts), crowd, len(attempts), int(index)))
     if not candidates:
-        most = max((len(recording.attempts_at(int(i))) - 1 for i in recording.placed), default=0)
+        most = max((len(recording.last_turn(int(i))) - 1 for i in recording.placed), default=0)
         raise ConfigError(
             f"{recording.title}: no object failed {min_failures} times and then stood (the most is {most})",
             "a recording with one",
@@ -72,7 +72,7 @@ def closed_loop_figure(
     """
     picture = picture or PictureConfig(width=1200, height=900)
     index = closed_loop_slot(recording) if object_index is None else object_index
-    attempts = recording.attempts_at(index)
+    attempts = recording.last_turn(index)
     if not attempts or not attempts[-1].is_stable:
         raise ConfigError(f"object {index} has no attempt that succeeded", "an object that stands")
     *failed, last = attempts

@@ -67,13 +67,13 @@ def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[F
     speedup = max(1.0, natural / max(config.seconds - hold, 1e-6))
     frames: list[Frame] = []
     clock = 0.0
-    for attempt in recording.attempts:
+    for place, attempt in enumerate(recording.attempts):
         for segment in _segments(attempt, config):
             # Rounding the clock, not each segment, keeps the film as long as it was meant to be.
             first, clock = round(clock * config.fps), clock + segment.seconds / speedup
             count = round(clock * config.fps) - first
             for number in range(count):
-                frames.append(_frame(recording, attempt, segment.kind, (number + 1) / count, config))
+                frames.append(_frame(recording, place, segment.kind, (number + 1) / count, config))
     last = _standing(recording, recording.poses, recording.is_placed)
     end = Frame(last, (), *(_ending(recording) if config.captions else ("", None)))
     return [*frames, *[end] * max(1, round(hold * config.fps))]
@@ -83,7 +83,8 @@ def _standing(recording: Replay, poses: np.ndarray, is_placed: np.ndarray) -> tu
     return tuple(RenderStyle(poses[i]) if is_placed[i] else None for i in range(len(recording.objects)))
 
 
-def _frame(recording: Replay, attempt: Attempt, kind: str, progress: float, config: FilmConfig) -> Frame:
+def _frame(recording: Replay, place: int, kind: str, progress: float, config: FilmConfig) -> Frame:
+    attempt = recording.attempts[place]
     styles = list(_standing(recording, attempt.poses, attempt.is_placed))
     row = {"approach": 0, "settle": round(progress * attempt.num_steps)}.get(kind, attempt.num_steps)
     pose = attempt.trajectory[row, :7].astype(np.float64)
@@ -100,15 +101,17 @@ def _frame(recording: Replay, attempt: Attempt, kind: str, progress: float, conf
         styles = list(_standing(recording, attempt.settled, attempt.is_placed))
         pose = attempt.settled[attempt.object_index]
     styles[attempt.object_index] = RenderStyle(pose, alpha, RED, strength)
-    words = _words(recording, attempt, kind) if config.captions else ("", None)
+    words = _words(recording, place, kind) if config.captions else ("", None)
     return Frame(tuple(styles), trails, *words)
 
 
-def _words(recording: Replay, attempt: Attempt, kind: str) -> tuple[str, tuple[float, float, float] | None]:
+def _words(recording: Replay, place: int, kind: str) -> tuple[str, tuple[float, float, float] | None]:
+    attempt = recording.attempts[place]
     asset = recording.objects[attempt.object_index]
     text = f"{asset.label or asset.name}, attempt {attempt.ordinal}"
     if kind in ("approach", "settle"):
-        return text, None
+        taken = len(recording.taken_away(place))
+        return text + (f" ({taken} taken away)" if taken else ""), None
     return (f"{text}: stands", GREEN) if attempt.is_stable else (f"{text}: {attempt.verdict.sentence}", RED)
 
 

@@ -286,6 +286,11 @@ def test_around_a_saved_scene(pool, bank):
         ({"num_scene_points": 10.5}, "a whole number"),
         ({"num_threads": 10**6}, "0 to 4096"),
         ({"objects": "tall"}, "sequence of names"),
+        ({"setting": "papers"}, "Did you mean 'paper'.*default, paper"),
+        ({"order": "smallest"}, "largest"),
+        ({"ruin_after": 2.5}, "a whole number"),
+        ({"ruin_after": 6}, "0 to 5"),
+        ({"budget": 2, "num_objects": 3}, "3 to 10000"),
     ],
 )
 def test_bad_settings_are_explained(pool, asked, says):

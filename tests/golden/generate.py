@@ -21,10 +21,10 @@ METHODS = ("random", "clear", "drop", "policy", "ranked")
 
 
 def digest(method: str, pool: str, support: str) -> str:
-    """Hex digest of 64 scenes without a support margin."""
+    """Hex digest of 64 scenes by the paper's rules."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "cluttergen_jax", "generate", "--out", f"{folder}/bank", "-n", "64"]
-        command += ["--max-files", "0", "--min-margin", "0"]
+        command += ["--max-files", "0", "--setting", "paper"]
         command += ["--pool", pool, "--support", support, "--method", method]
         if method == "ranked":
             command += ["--checkpoint", str(HERE.parents[1] / "scenes" / "checkpoints" / "dining-ranked")]

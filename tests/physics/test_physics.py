@@ -391,6 +391,36 @@ def test_engines_agree(name):
     assert apart[stable].max() < 1e-3
 
 
+def leaning(degrees, reach):
+    """The box tilted over an edge against a face of the prism, `reach` metres from that edge."""
+    turn, apothem = np.radians(degrees), 0.04 * np.cos(np.pi / 8)
+    away, height = np.array([[-np.cos(turn), np.sin(turn)], [np.sin(turn), np.cos(turn)]]) @ [0.03, 0.05]
+    places = {BOX: (away, 0, TOP + height - 2e-5), PRISM: (reach + apothem - 1e-5, 0, TOP + 0.02998)}
+    return places, {BOX: tilted((0, 1, 0), degrees), PRISM: tilted((0, 0, 1), 22.5)}, BOX
+
+
+PILED = {
+    "alone": ({BOX: (0, 0, TOP + 0.0499), PRISM: (-0.15, 0, TOP + 0.02998)}, {}, BOX, False, False),
+    "stacked": ({BOX: (0, 0, TOP + 0.04998), PRISM: (0, 0, TOP + 0.12995)}, {}, PRISM, True, True),
+    # Its long side on the prism's upper edge; its upper edge against the prism's wall, 10 cm above the lower.
+    "leaning on": (*leaning(38, 0.06 * np.tan(np.radians(38))), True, True),
+    "leaning against": (*leaning(54, 0.1 * np.sin(np.radians(54))), True, False),
+}
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_who_touches_and_who_bears_what_has_come_to_rest(name):
+    made = [scene(duo(), *each[:2]) for each in PILED.values()]
+    poses, is_placed = (np.stack(arrays) for arrays in zip(*made, strict=True))
+    focus = np.array([each[2] for each in PILED.values()])
+    report = jax.jit(jax.vmap(engine_of(name).settle))(poses, is_placed, focus, np.ones(len(focus), bool))
+    np.testing.assert_array_equal(report.verdict, Verdict.STABLE)
+    for row, (_, _, index, touches, bears) in enumerate(PILED.values()):
+        other = np.arange(2) == 1 - index
+        np.testing.assert_array_equal(report.touches[row], other & touches)
+        np.testing.assert_array_equal(report.bears[row], other & bears)
+
+
 def test_engines_have_names():
     assert {"native", "warp", "jax", "auto"} == set(ENGINES)
     with pytest.raises(ConfigError, match="native"):

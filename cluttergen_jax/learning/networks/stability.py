@@ -38,12 +38,14 @@ class Outlook(struct.PyTreeNode):
       is_robust: f32[N], logit: it would be stable, and stay so under change (`StabilityConfig.robust_tilt`).
       disturbs: f32[N], logit: a placed object would be moved.
       shift: f32[N], decimetres that the object would move in plan as it settles.
+      margin: f32[N], its support margin at rest, in units of 5 cm.
     """
 
     stands: Array
     is_robust: Array
     disturbs: Array
     shift: Array
+    margin: Array
 
 
 class StabilityNet(nn.Module):
@@ -57,8 +59,8 @@ class StabilityNet(nn.Module):
         hidden = features
         for _ in range(self.config.depth):
             hidden = nn.relu(nn.Dense(self.config.width)(hidden))
-        heads = nn.Dense(4)(hidden)
-        return Outlook(*(heads[..., index] for index in range(4)))
+        heads = nn.Dense(5)(hidden)
+        return Outlook(*(heads[..., index] for index in range(5)))
 
 
 def features_of(rules: Rules, episode: Episode, menu: Menu) -> Array:

@@ -7,9 +7,12 @@ from pathlib import Path
 from cluttergen_jax.assets.pool import embedded_root
 from cluttergen_jax.errors import PoolError
 
+FOR_ANY_POOL = ("guided",)
+"""Variants of which one checkpoint serves every pool."""
+
 
 def list_policies() -> dict[str, Path]:
-    """Embedded checkpoints by name, POOL-VARIANT, with their folders."""
+    """Embedded checkpoints by name, POOL-VARIANT or a variant for any pool, with their folders."""
     root = embedded_root() / "checkpoints"
     folders = sorted(root.iterdir()) if root.is_dir() else []
     return {folder.name: folder for folder in folders if (folder / "record.json").is_file()}
@@ -22,7 +25,7 @@ def find_policy(variant: str, pool: str) -> Path:
       PoolError: there is none; the message lists those that exist.
     """
     policies = list_policies()
-    name = f"{pool}-{variant}"
+    name = variant if variant in FOR_ANY_POOL else f"{pool}-{variant}"
     if name in policies:
         return policies[name]
     raise PoolError(

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from cluttergen_jax.errors import PoolError
 from cluttergen_jax.learning.networks.stability import (
     NUM_FEATURES,
     StabilityNet,
@@ -23,6 +24,9 @@ from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.trusted import Menu, TrustedConfig, TrustedSearch
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
+
+KIND = "stability"
+"""Of its network, as a checkpoint's record names it."""
 
 
 class Guided(TrustedSearch, eq=False):
@@ -40,7 +44,7 @@ class Guided(TrustedSearch, eq=False):
     def trust(self, episode: Episode, menu: Menu) -> Array:
         """See `TrustedSearch`."""
         features = features_of(self.search.rules, episode, menu)
-        outlook = StabilityNet(self.network).apply(self.params, features)
+        outlook: Any = StabilityNet(self.network).apply(self.params, features)
         return jax.nn.sigmoid(outlook.is_robust if self.is_robust else outlook.stands)
 
 
@@ -65,5 +69,13 @@ def load_guided(checkpoint: Checkpoint, rules: Rules) -> Guided:
     Raises:
       PoolError: the checkpoint is damaged.
     """
-    network = checkpoint.network
-    return replace(make_guided(rules, network), params=read_policy(checkpoint.path, blank_params(network)))
+    try:
+        network = StabilityNetConfig(**checkpoint.record["network"])
+    except TypeError as error:
+        raise PoolError(
+            f"{checkpoint.path / 'record.json'} does not say what network it holds ({error})",
+            hint="a policy that `cluttergen train --variant guided` of this version left",
+        ) from error
+    is_robust = rules.physics.config.robust_tilt > 0
+    placer = replace(make_guided(rules, network), is_robust=is_robust)
+    return replace(placer, params=read_policy(checkpoint.path, blank_params(network)))

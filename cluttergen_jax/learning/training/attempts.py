@@ -6,12 +6,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 
 from cluttergen_jax.learning.networks.stability import features_of
 from cluttergen_jax.learning.policies.guided import Guided
 from cluttergen_jax.placement.region import action_scale
+from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.trusted import Menu
 from cluttergen_jax.placement.types import Episode, Transition
@@ -26,6 +26,7 @@ class Examples(struct.PyTreeNode):
     Attributes:
       features: f32[N, NUM_FEATURES], of the pose that was tried (`features_of`).
       stands: bool[N], it was stable, with the support margin that the rules ask for.
+      is_robust: bool[N], it was, and stayed so under change; knows_robust: bool[N], where that was looked at.
       disturbs: bool[N], a placed object was moved.
       shift: f32[N], metres in plan from where the object was released to where it came to rest, at most 0.1.
       margin: f32[N], metres, its support margin at rest, -0.1 to 0.1; 0 where it did not come to rest.
@@ -34,6 +35,8 @@ class Examples(struct.PyTreeNode):
 
     features: Array
     stands: Array
+    is_robust: Array
+    knows_robust: Array
     disturbs: Array
     shift: Array
     margin: Array
@@ -44,33 +47,26 @@ class Explorer(Guided, eq=False):
     """A guided placer that sometimes tries any candidate, so that its network sees what it mistrusts.
 
     Attributes:
-      exploration: how often.
+      exploration: f32, how often.
     """
 
-    exploration: float = struct.field(pytree_node=False, default=0.3)
+    exploration: Any = 0.3
 
     def trust(self, episode: Episode, menu: Menu) -> Array:
         """See `TrustedSearch`: the network's trust, or one in everything."""
         key = jax.random.fold_in(episode.key, 3)
         tries_any = jax.random.uniform(key) < self.exploration
-        trust = Guided.trust(self, episode, menu) if self.params is not None else jnp.float32(1.0)
-        return jnp.where(tries_any, 1.0, trust) * jnp.ones_like(menu.found.cost)
+        return jnp.where(tries_any, 1.0, Guided.trust(self, episode, menu))
 
 
-def collect(explorer: Explorer, key: Array, num_episodes: int, num_steps: int, collect_step: Any) -> Examples:
-    """The attempts of so many steps of episodes side by side, each begun anew when it is over.
+def begin(explorer: Explorer, key: Array, number: int) -> Episode:
+    """So many fresh episodes of the explorer's rules, side by side."""
+    return _begin(explorer.search.rules, jax.random.split(key, number))
 
-    Returns:
-      NumPy arrays, num_episodes x num_steps rows.
-    """
-    rules = explorer.search.rules
-    keys = jax.random.split(key, num_episodes)
-    episodes = jax.jit(jax.vmap(lambda rules, key: rules.begin(key), (None, 0)))(rules, keys)
-    rows = []
-    for _ in range(num_steps):
-        episodes, row = collect_step(explorer, episodes)
-        rows.append(jax.device_get(row))
-    return jax.tree.map(lambda *parts: np.concatenate(parts), *rows)
+
+@jax.jit
+def _begin(rules: Rules, keys: Array) -> Episode:
+    return jax.vmap(lambda key: rules.begin(key))(keys)
 
 
 def collect_step(explorer: Explorer, episodes: Episode) -> tuple[Episode, Examples]:
@@ -98,9 +94,14 @@ def example_of(explorer: Guided, before: Episode, transition: Transition) -> Exa
     focus = transition.object_index
     released = settling.trajectory[0, :2]
     is_at_rest = settling.is_quiet
+    is_stable = transition.verdict == Verdict.STABLE
+    is_fragile = transition.verdict == Verdict.FRAGILE
+    stands = is_stable | (is_fragile & rules.is_supported(before, focus, settling))
     return Examples(
         features=features_of(rules, before, menu)[0],
-        stands=transition.verdict == Verdict.STABLE,
+        stands=stands,
+        is_robust=is_stable,
+        knows_robust=jnp.bool_(rules.physics.config.robust_tilt > 0) | ~stands,
         disturbs=transition.verdict == Verdict.DISPLACED,
         shift=jnp.minimum(jnp.linalg.norm(settling.poses[focus, :2] - released), _FAR),
         margin=jnp.where(is_at_rest, jnp.clip(settling.margin[focus], -_FAR, _FAR), 0.0),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.config import VARIANTS, StabilityConfig
+from cluttergen_jax.config import PPO_VARIANTS, StabilityConfig
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.learning.networks.config import AgentConfig, NetworkConfig
 from cluttergen_jax.learning.networks.ranking import RankerConfig
@@ -113,8 +113,10 @@ def make_settings(preset: str, variant: str) -> Settings:
     """
     if preset not in PRESETS:
         raise ConfigError(f"preset {preset!r}", ", ".join(PRESETS), meant=closest(preset, PRESETS))
-    if variant not in VARIANTS:
-        raise ConfigError(f"variant {variant!r}", ", ".join(VARIANTS), meant=closest(variant, VARIANTS))
+    if variant not in PPO_VARIANTS:
+        raise ConfigError(
+            f"variant {variant!r}", ", ".join(PPO_VARIANTS), meant=closest(variant, PPO_VARIANTS)
+        )
     settings = PRESETS[preset]()
     if variant == "ranked":
         return _ranked(settings)

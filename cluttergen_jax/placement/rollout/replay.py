@@ -17,7 +17,7 @@ class Attempt:
 
     Attributes:
       object_index: which object.
-      ordinal: its first attempt is 1.
+      ordinal: the first attempt of the object's turn is 1 (`placement.types.Transition`).
       action: f32[4], what was proposed (docs/contract.md).
       verdict: how it was judged.
       trajectory: f32[T + 1, 13], the object at release and after each of T steps (`types.Settling`).
@@ -86,3 +86,18 @@ class Replay:
     def attempts_at(self, object_index: int) -> tuple[Attempt, ...]:
         """The attempts at one object, in order."""
         return tuple(each for each in self.attempts if each.object_index == object_index)
+
+    def last_turn(self, object_index: int) -> tuple[Attempt, ...]:
+        """The attempts of an object's last turn, during which nothing was taken away, in order."""
+        attempts = self.attempts_at(object_index)
+        first = max((place for place, each in enumerate(attempts) if each.ordinal == 1), default=0)
+        return attempts[first:]
+
+    def taken_away(self, number: int) -> np.ndarray:
+        """i64[N]: the objects that stood there until just before attempt `number`, from 0."""
+        if number == 0:
+            return np.zeros(0, np.int64)
+        before, attempt = self.attempts[number - 1], self.attempts[number]
+        stood = before.is_placed.copy()
+        stood[before.object_index] |= before.is_stable
+        return np.flatnonzero(stood & ~attempt.is_placed)

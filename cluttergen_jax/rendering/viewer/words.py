@@ -35,9 +35,11 @@ def attempt_words(recording: Replay, number: int) -> str:
     if number == 0:
         return f"before the first of {len(recording.attempts)} attempts"
     attempt = recording.attempts[number - 1]
-    return "\n\n".join(
-        [f"attempt {number} of {len(recording.attempts)}: {_object_words(recording, attempt)}", _end(attempt)]
-    )
+    lines = [f"attempt {number} of {len(recording.attempts)}: {_object_words(recording, attempt)}"]
+    taken = [recording.objects[index] for index in recording.taken_away(number - 1)]
+    if taken:
+        lines.append(f"taken away before it: {', '.join(each.label or each.name for each in taken)}")
+    return "\n\n".join([*lines, _end(attempt)])
 
 
 def _object_words(recording: Replay, attempt: Attempt) -> str:

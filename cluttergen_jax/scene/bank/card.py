@@ -30,8 +30,8 @@ _COLUMNS = {
     "is_placed": "slot by slot, whether it was placed",
     "poses": "slot by slot, position (metres) and quaternion wxyz in the world: z up, origin on the floor "
     "below the support's centre",
-    "attempts": "slot by slot, attempts used",
-    "steps": "slot by slot, steps of all its attempts",
+    "attempts": "slot by slot, attempts at its object, at places that it was taken from again included",
+    "steps": "slot by slot, steps of all these attempts",
     "rest_steps": "slot by slot, steps of the attempt that succeeded",
     "simulated_steps": "steps simulated for the scene",
     "levels": "slot by slot, how many objects are below it, one upon the other, -1 where not placed; null "
@@ -163,7 +163,10 @@ def _made(recipe: dict[str, Any]) -> str:
         "pool": public_name(str(recipe.get("pool"))),
         "support": Path(str(recipe.get("support"))).name,
         "objects per scene": placement.get("num_objects"),
+        "order of objects": placement.get("order"),
         "attempts per object": placement.get("max_attempts"),
+        "attempts per scene": placement.get("budget") or "so many for each object",
+        "failed attempts after which objects are taken away": placement.get("ruin_after") or "none are",
         "method": recipe.get("method"),
         "checkpoint": recipe.get("checkpoint_hash") or "none",
         "seed": recipe.get("seed"),

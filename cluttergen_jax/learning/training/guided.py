@@ -1,0 +1,280 @@
+"""Training of `guided`: rounds of attempts among variants of the modeller, each with the network so far."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import time
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.files import write_atomically
+from cluttergen_jax.learning.networks.stability import StabilityNetConfig
+from cluttergen_jax.learning.policies.guided import KIND, blank_params
+from cluttergen_jax.learning.ppo import checkpoint
+from cluttergen_jax.learning.training.attempts import Examples, Explorer, begin, collect_step
+from cluttergen_jax.learning.training.interrupt import Interrupt
+from cluttergen_jax.learning.training.stability import (
+    FitConfig,
+    calibration,
+    draw_calibration,
+    fit,
+    outlook_of,
+)
+from cluttergen_jax.learning.training.variants import HELD_OUT_FAMILIES, TRAINING_FAMILIES, variants
+from cluttergen_jax.learning.training.worlds import (
+    SET_SIZE,
+    Setting,
+    TrainingWorld,
+    WorldMaker,
+    draw_settings,
+    mean_footprint,
+    object_sets,
+)
+from cluttergen_jax.placement.baselines import LowestFit
+from cluttergen_jax.placement.config import MIN_MARGIN, RUIN_AFTER, PlacementConfig, placement_record
+from cluttergen_jax.progress import Progress
+
+PLACEMENT = PlacementConfig(order="weighted", ruin_after=RUIN_AFTER, min_margin=MIN_MARGIN, history_stride=0)
+"""What is asked of the episodes: what `generate` asks of those that `guided` makes."""
+HELD_OUT_SEED = 1000
+"""Seeds of held-out variants begin here: no training reaches so far."""
+
+
+@dataclass(frozen=True)
+class GuidedConfig:
+    """A training of the stability network.
+
+    Attributes:
+      network, fit: its sizes, and how it is fitted.
+      num_rounds: of attempts; before each the network is fitted to all that there are.
+      num_settings: supports and crowds; every second one asks for robust scenes.
+      num_attempts: of a round in all.
+      num_episodes: side by side.
+      exploration: how often an attempt tries any candidate.
+      num_variants, num_held_out: objects to learn from, and of families held out to test with.
+      seed: of worlds, episodes and weights.
+    """
+
+    network: StabilityNetConfig = StabilityNetConfig()
+    fit: FitConfig = FitConfig()
+    num_rounds: int = 6
+    num_settings: int = 10
+    num_attempts: int = 16_000
+    num_episodes: int = 32
+    exploration: float = 0.3
+    num_variants: int = 640
+    num_held_out: int = 60
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("num_rounds", "num_settings", "num_attempts", "num_episodes"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name} = {getattr(self, name)}", "1 or more")
+        for name in ("num_variants", "num_held_out"):
+            if getattr(self, name) < SET_SIZE:
+                raise ConfigError(f"{name} = {getattr(self, name)}", f"{SET_SIZE} or more")
+        if self.num_steps < 1:
+            raise ConfigError(
+                f"{self.num_attempts} attempts a round",
+                f"{self.num_episodes * self.num_settings} attempts or more",
+            )
+
+    @property
+    def num_steps(self) -> int:
+        """Attempts of each episode in one setting and round."""
+        return self.num_attempts // (self.num_settings * self.num_episodes)
+
+
+def train_guided(
+    num_attempts: int | None, seed: int, out: str | Path | None, show: Callable[[str], None]
+) -> Path:
+    """`cluttergen_jax.train(variant="guided")`; the policy's folder.
+
+    Raises:
+      ConfigError: too few attempts, or the folder holds a run with another config.
+      KeyboardInterrupt: on Ctrl-C; what was seen in the settings that are done is kept.
+    """
+    config = GuidedConfig(seed=seed)
+    if num_attempts is not None:
+        config = replace(config, num_attempts=num_attempts // config.num_rounds)
+    folder = Path(out or f"runs/guided-{seed}")
+    show(f"run        {folder}")
+    return GuidedTraining(config, folder, show).run()
+
+
+class GuidedTraining:
+    """A run in a folder: `attempts/` (what was seen, by round and setting), `policy/` (what is made of it).
+
+    Args:
+      config: what is learned from how much.
+      folder: continued if it holds a run with the same config.
+      show: is given the lines that tell how far the run is.
+
+    Raises:
+      ConfigError: the folder holds a run with another config.
+    """
+
+    def __init__(self, config: GuidedConfig, folder: Path, show: Callable[[str], None] = print) -> None:
+        self.config, self.folder, self._show = config, folder, show
+        checkpoint.check_folder(folder, {"config": asdict(config)})
+        (folder / "attempts").mkdir(parents=True, exist_ok=True)
+        checkpoint.save_state(folder / "last", {"begun": np.ones(1)}, {"config": asdict(config)})
+        self._step = jax.jit(collect_step, donate_argnums=1)
+
+    def run(self) -> Path:
+        """The policy's folder, after the last round.
+
+        Raises:
+          KeyboardInterrupt: on Ctrl-C; what was seen in the settings that are done is kept.
+        """
+        config, started = self.config, time.monotonic()
+        families = (TRAINING_FAMILIES, config.num_variants, 0)
+        crowds = _Crowds(config, families, config.num_rounds, config.seed)
+        params, examples = blank_params(config.network), []
+        with Interrupt() as interrupt:
+            for number in range(config.num_rounds):
+                # Weights of nothing but zeros trust no one: the first round tries everything.
+                exploration = config.exploration if number else 1.0
+                examples += self._see(crowds, number, f"{number:02d}", params, exploration, interrupt)
+                params, loss = fit(config.network, config.fit, _joined(examples), config.seed)
+                self._show(f"round {number + 1}    {_told(examples)}, loss {loss:.3f}")
+            families = (HELD_OUT_FAMILIES, config.num_held_out, HELD_OUT_SEED)
+            held_out = _Crowds(config, families, 1, config.seed + 1)
+            tested = _joined(self._see(held_out, 0, "held-out", params, config.exploration, interrupt))
+        self._save(params, examples, tested)
+        self._show(
+            f"time       {(time.monotonic() - started) / 60:.1f} minutes; policy in {self.folder / 'policy'}"
+        )
+        return self.folder / "policy"
+
+    def _see(
+        self, crowds: _Crowds, number: int, name: str, params: Any, exploration: float, interrupt: Interrupt
+    ) -> list[Examples]:
+        """The attempts of a round, by setting: from their files, or made now."""
+        config, seen = self.config, []
+        title = f"attempts {name}"
+        with Progress(
+            title, config.num_settings * config.num_steps * config.num_episodes, "attempt"
+        ) as progress:
+            for index in range(config.num_settings):
+                file = self.folder / "attempts" / f"{name}-{index:02d}.npz"
+                if file.exists():
+                    seen.append(_read(file))
+                    progress.update(len(seen[-1].features))
+                    continue
+                world = crowds.world(number, index)
+                key = jax.random.fold_in(jax.random.key(config.seed), crowds.number_of(number, index))
+                explorer = Explorer(
+                    LowestFit(world.rules, mapper=world.mapper),
+                    params=params,
+                    network=config.network,
+                    exploration=np.float32(exploration),
+                )
+                seen.append(self._collect(explorer, key, progress, interrupt))
+                _write(file, seen[-1])
+        return seen
+
+    def _collect(self, explorer: Explorer, key: Any, progress: Progress, interrupt: Interrupt) -> Examples:
+        rows = []
+        episodes = begin(explorer, key, self.config.num_episodes)
+        for _ in range(self.config.num_steps):
+            if interrupt.is_asked:
+                raise KeyboardInterrupt
+            episodes, row = self._step(explorer, episodes)
+            rows.append(jax.device_get(row))
+            progress.update(self.config.num_episodes)
+        return _joined(rows)
+
+    def _save(self, params: Any, examples: list[Examples], tested: Examples) -> None:
+        config, folder = self.config, self.folder / "policy"
+        outlook = outlook_of(config.network, params, tested)
+        found = calibration(outlook.stands, tested.stands, tested.is_on)
+        known = tested.knows_robust
+        robust = calibration(outlook.is_robust[known], tested.is_robust[known], tested.is_on[known])
+        self._show(f"held out   {found}")
+        self._show(f"robust     {robust}")
+        record = {
+            "kind": KIND,
+            "variant": "guided",
+            "config": asdict(config),
+            "network": asdict(config.network),
+            "placement": placement_record(PLACEMENT),
+            "num_attempts": len(_joined(examples).features),
+            "families": TRAINING_FAMILIES,
+            "held_out_families": HELD_OUT_FAMILIES,
+            "held_out": {"stands": asdict(found), "robust": asdict(robust)},
+            "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")},
+        }
+        checkpoint.save_policy(folder, params, record)
+        draw_calibration({"stands": found, "stands under change": robust}, folder / "calibration.png")
+
+
+class _Crowds:
+    """The worlds of some rounds: settings of one draw, other objects each time."""
+
+    def __init__(
+        self, config: GuidedConfig, families: tuple[Sequence[str], int, int], num_rounds: int, seed: int
+    ) -> None:
+        self.config, self._families, self._num_rounds, self._seed = config, families, num_rounds, seed
+
+    @cached_property
+    def _made(self) -> tuple[WorldMaker, list[Setting]]:
+        """Made when the first world is asked for: a run that has seen all needs none."""
+        names, number, first_seed = self._families
+        objects = variants(number, first_seed, names)
+        rng = np.random.default_rng(self._seed)
+        settings = draw_settings(rng, self.config.num_settings, mean_footprint(objects))
+        sets = object_sets(objects, self._num_rounds * self.config.num_settings, rng)
+        return WorldMaker(sets, PLACEMENT), settings
+
+    def number_of(self, number: int, index: int) -> int:
+        """Of a setting in a round, among all; the seed makes it another for other objects."""
+        return 1000 * self._seed + number * self.config.num_settings + index
+
+    def world(self, number: int, index: int) -> TrainingWorld:
+        """The world of setting `index` in round `number`, its engine started."""
+        maker, settings = self._made
+        stability = StabilityConfig(robust_tilt=ROBUST_TILT if index % 2 else 0.0)
+        world = maker.make(settings[index], number * self.config.num_settings + index, stability)
+        world.start_engine()
+        return world
+
+
+def _joined(examples: Sequence[Examples]) -> Examples:
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *examples)
+
+
+def _told(examples: Sequence[Examples]) -> str:
+    every = _joined(examples)
+    on = every.stands[every.is_on].mean() if every.is_on.any() else float("nan")
+    return f"{len(every.features):,} attempts, {every.stands.mean():.3f} stood, {on:.3f} of those on objects"
+
+
+def _write(file: Path, examples: Examples) -> None:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **dataclasses.asdict(examples))
+    write_atomically(file, buffer.getvalue())
+
+
+def _read(file: Path) -> Examples:
+    """The attempts in a file.
+
+    Raises:
+      PoolError: it is damaged.
+    """
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            return Examples(**{field.name: stored[field.name] for field in dataclasses.fields(Examples)})
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise PoolError(f"{file} cannot be read ({error})", hint="deleting it: it is made again") from error

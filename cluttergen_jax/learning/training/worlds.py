@@ -1,0 +1,241 @@
+"""Worlds that the stability network is trained in: supports, crowds and objects, and few programs for all."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import jax.numpy as jnp
+import numpy as np
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.physics import make_physics
+from cluttergen_jax.physics.host import BatchEngine, SwappablePhysics
+from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.heightmap import HeightMapper
+from cluttergen_jax.placement.problem import check_number, geometry_of, num_runs_of, region_of
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.types import Geometry
+from cluttergen_jax.placement.world import NUM_COLUMN_SAMPLES, World, columns_of, make_world
+from cluttergen_jax.progress import tracked
+
+SET_SIZE = 50
+"""Objects of a world; episodes place some of them."""
+FURNITURE = ("tray_table", "shelf_desk", "bar_table")
+"""Supports beside the cuboid tables: a rim, a riser behind the region, a round top of planks."""
+FILL = (0.3, 2.0)
+"""Between which fills are drawn: the objects' footprints, as rectangles, over the region's area."""
+FEWEST_OBJECTS = 4
+_SIDES = (0.25, 0.8)
+_MOST_DRAWS = 1000
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Where how many objects are placed; the region is the support's own.
+
+    Attributes:
+      support: its name; num_objects: slots of an episode.
+      fill: of an average draw of objects, see `FILL`.
+    """
+
+    support: str
+    num_objects: int
+    fill: float
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingWorld:
+    """One set of objects in one setting.
+
+    Attributes:
+      setting: where and how many; world: what is compiled.
+      rules: of its episodes, which know what carries what. Those of one setting have arrays of equal shapes,
+        and the same physics object where they are judged alike.
+      mapper: of its height maps, for `Search(rules, mapper=mapper)`; of one size in each setting.
+    """
+
+    setting: Setting
+    world: World
+    rules: Rules
+    mapper: HeightMapper
+
+    def start_engine(self, num_threads: int = 0) -> None:
+        """From now on the physics that it shares with its maker's worlds simulates this one.
+
+        What the engine before held, some 500 MB of simulations, is given back.
+
+        Args:
+          num_threads: of the native engine; 0 takes every core.
+        """
+        physics = self.rules.physics
+        assert isinstance(physics, SwappablePhysics)
+        engine = make_physics(self.world.layout, physics.config, "native", num_threads)
+        if hasattr(physics, "engine"):
+            physics.engine.free()
+        physics.engine = cast(BatchEngine, engine)
+
+
+class WorldMaker:
+    """Makes worlds of sets of objects, such that those of one setting share what is compiled.
+
+    Their columns and surfaces are padded to sizes that serve every set, and their height maps are made for
+    the largest object of all. Of worlds that are judged alike one has an engine at a time.
+
+    Args:
+      sets: K objects each.
+      placement: what is asked of episodes; the number of objects is the setting's.
+      contact: of the simulations.
+
+    Raises:
+      ConfigError: there is no set, or they differ in size.
+    """
+
+    def __init__(
+        self,
+        sets: Sequence[Sequence[ObjectAsset]],
+        placement: PlacementConfig | None = None,
+        contact: ContactConfig | None = None,
+    ) -> None:
+        sizes = sorted({len(each) for each in sets})
+        if len(sizes) != 1 or not sizes[0]:
+            raise ConfigError(f"sets of {sizes} objects", "sets of one size", "`object_sets`")
+        self.sets = tuple(tuple(each) for each in sets)
+        self.placement = placement or PlacementConfig(history_stride=0)
+        self.contact = contact or ContactConfig()
+        self._physics: dict[StabilityConfig, SwappablePhysics] = {}
+        objects = list(dict.fromkeys(asset for each in self.sets for asset in each))
+        self.radius = max(float(np.linalg.norm(asset.half_extents[:2])) for asset in objects)
+        self._columns = {
+            asset: columns_of(asset) for asset in tracked(objects, "cutting columns", len(objects), "object")
+        }
+        self.num_runs = max(sum(num_runs_of(self._columns[asset]) for asset in each) for each in self.sets)
+
+    def make(
+        self, setting: Setting, set_index: int, stability: StabilityConfig | None = None
+    ) -> TrainingWorld:
+        """The world of one of the sets in a setting; `start_engine` before it is run.
+
+        Raises:
+          PoolError: there is no such support; ConfigError: a set has fewer objects than are asked for.
+        """
+        objects, support = self.sets[set_index], find_support(setting.support)
+        check_number(setting.num_objects, len(objects), "of variants")
+        stability = stability or StabilityConfig()
+        physics = self._physics.setdefault(stability, SwappablePhysics(len(objects), stability))
+        world = make_world(objects, support, stability, self.contact, self._columns.__getitem__)
+        rules = Rules(
+            config=replace(self.placement, num_objects=setting.num_objects),
+            physics=physics,
+            geometry=padded(geometry_of(world), NUM_COLUMN_SAMPLES, self.num_runs),
+            region=region_of(support.region, support),
+            keeps_bearing=True,
+        )
+        return TrainingWorld(
+            setting, world, rules, HeightMapper.of(rules.geometry, rules.region, self.radius)
+        )
+
+
+def padded(geometry: Geometry, num_columns: int, num_runs: int) -> Geometry:
+    """The same objects in longer arrays: columns that are none, and runs of surface that come again.
+
+    Raises:
+      ValueError: they are longer already.
+    """
+    columns = num_columns - geometry.is_column.shape[1]
+    runs = num_runs - len(geometry.surface)
+    if min(columns, runs) < 0:
+        raise ValueError(f"{-columns} columns or {-runs} runs of surface too many")
+    again = jnp.minimum(jnp.arange(num_runs), len(geometry.surface) - 1)
+    return geometry.replace(
+        column_xy=jnp.pad(geometry.column_xy, ((0, 0), (0, columns), (0, 0))),
+        column_bottom=jnp.pad(geometry.column_bottom, ((0, 0), (0, columns))),
+        is_column=jnp.pad(geometry.is_column, ((0, 0), (0, columns))),
+        surface=geometry.surface[again],
+        surface_owner=geometry.surface_owner[again],
+    )
+
+
+def object_sets(
+    objects: Sequence[ObjectAsset], number: int, rng: np.random.Generator, size: int = SET_SIZE
+) -> list[tuple[ObjectAsset, ...]]:
+    """Sets of `size` different objects, families as equally often in each as can be.
+
+    Raises:
+      ConfigError: there are fewer objects.
+    """
+    if not 1 <= size <= len(objects):
+        raise ConfigError(
+            f"sets of {size} of {len(objects)} objects", f"1 to {len(objects)}", "more variants"
+        )
+    families: dict[str, list[ObjectAsset]] = defaultdict(list)
+    for asset in objects:
+        families[asset.provenance.source].append(asset)
+    return [_one_set(list(families.values()), rng, size) for _ in range(number)]
+
+
+def _one_set(
+    families: Sequence[Sequence[ObjectAsset]], rng: np.random.Generator, size: int
+) -> tuple[ObjectAsset, ...]:
+    """One of each family in an order of its own, then a second of each, and so on."""
+    decks = [[family[index] for index in rng.permutation(len(family))] for family in families]
+    drawn: list[ObjectAsset] = []
+    while len(drawn) < size:
+        decks = [decks[index] for index in rng.permutation(len(decks)) if decks[index]]
+        drawn += [deck.pop() for deck in decks]
+    return tuple(drawn[:size])
+
+
+def mean_footprint(objects: Sequence[ObjectAsset]) -> float:
+    """Square metres: the mean of the objects' bounding rectangles, seen from above."""
+    return float(np.mean([4 * asset.half_extents[0] * asset.half_extents[1] for asset in objects]))
+
+
+def draw_settings(rng: np.random.Generator, number: int, footprint: float) -> list[Setting]:
+    """Settings whose fill is uniform in `FILL`: one in each of `number` equal steps of it.
+
+    Each piece of `FURNITURE` is there once, in at most half of them; the others are cuboid tables.
+
+    Args:
+      footprint: square metres, of an average object (`mean_footprint`).
+
+    Raises:
+      ConfigError: no setting can be that full with objects of that size.
+    """
+    low, high = FILL
+    fills = low + (high - low) * (rng.permutation(number) + rng.uniform(size=number)) / number
+    left, settings = [float(fill) for fill in fills], []
+    for name in FURNITURE[: number // 2]:
+        for fill in left:
+            if setting := _setting(name, fill, footprint):
+                settings.append(setting)
+                left.remove(fill)
+                break
+    return settings + [_cuboid_setting(rng, fill, footprint) for fill in left]
+
+
+def _cuboid_setting(rng: np.random.Generator, fill: float, footprint: float) -> Setting:
+    """The first drawn table that such a number of objects fills."""
+    for _ in range(_MOST_DRAWS):
+        width, depth = rng.uniform(*_SIDES, size=2)
+        if setting := _setting(f"table-{width:.2f}x{depth:.2f}", fill, footprint):
+            return setting
+    raise ConfigError(
+        f"tables filled {fill:.2f} times by objects of {footprint:.4f} m^2",
+        f"footprints such that {FEWEST_OBJECTS} to {MAX_SLOTS} objects do so",
+        "objects of usual sizes, about 0.02 m^2",
+    )
+
+
+def _setting(support: str, fill: float, footprint: float) -> Setting | None:
+    """The support filled so far, or None where that takes too few or too many objects."""
+    area = 4 * float(np.prod(find_support(support).region.half_extents))
+    num_objects = round(fill * area / footprint)
+    if not FEWEST_OBJECTS <= num_objects <= MAX_SLOTS:
+        return None
+    return Setting(support, num_objects, num_objects * footprint / area)

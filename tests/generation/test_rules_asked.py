@@ -1,0 +1,119 @@
+"""The rules that generate, make_sampler, make_env and evaluate resolve alike from what they are given."""
+
+import inspect
+
+import numpy as np
+import pytest
+
+import cluttergen_jax as cg
+from cluttergen_jax.api import evaluate as evaluation
+from cluttergen_jax.assets.pool import Pool, write_pool
+from cluttergen_jax.config import VerifyConfig
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation import comparison
+from cluttergen_jax.evaluation.trial import Trial, key_of
+from cluttergen_jax.generation.sources.opening import open_source
+from cluttergen_jax.learning.methods import TRUSTED_METHODS, rules_asked
+from cluttergen_jax.placement.config import MIN_MARGIN, RUIN_AFTER
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.card import card_text
+from cluttergen_jax.scene.bank.stats import stats_of
+from tests.helpers.worlds import trio
+
+NOTHING = {"order": None, "ruin_after": None, "budget": None, "min_margin": None, "setting": "default"}
+PAPER = {"order": "random", "ruin_after": 0, "budget": None, "min_margin": 0.0}
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
+
+
+@pytest.mark.parametrize("method", [*TRUSTED_METHODS, "drop", None])
+def test_the_papers_rules_hold_whatever_the_method(method):
+    assert rules_asked(method, 5, NOTHING | {"setting": "paper"}) == PAPER
+
+
+def test_methods_have_rules_of_their_own():
+    plain = PAPER | {"min_margin": MIN_MARGIN}
+    for method in ("random", "drop", "policy", None):
+        assert rules_asked(method, 5, NOTHING) == plain
+    for method in TRUSTED_METHODS:
+        assert rules_asked(method, 5, NOTHING) == plain | {"order": "weighted", "ruin_after": RUIN_AFTER}
+        assert rules_asked(method, 2, NOTHING)["ruin_after"] == 2
+
+
+@pytest.mark.parametrize("setting", ["default", "paper"])
+@pytest.mark.parametrize("method", [TRUSTED_METHODS[0], "drop"])
+def test_what_is_given_wins(setting, method):
+    given = {"order": "fixed", "ruin_after": 0, "budget": 70, "min_margin": 0.0}
+    assert rules_asked(method, 5, given | {"setting": setting}) == given
+
+
+def test_there_is_no_other_setting():
+    with pytest.raises(ConfigError, match="Did you mean 'paper'"):
+        rules_asked("drop", 5, NOTHING | {"setting": "papers"})
+
+
+@pytest.mark.parametrize("function", [cg.generate, cg.make_sampler, cg.make_env, cg.evaluate])
+def test_all_are_asked_alike(function):
+    known = inspect.signature(function).parameters
+    assert {name: known[name].default for name in NOTHING} == NOTHING
+
+
+def test_a_sampler_and_an_environment_follow_them(pool):
+    asked = {"pool": pool, "num_objects": 2, "order": "largest", "ruin_after": 2, "budget": 14}
+    for made in (cg.make_sampler(method="drop", **asked).problem, cg.make_env(**asked, observation="dict")):
+        config = made.rules.config
+        assert (config.order, config.ruin_after, config.max_scene_attempts) == ("largest", 2, 14)
+        assert config.min_margin == MIN_MARGIN
+    paper = cg.make_env(pool=pool, setting="paper", observation="dict").rules.config
+    assert (paper.order, paper.ruin_after, paper.budget, paper.min_margin) == ("random", 0, None, 0.0)
+
+
+def test_trials_follow_them(monkeypatch):
+    planned = []
+    monkeypatch.setattr(comparison, "open_runner", lambda folder, trials, *rest: planned.extend(trials))
+    monkeypatch.setattr(comparison, "compare", lambda *args: None)
+    evaluation.evaluate(methods=("random", "drop"))
+    evaluation.evaluate(methods=("drop",), setting="paper")
+    evaluation.evaluate(methods=("drop",), order="weighted", ruin_after=3, budget=60, min_margin=0.0)
+    assert [trial.min_margin for trial in planned] == [MIN_MARGIN, MIN_MARGIN, 0.0, 0.0]
+    assert planned[2] == Trial(method="drop", trials=1000)
+    assert (planned[3].order, planned[3].ruin_after, planned[3].budget) == ("weighted", 3, 60)
+    # A result is found again by what was asked, and older ones where nothing new was.
+    sources = {"pool": "p"}
+    assert len({key_of(trial, sources) for trial in planned}) == 4
+    assert len({trial.title for trial in planned[1:]}) == 3
+
+
+@pytest.fixture(scope="module")
+def ruined(tmp_path_factory, pool):
+    """A bank of four of the trio on a tiny table, objects taken away where it is stuck."""
+    out = tmp_path_factory.mktemp("ruined") / "bank"
+    rules = {"order": "weighted", "ruin_after": 2, "max_attempts": 4}
+    asked = {"support": "table-0.09x0.12", "num_objects": 4, "repeat": True, "method": "drop", "seed": 7}
+    return cg.generate(out, pool=pool, num_scenes=24, render=False, max_files=2, **asked, **rules)
+
+
+def test_a_bank_with_ruin_says_so_and_adds_up(ruined):
+    bank = read_bank(ruined.path)
+    record = bank.record["recipe"]["placement"]
+    assert (record["order"], record["ruin_after"], record["min_margin"]) == ("weighted", 2, MIN_MARGIN)
+    attempts = np.array(bank.table["attempts"].to_pylist())
+    assert attempts.max() > 2
+    assert attempts.sum(1).max() <= 16
+    stats = stats_of(bank)
+    assert stats.attempts == attempts.sum() == sum(each.attempts for each in stats.objects)
+    assert "- failed attempts after which objects are taken away: 2" in card_text(bank, stats)
+
+
+@pytest.mark.slow
+def test_a_bank_with_ruin_is_replayed_and_verified(ruined):
+    source, _ = open_source(str(ruined.path))
+    attempts = np.array(read_bank(ruined.path).table["attempts"].to_pylist())
+    row = int(attempts.sum(1).argmax())
+    recording = source.recorded(row)
+    assert len(recording.attempts) == attempts[row].sum()
+    assert any(len(recording.taken_away(number)) for number in range(len(recording.attempts)))
+    assert all(found.stands for found in cg.verify(ruined.path, VerifyConfig(seconds=1.0)).scenes)

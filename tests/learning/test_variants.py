@@ -1,0 +1,102 @@
+"""Variants: equally many of each family, none of a held-out one, the same before and after the cache."""
+
+import multiprocessing
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from cluttergen_jax.assets.body import make_object
+from cluttergen_jax.assets.modeller.catalog import FAMILIES, POOLS, make_shape
+from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.errors import AssetError, ConfigError, PoolError
+from cluttergen_jax.importing import cache
+from cluttergen_jax.learning.training import variants as module
+from cluttergen_jax.learning.training.variants import (
+    HELD_OUT_FAMILIES,
+    TRAINING_FAMILIES,
+    Variant,
+    list_variants,
+    variants,
+)
+
+PAIR = ("cereal_box", "fork")
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path))
+    return cache.cache_root()
+
+
+def refuse(*args):
+    raise AssertionError("a body was made that is in the cache")
+
+
+def test_families_are_parted():
+    assert not set(TRAINING_FAMILIES) & set(HELD_OUT_FAMILIES)
+    assert set(TRAINING_FAMILIES) | set(HELD_OUT_FAMILIES) == set(FAMILIES)
+    assert [len(set(families) & set(HELD_OUT_FAMILIES)) for families in POOLS.values()] == [2] * len(POOLS)
+
+
+def test_equally_many_of_each_family():
+    listed = list_variants(3 * len(TRAINING_FAMILIES), 7, TRAINING_FAMILIES)
+    assert len(set(listed)) == len(listed)
+    assert set(Counter(each.family for each in listed).values()) == {3}
+    assert {each.seed for each in listed} == {7, 8, 9}
+    # More are the same ones, and others.
+    assert list_variants(5, 7, TRAINING_FAMILIES) == listed[:5]
+
+
+def test_bodies_come_from_the_cache_unchanged(home, monkeypatch):
+    made = variants(3, 5, PAIR, num_processes=1)
+    assert [asset.name for asset in made] == ["cereal_box-5", "fork-5", "cereal_box-6"]
+    assert len({object_hash(asset) for asset in made}) == 3
+    assert object_hash(made[1]) == object_hash(make_object(make_shape("fork", 5)))
+    monkeypatch.setattr(module, "run_all", refuse)
+    again = variants(3, 5, PAIR)
+    assert [object_hash(asset) for asset in again] == [object_hash(asset) for asset in made]
+    assert not list(home.glob(".*"))
+
+
+def test_a_damaged_body_is_made_again(home):
+    (before,) = variants(1, 0, PAIR, num_processes=1)
+    folder = home / Variant("cereal_box", 0).key
+    np.save(folder / "cloud.npy", np.zeros((1024, 3), np.float32))
+    (after,) = variants(1, 0, PAIR, num_processes=1)
+    assert object_hash(after) == object_hash(before)
+    assert np.abs(np.load(folder / "cloud.npy")).max() > 0
+
+
+def test_a_body_that_fails_is_named_and_the_others_stay(home, monkeypatch):
+    def some(function, jobs, num_processes):
+        for index, job in enumerate(jobs):
+            yield index, "no convex part" if job.family == "fork" else function(job)
+
+    monkeypatch.setattr(module, "run_all", some)
+    with pytest.raises(AssetError, match=r"fork-0: no convex part"):
+        variants(2, 0, PAIR)
+    assert cache.load(Variant("cereal_box", 0).key, "cereal_box-0") is not None
+
+
+def test_what_is_left_early_leaves_no_worker_and_no_half_body(home, monkeypatch):
+    class Interrupted(module.Progress):
+        def update(self, *args, **options):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "Progress", Interrupted)
+    before = set(multiprocessing.active_children())
+    with pytest.raises(KeyboardInterrupt):
+        variants(2, 0, PAIR, num_processes=1)
+    for process in set(multiprocessing.active_children()) - before:
+        process.join(20)
+        assert not process.is_alive()
+    # What was finished is there, and it is whole.
+    assert cache.load(Variant("cereal_box", 0).key, "cereal_box-0") is not None
+
+
+def test_wrong_wishes_are_refused():
+    with pytest.raises(ConfigError, match="0 variants"):
+        variants(0)
+    with pytest.raises(PoolError, match="spork"):
+        variants(1, families=("spork",))

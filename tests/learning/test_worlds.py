@@ -1,0 +1,156 @@
+"""Training worlds: settings within their ranges, and worlds of one setting that share what is compiled."""
+
+import weakref
+from collections import Counter
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.learning.training.worlds import (
+    FILL,
+    FURNITURE,
+    Setting,
+    WorldMaker,
+    draw_settings,
+    mean_footprint,
+    object_sets,
+    padded,
+)
+from cluttergen_jax.placement.baselines import LowestFit
+from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.heightmap import HeightMapper
+from cluttergen_jax.placement.problem import ProblemConfig, compose, geometry_of
+from cluttergen_jax.placement.rollout import BlockSampler, Rollout
+
+SETS = (("dinner_plate", "soup_can", "mug"), ("cutting_board", "cereal_box", "fork"))
+WIDTH = 6
+PLACEMENT = PlacementConfig(history_stride=0, max_attempts=2)
+
+
+@pytest.fixture(scope="module")
+def maker():
+    pool = find_pool("all")
+    return WorldMaker([[pool[name] for name in names] for names in SETS], PLACEMENT)
+
+
+def shapes(tree):
+    return jax.tree.structure(tree), [
+        (leaf.shape, leaf.dtype, leaf.weak_type) for leaf in jax.tree.leaves(tree)
+    ]
+
+
+def run(rollout, world):
+    world.start_engine(num_threads=1)
+    sampler = BlockSampler(world.rules, LowestFit(world.rules, mapper=world.mapper))
+    return rollout.run(sampler, jax.random.key(3), np.arange(WIDTH), np.ones(WIDTH, bool))
+
+
+def unpadded(world, radius):
+    """The scenes of the same objects as everybody else has them."""
+    support = find_support(world.setting.support)
+    config = ProblemConfig(placement=world.rules.config, engine="native", num_threads=1)
+    rules = compose(world.world.objects, support, config).rules
+    mapper = HeightMapper.of(rules.geometry, rules.region, radius)
+    sampler = BlockSampler(rules, LowestFit(rules, mapper=mapper))
+    return Rollout().run(sampler, jax.random.key(3), np.arange(WIDTH), np.ones(WIDTH, bool))
+
+
+@pytest.mark.parametrize("support", ["table-0.30x0.36", "shelf_desk"])
+def test_worlds_of_one_setting_share_a_program_and_scenes_are_those_of_unpadded_ones(maker, support):
+    worlds = [maker.make(Setting(support, 3, 1.0), index) for index in range(len(SETS))]
+    assert shapes((worlds[0].rules, worlds[0].mapper)) == shapes((worlds[1].rules, worlds[1].mapper))
+    rollout = Rollout()
+    for world in worlds:
+        scenes = run(rollout, world)
+        assert rollout.num_programs == 1
+        assert scenes.is_success.any()
+    # What ran on the program of another world's objects.
+    expected = unpadded(world, maker.radius)
+    np.testing.assert_array_equal(scenes.object_index, expected.object_index)
+    np.testing.assert_array_equal(scenes.poses, expected.poses)
+    np.testing.assert_array_equal(scenes.counts.verdicts, expected.counts.verdicts)
+
+
+def test_one_engine_holds_simulations_at_a_time(maker):
+    world = maker.make(Setting("table-0.30x0.36", 3, 1.0), 0)
+    world.start_engine(num_threads=1)
+    held = weakref.ref(world.rules.physics.engine.simulations(2))
+    assert held() is not None
+    world.start_engine(num_threads=1)
+    assert held() is None
+
+
+def test_a_radius_widens_maps_only_where_the_support_goes_on(maker):
+    for support, goes_on in (("table-0.30x0.36", False), ("shelf_desk", True)):
+        world = maker.make(Setting(support, 3, 1.0), 0)
+        geometry, region = world.rules.geometry, world.rules.region
+        own = float(np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max())
+        sides = [HeightMapper.of(geometry, region, radius) for radius in (None, own, own + 0.1)]
+        area = [np.prod(np.multiply(each.shape, each.cell)) for each in sides]
+        assert (sides[0].shape, sides[0].cell) == (sides[1].shape, sides[1].cell)
+        assert (area[2] > area[0]) == goes_on
+
+
+def test_padding_adds_nothing_that_was_not_there(maker):
+    world = maker.make(Setting("table-0.30x0.36", 3, 1.0), 1)
+    plain = geometry_of(world.world)
+    longer = padded(plain, plain.is_column.shape[1] + 7, len(plain.surface) + 5)
+    np.testing.assert_array_equal(longer.is_column.sum(1), plain.is_column.sum(1))
+
+    def points(geometry):
+        owner = np.repeat(np.asarray(geometry.surface_owner), geometry.surface.shape[1])
+        return {tuple(row) for row in np.column_stack([owner, np.asarray(geometry.surface).reshape(-1, 3)])}
+
+    assert points(longer) == points(plain)
+    with pytest.raises(ValueError, match="2 runs of surface too many"):
+        padded(plain, plain.is_column.shape[1], len(plain.surface) - 2)
+
+
+def test_settings_keep_to_their_ranges_and_cover_the_fills():
+    footprint = mean_footprint(find_pool("all").objects)
+    number = 12
+    for seed in range(20):
+        settings = draw_settings(np.random.default_rng(seed), number, footprint)
+        assert len(settings) == number
+        for each in settings:
+            x, y = find_support(each.support).region.half_extents
+            assert 4 <= each.num_objects <= MAX_SLOTS
+            assert each.fill == pytest.approx(each.num_objects * footprint / (4 * x * y))
+            if each.support not in FURNITURE:
+                assert 0.245 <= 2 * min(x, y) <= 2 * max(x, y) <= 0.805
+        assert sum(each.support in FURNITURE for each in settings) == len(FURNITURE)
+        # One in each step of fill, but for the rounding of the number of objects.
+        steps = FILL[0] + (FILL[1] - FILL[0]) * (np.arange(number) + 0.5) / number
+        fills = np.sort([each.fill for each in settings])
+        assert np.abs(fills - steps).max() < 0.5 * (FILL[1] - FILL[0]) / number + 0.5 * footprint / 0.0625
+    assert draw_settings(np.random.default_rng(1), 8, footprint) == draw_settings(
+        np.random.default_rng(1), 8, footprint
+    )
+    with pytest.raises(ConfigError, match="4 to 40 objects"):
+        draw_settings(np.random.default_rng(0), 2, 10 * footprint)
+
+
+def test_sets_hold_different_objects_of_all_families():
+    objects = find_pool("all").objects
+    twice = [*objects, *(replace(asset, name=f"{asset.name}-2") for asset in objects)]
+    for drawn in object_sets(twice, 3, np.random.default_rng(0), size=70):
+        assert len(set(drawn)) == 70
+        number = Counter(asset.provenance.source for asset in drawn)
+        assert len(number) == len(objects)
+        assert set(number.values()) == {1, 2}
+    first, second = object_sets(twice, 2, np.random.default_rng(0))
+    assert set(first) != set(second)
+    with pytest.raises(ConfigError, match="sets of 101 of 100 objects"):
+        object_sets(twice, 1, np.random.default_rng(0), size=101)
+
+
+def test_worlds_of_too_few_objects_are_refused(maker):
+    with pytest.raises(ConfigError, match="4 objects asked for"):
+        maker.make(Setting("table-0.30x0.36", 4, 1.0), 0)
+    with pytest.raises(ConfigError, match="sets of one size"):
+        WorldMaker([maker.sets[0], maker.sets[1][:2]])
