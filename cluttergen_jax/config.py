@@ -37,6 +37,7 @@ Engine = Literal["auto", "native", "warp", "jax"]
 Order = Literal["random", "fixed", "largest", "weighted"]
 Setting = Literal["default", "paper"]
 Containment = Literal["center", "footprint"]
+Overhang = Literal["any", "half", "none"]
 Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "all"]
 Reward = Literal["paper", "code", "compressed"]
 Encoder = Literal["set", "pointnet", "pointnet2"]
@@ -85,7 +86,7 @@ def check_workers(argument: str, number: int) -> None:
         )
 
 
-ROBUST_TILT = math.radians(3)
+ROBUST_TILT = math.radians(5)
 """Radians by which gravity is tilted where robust scenes are asked for (`StabilityConfig.robust_tilt`)."""
 
 
