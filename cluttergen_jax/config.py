@@ -156,7 +156,7 @@ class StabilityConfig:
             raise ConfigError(
                 f"StabilityConfig.robust_tilt = {self.robust_tilt!r}",
                 "radians from 0 to a right angle",
-                f"{ROBUST_TILT:.4f}, which is 3 degrees, or 0 to ask for nothing",
+                f"{ROBUST_TILT:.4f}, which is {math.degrees(ROBUST_TILT):g} degrees, or 0 to ask for nothing",
             )
         if self.decision_step > self.max_steps:
             raise ConfigError(
