@@ -110,7 +110,7 @@ def test_missing_checkpoints_are_rows_of_their_own(runner, tmp_path):
     assert "--attempts 3 --out runs/study-policy-attempts3-0" in elsewhere.row(other)["hint"]
     # A given checkpoint is no other method's.
     given = Runner(Store(tmp_path / "given"), Checkpoints(path=list_policies()["dining-normal"]))
-    assert given.checkpoints.find(dataclasses.replace(SMALL, method="policy-clear")) is not None
+    assert given.checkpoints.find(dataclasses.replace(SMALL, method="normal")) is not None
     with pytest.raises(MissingCheckpointError, match="trained as 'normal'"):
         given.checkpoints.find(dataclasses.replace(SMALL, method="policy"))
     with pytest.raises(ConfigError, match="folder of training runs"):
