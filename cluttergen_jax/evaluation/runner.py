@@ -20,7 +20,7 @@ from cluttergen_jax.evaluation.resolved import (
 )
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.learning.methods import Method, make_block_sampler, suited
+from cluttergen_jax.learning.methods import proposer_of, suited
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import SwappablePhysics
 from cluttergen_jax.physics.native import NativePhysics
@@ -178,7 +178,8 @@ class Runner:
         """
         trial, rules = resolved.trial, self.setup(resolved, judge_neighbours).rules
         with usable(resolved.checkpoint, trial):
-            return make_block_sampler(Method(trial.method, resolved.checkpoint), rules)
+            propose = proposer_of(trial.method, resolved.checkpoint, rules)
+        return BlockSampler(rules, propose)
 
     def setup(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> Problem:
         """The trial's compiled world and rules, ready for what is compiled already."""

@@ -16,11 +16,9 @@ from cluttergen_jax.learning.policies.guided import KIND, load_guided
 from cluttergen_jax.learning.policies.policy import load_policy
 from cluttergen_jax.placement.baselines import BASELINES, make_proposer
 from cluttergen_jax.placement.config import MIN_MARGIN, RUIN_AFTER, PlacementConfig
-from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.placement.setup import Setup
-from cluttergen_jax.placement.types import Start
 
 METHODS = (*BASELINES, *VARIANTS)
 TRUSTED_METHODS = ("spread", "guided")
@@ -154,16 +152,4 @@ def sampler_of(setup: Setup, method: Method) -> BlockSampler:
     """
     rules = setup.problem.rules
     rules = replace(rules, config=suited(rules.config, method.checkpoint))
-    return make_block_sampler(method, rules, setup.keep_out, setup.start)
-
-
-def make_block_sampler(
-    method: Method, rules: Rules, keep_out: KeepOut | None = None, start: Start | None = None
-) -> BlockSampler:
-    """Episodes of a method by rules whose history suits it; they know what carries what where it asks.
-
-    Raises:
-      PoolError, ConfigError: its checkpoint cannot be read, or is of another problem.
-    """
-    rules = replace(rules, keeps_bearing=method.name in TRUSTED_METHODS)
-    return BlockSampler(rules, proposer_of(*method, rules), keep_out, start)
+    return BlockSampler(rules, proposer_of(*method, rules), setup.keep_out, setup.start)

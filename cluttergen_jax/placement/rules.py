@@ -56,8 +56,6 @@ class Rules(struct.PyTreeNode, eq=False):
       region: the queried region of every episode that is not given another; the largest of drawn ones.
       num_started: the most objects that may stand there already when an episode begins.
       draw_region: draws an episode's region from a key; None where all take `region`.
-      keeps_bearing: episodes know what carries what, as methods that look at it need; where objects are
-        taken away again they do in any case.
       history_steps: of an attempt that took longer the history tells so many steps, as if it had been cut
         off then; None tells them all. A policy reads histories of the length that it was trained with.
     """
@@ -68,7 +66,6 @@ class Rules(struct.PyTreeNode, eq=False):
     region: Region
     num_started: int = struct.field(pytree_node=False, default=0)
     draw_region: RegionDraw | None = struct.field(pytree_node=False, default=None)
-    keeps_bearing: bool = struct.field(pytree_node=False, default=False)
     history_steps: int | None = struct.field(pytree_node=False, default=None)
 
     def begin(
@@ -116,7 +113,7 @@ class Rules(struct.PyTreeNode, eq=False):
             is_success=jnp.bool_(False),
             verdict=jnp.int32(Verdict.NONE),
             drift=jnp.float32(0),
-            bearing=self._nothing_borne() if self.keeps_bearing or config.ruin_after else None,
+            bearing=self._nothing_borne(),
         )
 
     def _nothing_borne(self) -> Bearing:
@@ -130,7 +127,9 @@ class Rules(struct.PyTreeNode, eq=False):
 
     @property
     def _num_counted(self) -> int:
-        # Where no margin is asked for nothing is unsupported, and stored states have the shapes they had.
+        # What is not asked for is not counted, and stored states have the shapes they had.
+        if self.physics.config.robust_tilt:
+            return int(Verdict.FRAGILE) + 1
         last = Verdict.UNSUPPORTED if self.config.min_margin else Verdict.NON_FINITE
         return int(last) + 1
 
@@ -263,7 +262,7 @@ class Rules(struct.PyTreeNode, eq=False):
         """Stable: the settled poses of all stay and the next slot begins. Else: as it was before."""
         is_focus = jnp.arange(self.geometry.num_objects) == focus
         is_placed = episode.is_placed | is_focus
-        bearing = episode.bearing and _borne(episode.bearing, is_focus, settling)
+        bearing = _borne(episode.bearing, is_focus, settling)
         # Where neighbours are not judged, the paper's looser count puts them back by hand.
         moves = is_placed if self.physics.config.judge_neighbours else is_focus
         attempt = jnp.where(is_stable, 0, episode.attempt + 1)
@@ -292,7 +291,7 @@ class Rules(struct.PyTreeNode, eq=False):
                     jnp.where(verdict == Verdict.STABLE, settling.num_steps, 0)
                 ),
                 verdicts=counts.verdicts.at[verdict].add(1),
-                simulated_steps=counts.simulated_steps + settling.num_steps,
+                simulated_steps=counts.simulated_steps + settling.num_steps + settling.check_steps,
                 reward=counts.reward + reward,
             ),
         )
@@ -321,14 +320,7 @@ class Rules(struct.PyTreeNode, eq=False):
 
         Args:
           which: bool[K]; of what stood there from the beginning nothing is taken.
-
-        Raises:
-          ValueError: the episode does not know what carries what (`keeps_bearing`).
         """
-        if episode.bearing is None:
-            raise ValueError(
-                "remove needs an episode that knows what carries what: Rules(keeps_bearing=True)"
-            )
         is_mine = episode.is_placed & ~self._is_started(episode)
         which = carried_by(which & is_mine, episode.bearing.leans_on & is_mine[:, None])
         slots, index = jnp.arange(self.num_slots), jnp.maximum(episode.object_index, 0)

@@ -91,7 +91,7 @@ def test_whole_attempts_change_steps_and_no_verdict(runner):
     assert cut.attempts.steps.max() <= 60
 
 
-def test_a_method_that_asks_what_carries_what_acts_where_nothing_is_taken_away(runner):
+def test_a_trusted_method_acts_where_nothing_is_taken_away(runner):
     trial = dataclasses.replace(SMALL, method="spread")
     assert trial.ruin_after == 0
     sampler = runner.sampler(runner.resolve(trial))

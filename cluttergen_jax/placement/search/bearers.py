@@ -35,11 +35,10 @@ def bearers(scene: SearchScene, geometry: Geometry, candidates: Candidates, rest
     """Who would carry the current object at each candidate.
 
     Args:
-      scene: with owners, of an episode that knows what carries what.
+      scene: with owners.
       rest: f32[N], from `lower_onto`, metres.
     """
     bearing, under, heights = scene.episode.bearing, scene.under, scene.heights
-    assert bearing is not None
     touches = touching(under, heights, candidates, rest)
     owner = heights.owner_at(cells_under(under, heights, candidates))
     is_by_object = touches & (owner < geometry.num_objects)
