@@ -131,6 +131,21 @@ def suited(placement: PlacementConfig, checkpoint: Checkpoint | None) -> Placeme
     return replace(placement, history_stride=stride)
 
 
+def check_steered(method: str, placement: PlacementConfig) -> None:
+    """Refuses `clutter` and `natural` with a method that draws from no weights.
+
+    Raises:
+      ConfigError: it names the methods that do.
+    """
+    is_steered = {"clutter": placement.clutter is not None, "natural": placement.natural}
+    given = [name for name, is_given in is_steered.items() if is_given]
+    if given and method not in TRUSTED_METHODS:
+        allowed = [name for name in TRUSTED_METHODS if name in METHODS]
+        raise ConfigError(
+            f"`{given[0]}` with method {method!r}", f"with {' or '.join(allowed)}", f"method={allowed[0]!r}"
+        )
+
+
 def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Proposer:
     """The method, bound to a world.
 

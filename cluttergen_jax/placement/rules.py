@@ -10,6 +10,8 @@ from flax import struct
 
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementConfig
+from cluttergen_jax.placement.heightmap import Ground
+from cluttergen_jax.placement.overhang import most_beyond, shares_beyond
 from cluttergen_jax.placement.region import (
     KeepOut,
     Region,
@@ -56,6 +58,7 @@ class Rules(struct.PyTreeNode, eq=False):
       region: the queried region of every episode that is not given another; the largest of drawn ones.
       num_started: the most objects that may stand there already when an episode begins.
       draw_region: draws an episode's region from a key; None where all take `region`.
+      ground: the support alone, where overhang is limited (`PlacementConfig.overhang`).
       history_steps: of an attempt that took longer the history tells so many steps, as if it had been cut
         off then; None tells them all. A policy reads histories of the length that it was trained with.
     """
@@ -67,6 +70,7 @@ class Rules(struct.PyTreeNode, eq=False):
     num_started: int = struct.field(pytree_node=False, default=0)
     draw_region: RegionDraw | None = struct.field(pytree_node=False, default=None)
     history_steps: int | None = struct.field(pytree_node=False, default=None)
+    ground: Ground | None = None
 
     def begin(
         self,
@@ -230,7 +234,17 @@ class Rules(struct.PyTreeNode, eq=False):
         pose, half_extents = settling.poses[focus], self.geometry.half_extents[focus]
         inside = is_inside(pose, half_extents, episode.region, self.config.containment)
         inside &= ~is_kept_out(pose, half_extents, episode.keep_out)
+        if self.config.overhang != "any":
+            inside &= ~self._is_beyond(episode, focus, settling)
         return jnp.where((verdict == Verdict.STABLE) & ~inside, int(Verdict.OUTSIDE), verdict)
+
+    def _is_beyond(self, episode: Episode, focus: Array, settling: Settling) -> Array:
+        """Whether anything that this episode placed reaches too far beyond the support's edge; bool."""
+        assert self.ground is not None
+        is_focus = jnp.arange(self.geometry.num_objects) == focus
+        is_judged = (episode.is_placed | is_focus) & ~self._is_started(episode)
+        shares = shares_beyond(self.ground, self.geometry, settling.poses)
+        return jnp.any(is_judged & (shares > most_beyond(self.config.overhang)))
 
     def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""

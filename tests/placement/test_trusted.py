@@ -71,8 +71,10 @@ def test_the_threshold_falls_with_failures_and_then_stays():
             return jnp.full(len(menu.is_allowed), 0.7).at[0].set(0.85)
 
     first, second, third, tenth = (set(chosen_numbers(Half, attempt)) for attempt in (0, 1, 2, 9))
-    assert first == {0} and second == {0}
-    assert len(third) == 10 and len(tenth) == 10
+    assert first == {0}
+    assert second == {0}
+    assert len(third) == 10
+    assert len(tenth) == 10
 
 
 def test_equal_keys_draw_equal_poses():
@@ -115,11 +117,14 @@ def test_bearers_are_known_by_name_level_margin_and_offset():
     placer = Spread(LowestFit(rules))
     menu = placer.look(episode, Candidates(jnp.stack([above, far]), jnp.zeros(2)))
     on, off = (jax.tree.map(lambda leaf, i=i: np.asarray(leaf[i]), menu.bearers) for i in (0, 1))
-    assert bool(on.is_on) and on.level == 1
+    assert bool(on.is_on)
+    assert on.level == 1
     assert on.margin == pytest.approx(float(episode.bearing.margin[0]), abs=1e-6)
     # Its centre of mass is over that of what would bear it, or nearly so: well within the support.
     assert on.offset < 0
-    assert not off.is_on and off.level == 0 and off.margin == pytest.approx(0.1)
+    assert not off.is_on
+    assert off.level == 0
+    assert off.margin == pytest.approx(0.1)
 
 
 def test_the_level_of_what_was_placed_counts_those_below():
@@ -136,7 +141,8 @@ def test_the_level_of_what_was_placed_counts_those_below():
             break
     assert int(transition.verdict) == Verdict.STABLE
     np.testing.assert_array_equal(np.asarray(after.bearing.level)[:2], [0, 1])
-    assert after.bearing.leans_on[1, 0] and not after.bearing.leans_on[0, 1]
+    assert after.bearing.leans_on[1, 0]
+    assert not after.bearing.leans_on[0, 1]
 
 
 def test_a_map_with_owners_is_the_map_to_a_micrometre():
@@ -146,7 +152,8 @@ def test_a_map_with_owners_is_the_map_to_a_micrometre():
     plain, owned = (search.scene(episode, with_owner=each).heights for each in (False, True))
     np.testing.assert_allclose(plain.height, owned.height, atol=1e-6)
     is_object = np.asarray(owned.owner) == 0
-    assert is_object.any() and set(np.unique(owned.owner)) == {0, rules.geometry.num_objects}
+    assert is_object.any()
+    assert set(np.unique(owned.owner)) == {0, rules.geometry.num_objects}
     assert np.asarray(owned.height)[is_object].min() > 0.003
 
 
