@@ -15,13 +15,13 @@ COLOURS = {
     "random": "#8a8f98",
     "clear": "#4d9078",
     "drop": "#2f5d62",
+    "spread": "#e377c2",
     "open_loop": "#c9a227",
     "short_memory": "#b5651d",
     "normal": "#7b5ea7",
     "beta": "#e07b39",
     "policy": "#c8102e",
-    "policy-clear": "#1f77b4",
-    "ranked": "#e377c2",
+    "guided": "#1f77b4",
 }
 """Of methods, the same in every plot."""
 

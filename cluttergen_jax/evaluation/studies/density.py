@@ -8,13 +8,13 @@ from cluttergen_jax.evaluation.cells import SPEED, Column, Row, missing, number,
 from cluttergen_jax.evaluation.plots import add_legend, new_figure, prepare, save, success_line
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.learning.methods import FILTERED, METHODS
+from cluttergen_jax.learning.methods import METHODS
 from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.tables import Table
 
 SIZES = ("0.60x0.70", "0.50x0.60", "0.40x0.50", "0.35x0.45", "0.30x0.40")
 _CROWDS = (10, 15, 20, 30)
-_CROWD_METHODS = (*BASELINES, "policy", FILTERED, "ranked")
+_CROWD_METHODS = (*BASELINES, "guided", "policy")
 """Without the paper's heads and shorter memories, which the tables of `density` compare."""
 _APART = 0.04
 

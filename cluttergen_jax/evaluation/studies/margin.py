@@ -29,7 +29,7 @@ ASKED = Column("margin asked for, mm", lambda row: number(row.get("min_margin", 
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
     """The scenes of `robustness`, without a margin and with the one that `generate` asks for."""
-    chosen = of_methods(robustness.trials(scale), *BASELINES, "policy", "ranked")
+    chosen = of_methods(robustness.trials(scale), *BASELINES, "guided", "policy")
     return tuple(each for trial in chosen for each in grid(trial, min_margin=(0.0, MIN_MARGIN)))
 
 
