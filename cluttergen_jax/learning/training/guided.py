@@ -47,6 +47,8 @@ from cluttergen_jax.progress import Progress
 
 PLACEMENT = PlacementConfig(order="weighted", ruin_after=RUIN_AFTER, min_margin=MIN_MARGIN, history_stride=0)
 """What is asked of the episodes: what `generate` asks of those that `guided` makes."""
+_TEST_SHARE = 4
+"""The test on held-out families is so many times shorter than a round."""
 HELD_OUT_SEED = 1000
 """Seeds of held-out variants begin here: no training reaches so far."""
 
@@ -146,27 +148,34 @@ class GuidedTraining:
             for number in range(config.num_rounds):
                 # Weights of nothing but zeros trust no one: the first round tries everything.
                 exploration = config.exploration if number else 1.0
-                examples += self._see(crowds, number, f"{number:02d}", params, exploration, interrupt)
+                name = f"{number:02d}"
+                examples += self._see(crowds, number, name, params, exploration, config.num_steps, interrupt)
                 params, loss = fit(config.network, config.fit, _joined(examples), config.seed)
                 self._show(f"round {number + 1}    {_told(examples)}, loss {loss:.3f}")
             families = (HELD_OUT_FAMILIES, config.num_held_out, HELD_OUT_SEED)
             held_out = _Crowds(config, families, 1, config.seed + 1)
-            tested = _joined(self._see(held_out, 0, "held-out", params, config.exploration, interrupt))
-        self._save(params, examples, tested)
+            num_steps = -(-config.num_steps // _TEST_SHARE)
+            seen = self._see(held_out, 0, "held-out", params, config.exploration, num_steps, interrupt)
+        self._save(params, examples, _joined(seen))
         self._show(
             f"time       {(time.monotonic() - started) / 60:.1f} minutes; policy in {self.folder / 'policy'}"
         )
         return self.folder / "policy"
 
     def _see(
-        self, crowds: _Crowds, number: int, name: str, params: Any, exploration: float, interrupt: Interrupt
+        self,
+        crowds: _Crowds,
+        number: int,
+        name: str,
+        params: Any,
+        exploration: float,
+        num_steps: int,
+        interrupt: Interrupt,
     ) -> list[Examples]:
         """The attempts of a round, by setting: from their files, or made now."""
         config, seen = self.config, []
-        title = f"attempts {name}"
-        with Progress(
-            title, config.num_settings * config.num_steps * config.num_episodes, "attempt"
-        ) as progress:
+        total = config.num_settings * num_steps * config.num_episodes
+        with Progress(f"attempts {name}", total, "attempt") as progress:
             for index in range(config.num_settings):
                 file = self.folder / "attempts" / f"{name}-{index:02d}.npz"
                 if file.exists():
@@ -181,14 +190,16 @@ class GuidedTraining:
                     network=config.network,
                     exploration=np.float32(exploration),
                 )
-                seen.append(self._collect(explorer, key, progress, interrupt))
+                seen.append(self._collect(explorer, key, num_steps, progress, interrupt))
                 _write(file, seen[-1])
         return seen
 
-    def _collect(self, explorer: Explorer, key: Any, progress: Progress, interrupt: Interrupt) -> Examples:
+    def _collect(
+        self, explorer: Explorer, key: Any, num_steps: int, progress: Progress, interrupt: Interrupt
+    ) -> Examples:
         rows = []
         episodes = begin(explorer, key, self.config.num_episodes)
-        for _ in range(self.config.num_steps):
+        for _ in range(num_steps):
             if interrupt.is_asked:
                 raise KeyboardInterrupt
             episodes, row = self._step(explorer, episodes)
