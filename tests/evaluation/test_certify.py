@@ -91,13 +91,14 @@ def test_a_certificate_of_an_older_version_is_shown_and_completed(tmp_path, caps
     now = read_bank(path)
     lines, table = stats_of(now).certificate.lines(), now.table
     rows = read_block(path, 0).drop_columns(
-        ["num_unsupported", "margin", "margins", "tilt_1", "tilt_2", "tilt_5"]
+        ["num_unsupported", "num_fragile", "margin", "margins", "tilt_1", "tilt_2", "tilt_5", "robust"]
     )
     record = {name: value for name, value in now.record.items() if name != "num_scenes"}
     write_rows(path, 0, rows, record)
     older = stats_of(read_bank(path)).certificate
     assert older.margin_median is None
-    assert older.lines() == lines[:-2]
+    assert older.robust is None
+    assert older.lines() == lines[:-3]
     assert main(["certify", str(path), "--seconds", "0.1"]) == 0
     assert "(3 rows are new)" in capsys.readouterr().out
     assert read_bank(path).table.equals(table)

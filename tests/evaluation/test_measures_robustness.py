@@ -13,9 +13,11 @@ from cluttergen_jax.evaluation.measures.certificate import certificates
 from cluttergen_jax.evaluation.measures.robustness import (
     PHYSICS_CHANGES,
     Change,
+    RobustConfig,
     ShakeConfig,
     changed,
     creep,
+    robust,
     shake,
     survives,
 )
@@ -188,3 +190,23 @@ def test_what_diverges_went_infinitely_far():
     shift, turn = shift_and_turn(now, start)
     np.testing.assert_allclose(shift, [0, 0.3, np.inf])
     np.testing.assert_allclose(turn, [0, 0, np.inf])
+
+
+def test_what_stands_every_way_is_robust_and_what_sinks_a_little_is_too(models):
+    # The tall box tips over the table's edge under a tilt of 3 degrees if less than 5.2 mm of it hold it.
+    brink = [{TALL: (0.3 - margin, 0, 0.1)} for margin in (0.004, 0.015)]
+    pile = {CUBE: (0, 0, 0.03), TALL: (0, 0, 0.16)}
+    poses, is_placed = scenes(*STANDING, pile, *brink)
+    found = robust(models, poses, is_placed, num_threads=1)
+    assert found.tolist() == [True, True, True, True, False, True]
+    # Where friction is too little it slides.
+    icy = RobustConfig(friction=0.05)
+    assert not robust(models, poses[:1], is_placed[:1], icy, num_threads=2).any()
+
+
+def test_a_robust_scene_is_judged_from_where_it_was_saved_and_in_plan(models):
+    # As soft as this it sinks by more than the 5 mm that are allowed, straight down.
+    soft = RobustConfig(solref=(0.3, 1.0), degrees=0.01)
+    poses, is_placed = scenes(STANDING[0])
+    assert robust(models, poses, is_placed, soft, num_threads=1).all()
+    assert not robust(models, *scenes({CUBE: (0.29, 0, 0.03), TALL: (0.34, 0, 0.1)}), num_threads=1).any()

@@ -1,0 +1,170 @@
+"""Attempts that must stand a slight tilt and less friction: by hand arithmetic, in counts and in records."""
+
+import dataclasses
+import math
+
+import jax
+import numpy as np
+import pytest
+
+import cluttergen_jax as cg
+from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.config import ROBUST_TILT, StabilityConfig, stability_record
+from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.physics import make_physics
+from cluttergen_jax.physics.native import NativePhysics
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.problem import ProblemConfig, compose
+from cluttergen_jax.placement.scenes import scene_of
+from cluttergen_jax.scene.bank.table import SCHEMA, with_added
+from cluttergen_jax.types import Verdict
+from tests.helpers import banks
+from tests.helpers.worlds import TOP, box, layout_of, scene, trio
+
+EDGE = 0.3
+ROBUST = StabilityConfig(robust_tilt=ROBUST_TILT)
+TALL, CUBE, LOWER = range(3)
+HEIGHT = {TALL: 0.1, CUBE: 0.03, LOWER: 0.03}
+
+
+@pytest.fixture(scope="module")
+def layout():
+    cube = (0.03, 0.03, 0.03)
+    return layout_of([box("tall", (0.02, 0.04, 0.1)), box("cube", cube), box("lower", cube)])
+
+
+@pytest.fixture(scope="module")
+def engines(layout):
+    return NativePhysics(layout, StabilityConfig()), NativePhysics(layout, ROBUST)
+
+
+def over_the_edge(layout, index, margin, turn=0.0):
+    """One object with its centre of mass so many metres inside the table's edge."""
+    at = {0: (EDGE - margin, 0), 1: (0, 0.4 - margin), 2: (margin - EDGE, 0)}[turn]
+    return scene(layout, {index: (*at, TOP + HEIGHT[index])})
+
+
+def on_another(layout, margin):
+    """A cube on a cube, its centre of mass so many metres inside the lower one's edge."""
+    return scene(layout, {LOWER: (0, 0, TOP + 0.03), CUBE: (0.03 - margin, 0, TOP + 0.09)})
+
+
+def settle(engine, focus, *scenes):
+    poses, is_placed = (np.stack(arrays) for arrays in zip(*scenes, strict=True))
+    return engine.settle_batch(poses, is_placed, np.full(len(poses), focus), np.ones(len(poses), bool))
+
+
+def test_what_would_tip_by_hand_arithmetic_is_fragile(layout, engines):
+    # At height h, gravity tilted by 3 degrees moves the load by h tan(3): 5.2 mm for the tall box, 1.6 mm for a
+    # cube. A brief tilt by 4 degrees is to find just those that would fall.
+    plain, robust = engines
+    for index, margins in ((TALL, (0.002, 0.0047, 0.0063, 0.02)), (CUBE, (0.0005, 0.0014, 0.0019, 0.01))):
+        load = HEIGHT[index] * math.tan(math.radians(3))
+        scenes = [over_the_edge(layout, index, margin) for margin in margins]
+        assert (settle(plain, index, *scenes).verdict == Verdict.STABLE).all()
+        expected = [Verdict.FRAGILE if margin < load else Verdict.STABLE for margin in margins]
+        assert settle(robust, index, *scenes).verdict.tolist() == expected
+    # The tilt goes once around: it finds every edge.
+    opposite = over_the_edge(layout, TALL, 0.002, turn=2)
+    assert settle(robust, TALL, opposite).verdict.tolist() == [Verdict.FRAGILE]
+
+
+def test_what_lies_on_another_wakes_it_and_is_judged_with_it(layout, engines):
+    plain, robust = engines
+    scenes = [on_another(layout, margin) for margin in (0.001, 0.01, 0.03)]
+    assert (settle(plain, CUBE, *scenes).verdict == Verdict.STABLE).all()
+    assert settle(robust, CUBE, *scenes).verdict.tolist() == [
+        Verdict.FRAGILE,
+        Verdict.STABLE,
+        Verdict.STABLE,
+    ]
+
+
+def test_only_the_verdict_tells_and_the_next_attempt_feels_nothing_of_it(layout, engines):
+    plain, robust = engines
+    scenes = [over_the_edge(layout, TALL, 0.002), over_the_edge(layout, TALL, 0.1)]
+    in_the_air = scene(layout, {TALL: (0, 0, TOP + 0.3)})
+    scenes.append(in_the_air)
+    before = settle(plain, TALL, *scenes)
+    for _ in range(2):
+        after = settle(robust, TALL, *scenes)
+        assert after.verdict.tolist() == [Verdict.FRAGILE, Verdict.STABLE, Verdict.UNSETTLED]
+        # What is fragile ends early, what failed before is not looked at.
+        assert 0 < after.check_steps[0] < ROBUST.robust_steps
+        assert after.check_steps[1:].tolist() == [ROBUST.robust_steps, 0]
+        for field in dataclasses.fields(before):
+            if field.name not in ("verdict", "check_steps"):
+                np.testing.assert_array_equal(
+                    getattr(before, field.name), getattr(after, field.name), err_msg=field.name
+                )
+    assert not before.check_steps.any()
+
+
+def play(stability, num_scenes=16):
+    """Scenes of the trio by random attempts, each in a slot's five attempts; equal keys."""
+    config = ProblemConfig(placement=PlacementConfig(num_objects=3), stability=stability)
+    rules = compose(trio(), cuboid_table(), config).rules
+
+    def step(episode, key):
+        action = jax.random.uniform(key, (4,)).at[2].multiply(0.7)
+        return rules.attempt(episode, action)[0], None
+
+    def one(key):
+        begun = rules.begin(jax.random.fold_in(key, 1))
+        return scene_of(jax.lax.scan(step, begun, jax.random.split(key, 15))[0])
+
+    return jax.device_get(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(0), num_scenes)))
+
+
+def test_scenes_are_the_same_but_for_what_is_fragile_and_its_steps_count():
+    # A tilt by 8 degrees, which some of what lies on another does not stand.
+    free, asked = play(StabilityConfig()), play(StabilityConfig(robust_tilt=math.radians(8)))
+    assert free.counts.verdicts.shape[1] == int(Verdict.NON_FINITE) + 1
+    fragile = asked.counts.verdicts[:, Verdict.FRAGILE]
+    is_same = fragile == 0
+    assert is_same.sum() > 0
+    np.testing.assert_array_equal(free.poses[is_same], asked.poses[is_same])
+    num_stable = asked.counts.verdicts[:, Verdict.STABLE]
+    more = (asked.counts.simulated_steps - free.counts.simulated_steps)[is_same]
+    np.testing.assert_array_equal(more, num_stable[is_same] * StabilityConfig().robust_steps)
+    np.testing.assert_array_equal(free.counts.steps[is_same], asked.counts.steps[is_same])
+
+
+def test_records_of_before_are_records_of_scenes_that_need_not_be_robust(tmp_path):
+    assert not any(name.startswith("robust") for name in stability_record(StabilityConfig()))
+    assert StabilityConfig(**stability_record(ROBUST)) == ROBUST
+    older = banks.RECIPE | {"stability": stability_record(StabilityConfig())}
+    with banks.writer(tmp_path / "bank", 3, older):
+        pass
+    with pytest.raises(BankError, match=r"another stability\.robust_friction"):
+        banks.writer(tmp_path / "bank", 3, banks.RECIPE | {"stability": stability_record(ROBUST)})
+    banks.writer(tmp_path / "bank", 3, older).close()
+
+
+def test_rows_of_before_count_nothing_as_fragile():
+    rows = banks.rows(0, 4)
+    older = rows.drop_columns(["num_fragile", "num_unsupported"])
+    assert with_added(older).select(SCHEMA.names).equals(rows)
+
+
+@pytest.mark.parametrize("wrong", [-0.1, 2.0, math.nan, "3 degrees"])
+def test_a_tilt_that_cannot_be_meant_is_refused(wrong):
+    with pytest.raises(ConfigError, match=r"robust_tilt.*Allowed: radians"):
+        StabilityConfig(robust_tilt=wrong)
+
+
+def test_only_the_native_engine_tells_what_is_robust(layout):
+    for engine in ("jax", "warp"):
+        with pytest.raises(ConfigError, match=r"robust.*native"):
+            make_physics(layout, ROBUST, engine)
+    assert isinstance(make_physics(layout, ROBUST), NativePhysics)
+
+
+@pytest.mark.slow
+def test_a_robust_bank_says_so_and_is_continued_as_such(tmp_path):
+    asked = {"num_objects": 3, "method": "drop", "render": False, "max_files": 1}
+    bank = cg.generate(tmp_path / "bank", num_scenes=2, robust=True, **asked)
+    assert bank.record["recipe"]["stability"]["robust_tilt"] == ROBUST_TILT
+    assert cg.generate(tmp_path / "bank", num_scenes=3, robust=True, **asked).num_scenes == 3
+    with pytest.raises(BankError, match=r"stability\.robust"):
+        cg.generate(tmp_path / "bank", num_scenes=3, **asked)
