@@ -20,7 +20,7 @@ from cluttergen_jax.evaluation.resolved import (
 )
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.learning.methods import proposer_of, suited
+from cluttergen_jax.learning.methods import TRUSTED_METHODS, proposer_of, suited
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import SwappablePhysics
 from cluttergen_jax.physics.native import NativePhysics
@@ -28,6 +28,7 @@ from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
+from cluttergen_jax.placement.ruin import footprint_area
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.progress import Progress, interruptible
 
@@ -108,7 +109,7 @@ class Runner:
         self.begin(trial.title)
         try:
             strict = self.run(resolved)
-            figures = figures_of(strict)
+            figures = figures_of(strict) | {"fill": self._fill(resolved)}
             if trial.paper_count:
                 loose = self.run(resolved, judge_neighbours=False)
                 figures["paper"] = figures_of(loose, has_last_check=False)
@@ -195,6 +196,7 @@ class Runner:
         rules = replace(
             base.rules,
             config=config,
+            keeps_bearing=trial.method in TRUSTED_METHODS,
             physics=self._physics(base.world, stability),
             history_steps=stability.decision_step if is_longer else None,
         )
@@ -203,6 +205,12 @@ class Runner:
     def world(self, resolved: ResolvedTrial) -> World:
         """The trial's compiled world."""
         return self._base_setup(resolved).world
+
+    def _fill(self, resolved: ResolvedTrial) -> float:
+        """Footprints of a scene's objects over the region's area, on average, before any change of it."""
+        areas = footprint_area(self._base_setup(resolved).rules.geometry)
+        width, depth = (2 * each for each in resolved.region.half_extents)
+        return float(np.mean(areas) * resolved.trial.num_objects / (width * depth))
 
     def _physics(self, world: World, stability: StabilityConfig) -> Physics:
         """The engine of a world. Worlds of equal sizes share what is compiled around a native one.

@@ -24,6 +24,7 @@ from cluttergen_jax.evaluation.studies.survival import MARGIN_SURVIVAL, SURVIVAL
 from cluttergen_jax.evaluation.studies.table1 import IMPORTED, IMPORTED_GROUPS, TABLE1
 from cluttergen_jax.evaluation.studies.table2 import TABLE2
 from cluttergen_jax.evaluation.studies.time import TIME
+from cluttergen_jax.evaluation.studies.unseen import UNSEEN
 from cluttergen_jax.evaluation.trial import Trial
 
 # Times are measured in processes of their own, after everything else.
@@ -44,6 +45,7 @@ SUITES: dict[str, tuple[Study, ...]] = {
     "extended": (
         DENSITY,
         CROWDS,
+        UNSEEN,
         DIVERSITY,
         ACCEPTANCE,
         ROBUSTNESS,

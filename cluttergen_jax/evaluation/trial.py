@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.learning.methods import TRUSTED_METHODS
 from cluttergen_jax.placement.changes import find_change
 
 MAX_TRIALS = 1_000_000
+RUIN, RANDOM_ORDER = "ruin", "random order"
+"""Of rows whose rules are not their method's own."""
 _ADDED = ("min_margin", "order", "ruin_after", "budget")
 
 
@@ -92,6 +96,18 @@ class Trial:
         words += [f"ruin after {self.ruin_after}"] if self.ruin_after else []
         words += [f"budget {self.budget}"] if self.budget else []
         return " ".join([*words, f"{self.num_objects} objects", f"{self.attempts} attempts"])
+
+
+def row_name(trial: Mapping[str, Any]) -> str:
+    """What tables call a row: its method, and what sets its rules apart from that method's own.
+
+    Args:
+      trial: fields of a `Trial`; those of results of older versions lack some.
+    """
+    method, is_ruined = trial["method"], bool(trial.get("ruin_after", 0))
+    if is_ruined == (method in TRUSTED_METHODS):
+        return str(method)
+    return f"{method}, {RUIN if is_ruined else RANDOM_ORDER}"
 
 
 def key_of(trial: Trial, sources: dict[str, Any]) -> str:

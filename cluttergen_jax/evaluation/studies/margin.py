@@ -16,6 +16,7 @@ from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies import robustness
 from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
+from cluttergen_jax.evaluation.studies.rules import RULES
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid, of_methods
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.baselines import BASELINES
@@ -29,7 +30,7 @@ ASKED = Column("margin asked for, mm", lambda row: number(row.get("min_margin", 
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
     """The scenes of `robustness`, without a margin and with the one that `generate` asks for."""
-    chosen = of_methods(robustness.trials(scale), *BASELINES, "policy", "ranked")
+    chosen = of_methods(robustness.trials(scale), *BASELINES, "guided", "policy")
     return tuple(each for trial in chosen for each in grid(trial, min_margin=(0.0, MIN_MARGIN)))
 
 
@@ -96,7 +97,7 @@ def tables(result: Result) -> list[Table]:
         "stand tilted: share of scenes in which nothing moves over 5 mm or turns over 5 degrees within 2 s, "
         "in whichever of eight directions gravity is tilted; in brackets, of scenes and directions",
     )
-    return [table_of(result["title"], columns, rows, notes)]
+    return [table_of(result["title"], columns, rows, (*notes, *RULES))]
 
 
 def _least(row: Row) -> str:
