@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from numbers import Real
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from cluttergen_jax.errors import ConfigError
 
@@ -85,6 +85,10 @@ def check_workers(argument: str, number: int) -> None:
         )
 
 
+ROBUST_TILT = math.radians(3)
+"""Radians by which gravity is tilted where robust scenes are asked for (`StabilityConfig.robust_tilt`)."""
+
+
 @dataclass(frozen=True)
 class StabilityConfig:
     """When an object stands still, and when a finished scene does (paper, section 3; made stricter).
@@ -110,6 +114,11 @@ class StabilityConfig:
       stand_shift, stand_turn: metres and radians; a scene that moved less in the first stage stands.
       stand_full_steps: second stage of the last check, for the others.
       stand_full_shift, stand_full_turn: metres and radians allowed by the end of the second stage.
+      robust_tilt: radians; above 0, what came to rest must also stand while gravity, tilted by so much, turns
+        once around (`physics.disturbance`); 0 asks for nothing. The others count only then:
+      robust_friction: factor of all friction coefficients meanwhile.
+      robust_steps: steps of that turn.
+      robust_shift, robust_turn: metres and radians that any object may be from where it came to rest.
     """
 
     timestep: float = 1 / 240
@@ -133,10 +142,21 @@ class StabilityConfig:
     stand_full_steps: int = 480
     stand_full_shift: float = 0.005
     stand_full_turn: float = math.radians(5)
+    robust_tilt: float = 0.0
+    robust_friction: float = 0.7
+    robust_steps: int = 120
+    robust_shift: float = 0.0005
+    robust_turn: float = math.radians(0.5)
 
     def __post_init__(self) -> None:
-        flags = ("per_axis", "stop_when_decided", "judge_neighbours")
-        check_positive(self, *(f.name for f in fields(self) if f.name not in flags))
+        others = ("per_axis", "stop_when_decided", "judge_neighbours", "robust_tilt")
+        check_positive(self, *(f.name for f in fields(self) if f.name not in others))
+        if not (isinstance(self.robust_tilt, Real) and 0 <= self.robust_tilt < math.pi / 2):
+            raise ConfigError(
+                f"StabilityConfig.robust_tilt = {self.robust_tilt!r}",
+                "radians from 0 to a right angle",
+                f"{ROBUST_TILT:.4f}, which is 3 degrees, or 0 to ask for nothing",
+            )
         if self.decision_step > self.max_steps:
             raise ConfigError(
                 f"settle_steps + quiet_steps = {self.decision_step} with max_steps = {self.max_steps}",
@@ -153,6 +173,14 @@ class StabilityConfig:
     def last_step(self) -> int:
         """The step at which an attempt ends at the latest."""
         return self.decision_step if self.stop_when_decided else self.max_steps
+
+
+def stability_record(config: StabilityConfig) -> dict[str, Any]:
+    """The config as records keep it: without what older versions did not know, where that is off."""
+    record = asdict(config)
+    if config.robust_tilt:
+        return record
+    return {name: value for name, value in record.items() if not name.startswith("robust_")}
 
 
 @dataclass(frozen=True)

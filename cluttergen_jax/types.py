@@ -25,6 +25,7 @@ class Verdict(enum.IntEnum):
     NON_FINITE = 7
     CREPT = 8
     UNSUPPORTED = 9
+    FRAGILE = 10
 
     @property
     def sentence(self) -> str:
@@ -49,6 +50,7 @@ _SENTENCES = {
     Verdict.NON_FINITE: "the simulation diverged",
     Verdict.CREPT: "the finished scene moved in the last check",
     Verdict.UNSUPPORTED: "came to rest with its centre of mass too near the edge of what carries it",
+    Verdict.FRAGILE: "would not stand under a slight tilt or less friction",
 }
 
 
@@ -56,9 +58,10 @@ class Settling(struct.PyTreeNode):
     """One attempt, as the simulator saw it. K objects in the compiled world, T + 1 trajectory rows.
 
     Attributes:
-      verdict: i32, a `Verdict`; OUTSIDE, UNSUPPORTED and CREPT are never given here. NONE if the scene was
-        inactive.
+      verdict: i32, a `Verdict`; OUTSIDE, UNSUPPORTED and CREPT are never given here, FRAGILE only where
+        `StabilityConfig.robust_tilt` asks for it. NONE if the scene was inactive.
       num_steps: i32, the step at which the attempt ended.
+      check_steps: i32, steps simulated after that, to see whether what came to rest is fragile.
       poses: f32[K, 7], final poses of all objects, world frame, metres, wxyz.
       trajectory: f32[T + 1, 13], the focus object's position, quaternion wxyz, linear and angular velocity
         in the world frame (m, m/s, rad/s): at release, then after each step; rows after `num_steps` are zero.
@@ -77,6 +80,7 @@ class Settling(struct.PyTreeNode):
 
     verdict: Array
     num_steps: Array
+    check_steps: Array
     poses: Array
     trajectory: Array
     motion_sum: Array

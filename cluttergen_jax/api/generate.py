@@ -36,6 +36,7 @@ def generate(
     ruin_after: int | None = None,
     budget: int | None = None,
     min_margin: float | None = None,
+    robust: bool = False,
     setting: Setting = "default",
     repeat: bool = False,
     start: str | None = None,
@@ -76,6 +77,8 @@ def generate(
       budget: attempts of a scene in all; `max_attempts` for each object if not given.
       min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
         asks for nothing. If not given: 0.003.
+      robust: ask that an object also stands, with whatever it touches, while gravity tilts by 3 degrees and
+        friction is 0.7 times as much; native engine alone.
       setting: what holds of these where they are not given: "default", or "paper" for the paper's rules: a
         random order, nothing taken away, no margin.
       repeat: let objects stand there more than once.

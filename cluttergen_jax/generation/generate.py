@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from cluttergen_jax.config import stability_record
 from cluttergen_jax.files import writing
 from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.learning.methods import FILTERED, Method, sampler_of
@@ -100,6 +101,7 @@ def recipe_of(problem: Problem, method: Method) -> dict[str, Any]:
     return {
         **config,
         "placement": placement_record(problem.config.placement),
+        "stability": stability_record(problem.config.stability),
         "region": dataclasses.asdict(problem.region),
         "method": method.name,
         "checkpoint_hash": method.checkpoint and method.checkpoint.hash,

@@ -25,11 +25,12 @@ def make_physics(
       layout: the compiled world.
       config: when an object stands still.
       engine: "native" (MuJoCo's C engine), "warp" (MJX on an NVIDIA GPU, slowly on a CPU), "jax" (MJX in
-        pure JAX, for few simple objects), or "auto": warp where JAX runs on an NVIDIA GPU, else native.
+        pure JAX, for few simple objects), or "auto": warp where JAX runs on an NVIDIA GPU, else native;
+        native alone knows `config.robust_tilt`.
       num_threads: threads of the native engine; 0 takes every core.
 
     Raises:
-      ConfigError: unknown engine.
+      ConfigError: unknown engine, or one that cannot tell what is robust.
       MissingExtraError: "warp" without Warp installed.
     """
     if engine not in ENGINES:
@@ -40,9 +41,14 @@ def make_physics(
             closest(engine, ENGINES),
         )
     if engine == "auto":
-        engine = "warp" if jax.default_backend() == "gpu" else "native"
+        is_gpu = jax.default_backend() == "gpu"
+        engine = "warp" if is_gpu and not config.robust_tilt else "native"
     if engine == "native":
         return NativePhysics(layout, config, num_threads)
+    if config.robust_tilt:
+        raise ConfigError(
+            f"engine {engine!r} with robust", "native, for robust scenes", "engine='native', or robust=False"
+        )
     # MJX takes a second to import, and only who asks for it pays.
     with silent_import():
         from cluttergen_jax.physics.mjx import MjxPhysics

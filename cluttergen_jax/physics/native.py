@@ -16,6 +16,7 @@ import numpy as np
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.physics import stability
+from cluttergen_jax.physics.disturbance import disturb
 from cluttergen_jax.physics.host import HostPhysics
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
@@ -78,6 +79,8 @@ class NativePhysics(HostPhysics):
                 attempt = _Attempt(self, poses[block], is_placed[block], focus[block])
                 attempt.run()
                 attempt.report(result, block)
+                if self.config.robust_tilt:
+                    attempt.disturb(result, block)
         return result
 
     def stand_batch(self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray) -> Standing:
@@ -225,6 +228,16 @@ class _Attempt:
             (result.turn, track.turn),
         ):
             field[block] = kept(np, values, self.is_finite)
+
+    def disturb(self, result: Settling, block: np.ndarray) -> None:
+        """Looks which of the block's stable attempts are fragile, and writes that into `result`."""
+        rows = np.flatnonzero(result.verdict[block] == int(Verdict.STABLE))
+        if not rows.size:
+            return
+        at = block[rows]
+        result.verdict[at], result.check_steps[at] = disturb(
+            self.sims, result.poses[at], self.is_placed[rows], self.focus[rows], self.engine.config
+        )
 
     def _look_at_rest(self, final: np.ndarray, result: Settling, block: np.ndarray) -> np.ndarray:
         """Which scenes overlap too much, bool[n]; overlaps and margins are written into `result`."""

@@ -14,6 +14,7 @@ def empty_settling(xp: Any, batch: tuple[int, ...], num_objects: int, config: St
     return Settling(
         verdict=xp.full(batch, int(Verdict.NONE), dtype=xp.int32),
         num_steps=xp.zeros(batch, dtype=xp.int32),
+        check_steps=xp.zeros(batch, dtype=xp.int32),
         poses=xp.zeros((*batch, num_objects, 7), dtype=xp.float32),
         trajectory=xp.zeros((*batch, config.max_steps + 1, 13), dtype=xp.float32),
         motion_sum=xp.zeros(batch, dtype=xp.float32),

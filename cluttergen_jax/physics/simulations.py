@@ -71,6 +71,15 @@ class Simulations:
         self._raised[:num] = False
         return start
 
+    def scale_friction(self, factor: float) -> None:
+        """From now on all friction coefficients are the model's times `factor`."""
+        self._batch.expand("geom_friction")[:] = factor * self._batch.model.geom_friction
+
+    def turn_gravity(self, direction: np.ndarray) -> None:
+        """From now on gravity, as strong as the model's, points along the unit vector `direction`, f[3]."""
+        strength = np.linalg.norm(self._batch.model.opt.gravity)
+        self._batch.expand("opt.gravity")[:] = strength * direction
+
     def step(self, ids: np.ndarray) -> None:
         """One time step of the simulations `ids`; one that raises is marked, the others go on."""
         try:

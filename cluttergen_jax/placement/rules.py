@@ -130,7 +130,9 @@ class Rules(struct.PyTreeNode, eq=False):
 
     @property
     def _num_counted(self) -> int:
-        # Where no margin is asked for nothing is unsupported, and stored states have the shapes they had.
+        # What is not asked for is not counted, and stored states have the shapes they had.
+        if self.physics.config.robust_tilt:
+            return int(Verdict.FRAGILE) + 1
         last = Verdict.UNSUPPORTED if self.config.min_margin else Verdict.NON_FINITE
         return int(last) + 1
 
@@ -292,7 +294,7 @@ class Rules(struct.PyTreeNode, eq=False):
                     jnp.where(verdict == Verdict.STABLE, settling.num_steps, 0)
                 ),
                 verdicts=counts.verdicts.at[verdict].add(1),
-                simulated_steps=counts.simulated_steps + settling.num_steps,
+                simulated_steps=counts.simulated_steps + settling.num_steps + settling.check_steps,
                 reward=counts.reward + reward,
             ),
         )

@@ -14,6 +14,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import composed, find_pool
 from cluttergen_jax.assets.reach import check_keep_out
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.problem import (
@@ -100,12 +101,14 @@ def problem_config(given: Mapping[str, Any]) -> ProblemConfig:
     check_number(num_objects, available, pool, given["repeat"])
     asked = {name: value for name, value in _fields_in(given, PlacementConfig).items() if value is not None}
     placement = PlacementConfig(**asked | {"num_objects": num_objects})
-    found = {
+    found: dict[str, Any] = {
         "pool": pool,
         "objects": tuple(objects),
         "support": str(given["support"]),
         "placement": placement,
     }
+    if given["robust"]:
+        found["stability"] = StabilityConfig(robust_tilt=ROBUST_TILT)
     return ProblemConfig(**_fields_in(given, ProblemConfig) | found)
 
 

@@ -80,9 +80,9 @@ class Counts(struct.PyTreeNode):
       steps: i32[S], steps of all those attempts added up. The paper's stable steps, if attempts run
         to their end (`StabilityConfig.stop_when_decided` off).
       rest_steps: i32[S], steps of the attempt that succeeded; 0 where the object does not stand.
-      verdicts: i32[V], attempts by `Verdict` code: STABLE to NON_FINITE, or to UNSUPPORTED where a margin is
-        asked for.
-      simulated_steps: i32, steps simulated, the last check included.
+      verdicts: i32[V], attempts by `Verdict` code: STABLE to NON_FINITE, to UNSUPPORTED where a margin is
+        asked for, or to FRAGILE where it is asked that what stands is robust.
+      simulated_steps: i32, steps simulated, all checks included.
       reward: f32, sum of rewards.
     """
 

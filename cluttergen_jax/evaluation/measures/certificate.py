@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.evaluation.measures.contacts import contacts_of
-from cluttergen_jax.evaluation.measures.robustness import ShakeConfig, TiltConfig, shake, tilt
+from cluttergen_jax.evaluation.measures.robustness import ShakeConfig, TiltConfig, robust, shake, tilt
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.measures.simulate import each_scene, movement
 
@@ -44,6 +44,7 @@ def certificates(
         margins: metres, each of the world's K objects'; None where not placed or not carried from below.
         tilt_1, tilt_2, tilt_5: share of directions in which gravity, tilted by so many degrees, topples
           nothing.
+        robust: it stands in soft contact, with less friction and gravity tilted (`robustness.robust`).
     """
     models.check(poses, is_placed)
     is_placed, tilt_config = np.asarray(is_placed, bool), TiltConfig()
@@ -52,6 +53,7 @@ def certificates(
     scores = shake(models, poses, is_placed, shake_config, num_threads)
     speeds = residual_speeds(models, poses, is_placed, num_threads)
     stands = tilt(models, poses, is_placed, tilt_config, num_threads)
+    is_robust = robust(models, poses, is_placed, num_threads=num_threads)
     rests_on, margins = contacts.rests_on, [[_finite(each) for each in row] for row in contacts.margin]
     return [
         {
@@ -71,6 +73,7 @@ def certificates(
             **{
                 f"tilt_{by:g}": float(share) for by, share in zip(tilt_config.degrees, stands[n], strict=True)
             },
+            "robust": bool(is_robust[n]),
         }
         for n in range(len(is_placed))
     ]

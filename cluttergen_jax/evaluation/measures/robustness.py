@@ -248,13 +248,88 @@ def _stands(scene: SceneModel, poses: np.ndarray, turn: float, config: TiltConfi
 
 def _withstands(scene: SceneModel, poses: np.ndarray, down: np.ndarray, seconds: float) -> bool:
     # Gravity belongs to the model, which other threads use at the same time.
-    model = scene.own_model()
+    return _stays(scene, scene.own_model(), poses, down, seconds, 3)
+
+
+def _stays(
+    scene: SceneModel,
+    model: mujoco.MjModel,
+    poses: np.ndarray,
+    down: np.ndarray,
+    seconds: float,
+    num_axes: int,
+) -> bool:
+    """Whether nothing moves over 5 mm, along the first so many world axes, or turns over 5 degrees.
+
+    Args:
+      model: the scene's own; its gravity is turned towards `down`, a unit vector.
+    """
     model.opt.gravity[:] = down * np.linalg.norm(model.opt.gravity)
     data = scene.start(poses, model)
     start = data.qpos.reshape(-1, 7).copy()
     for _ in range(round(seconds / model.opt.timestep / _LOOK_EVERY_TILTED)):
         mujoco.mj_step(model, data, _LOOK_EVERY_TILTED)
-        shift, turned = shift_and_turn(data.qpos.reshape(-1, 7), start)
+        now = data.qpos.reshape(-1, 7).copy()
+        now[:, num_axes:3] = start[:, num_axes:3]
+        shift, turned = shift_and_turn(now, start)
         if shift.max(initial=0.0) > MAX_SHIFT or turned.max(initial=0.0) > MAX_TURN:
             return False
     return True
+
+
+@dataclass(frozen=True)
+class RobustConfig:
+    """What a robust scene withstands: tilted gravity, less friction and softer contact, all at once.
+
+    Attributes:
+      degrees: by how much gravity is tilted.
+      num_directions: evenly over the circle, the first one world x.
+      friction: factor of all friction coefficients.
+      solref, solimp: of all contacts; by default MuJoCo's own defaults.
+      seconds: how long each direction is simulated.
+    """
+
+    degrees: float = 3.0
+    num_directions: int = 4
+    friction: float = 0.7
+    solref: tuple[float, float] = (0.02, 1.0)
+    solimp: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)
+    seconds: float = 2.0
+
+
+def robust(
+    models: SceneModels,
+    poses: np.ndarray,
+    is_placed: np.ndarray,
+    config: RobustConfig | None = None,
+    num_threads: int = 0,
+) -> np.ndarray:
+    """Which scenes stand, everything awake, under tilted gravity with less friction and softer contact.
+
+    A scene is robust if nothing moves over 5 mm in plan or turns over 5 degrees, from where it was saved, in
+    any direction. In plan, since in soft contact everything sinks by a little, which is no fall: what falls
+    also turns or goes sideways.
+
+    Args:
+      poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
+
+    Returns:
+      bool[N].
+    """
+    models.check(poses, is_placed)
+    config, is_placed = config or RobustConfig(), np.asarray(is_placed, bool)
+    turns = 2 * np.pi * np.arange(config.num_directions) / config.num_directions
+    angle = np.radians(config.degrees)
+
+    def run(number: int) -> bool:
+        scene = models.of(is_placed[number])
+        model = scene.own_model()
+        model.geom_friction[:] *= config.friction
+        model.geom_solref[:], model.geom_solimp[:] = config.solref, config.solimp
+        sideways = np.sin(angle) * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        return all(
+            _stays(scene, model, poses[number], np.append(to, -np.cos(angle)), config.seconds, 2)
+            for to in sideways
+        )
+
+    return np.array(each_scene(run, len(is_placed), num_threads), bool)

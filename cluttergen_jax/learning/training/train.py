@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from cluttergen_jax.assets.pool import find_pool, public_name
-from cluttergen_jax.config import EvalAction
+from cluttergen_jax.config import EvalAction, stability_record
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import check_folder
 from cluttergen_jax.placement.config import placement_record
@@ -163,6 +163,7 @@ def recipe_of(config: TrainConfig, settings: Settings) -> dict[str, Any]:
         "seed": config.seed,
         **dataclasses.asdict(settings),
         "placement": placement_record(settings.placement),
+        "stability": stability_record(settings.stability),
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")},
     }
 

@@ -54,6 +54,8 @@ _COLUMNS = {
         f"{angle} degrees moves nothing by 5 mm or 5 degrees within 2 s"
         for angle in (1, 2, 5)
     },
+    "robust": "after `certify`: in soft contact (MuJoCo's default), with 0.7 times the friction and gravity "
+    "tilted by 3 degrees in each of four directions, nothing slides by 5 mm or turns by 5 degrees within 2 s",
 } | {f"num_{v.label.replace('-', '_')}": f"attempts that ended {v.label}: {v.sentence}" for v in COUNTED}
 
 
@@ -167,6 +169,7 @@ def _made(recipe: dict[str, Any]) -> str:
         "queried region": recipe.get("region"),
         "containment": placement.get("containment"),
         "support margin asked for, metres": placement.get("min_margin", 0),
+        "robust": "asked for" if recipe.get("stability", {}).get("robust_tilt") else "not asked for",
         "versions": ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items()),
     }
     return "\n".join(["## How it was made", "", *(f"- {name}: {value}" for name, value in rows.items())])

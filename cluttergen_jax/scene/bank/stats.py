@@ -51,6 +51,8 @@ class CertificateStats:
       margin_median, margin_least: metres, the least support margin in a scene; None if an older version
         measured.
       tilt: share of directions withstood, by degrees of tilt; empty likewise.
+      robust: share of the scenes that stand in soft contact, with less friction and tilted gravity; None
+        likewise.
     """
 
     scenes: int
@@ -65,6 +67,7 @@ class CertificateStats:
     margin_median: float | None
     margin_least: float | None
     tilt: dict[str, float]
+    robust: float | None
 
     def lines(self) -> list[str]:
         """For people, a fact each."""
@@ -82,6 +85,8 @@ class CertificateStats:
         if self.tilt:
             shares = ", ".join(f"{share:.1%} by {by} degrees" for by, share in self.tilt.items())
             lines.append(f"directions in which tilted gravity topples nothing: {shares}")
+        if self.robust is not None:
+            lines.append(f"robust (tilted by 3 degrees, less friction, soft contact): {self.robust:.1%}")
         return lines
 
 
@@ -175,6 +180,7 @@ def _certificate(rows: pa.Table) -> CertificateStats | None:
         margin_median=float(np.median(margin)) if len(margin) else None,
         margin_least=float(margin.min()) if len(margin) else None,
         tilt={by: float(of[f"tilt_{by}"].mean()) for by in ("1", "2", "5")} if has_tilt else {},
+        robust=float(of["robust"].mean()) if len(of["robust"]) else None,
     )
 
 

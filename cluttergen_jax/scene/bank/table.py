@@ -13,8 +13,15 @@ import pyarrow as pa
 from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.types import Verdict
 
-COUNTED = (*(Verdict(code) for code in range(int(Verdict.NON_FINITE) + 1)), Verdict.UNSUPPORTED)
+_ADDED = (Verdict.UNSUPPORTED, Verdict.FRAGILE)
+COUNTED = (*(Verdict(code) for code in range(int(Verdict.NON_FINITE) + 1)), *_ADDED)
 """Verdicts of attempts."""
+
+
+def _counted(verdict: Verdict) -> str:
+    """The column that counts a scene's attempts of this verdict."""
+    return f"num_{verdict.label.replace('-', '_')}"
+
 
 SCHEMA = pa.schema(
     [
@@ -32,7 +39,7 @@ SCHEMA = pa.schema(
         ("steps", pa.list_(pa.int32())),
         ("rest_steps", pa.list_(pa.int32())),
         ("simulated_steps", pa.int32()),
-        *((f"num_{verdict.label.replace('-', '_')}", pa.int32()) for verdict in COUNTED),
+        *((_counted(verdict), pa.int32()) for verdict in COUNTED),
     ]
 )
 """Slots are lists; `poses` are T_world_object, metres and wxyz; `drift` is in metres; `num_stable` and so on
@@ -57,6 +64,7 @@ CERTIFICATE = pa.schema(
         ("tilt_1", pa.float32()),
         ("tilt_2", pa.float32()),
         ("tilt_5", pa.float32()),
+        ("robust", pa.bool_()),
     ]
 )
 """What `cluttergen certify` adds: null for scenes that failed. SI units and radians; `rests_on` holds pairs
@@ -101,11 +109,12 @@ def rows_of(table: pa.Table) -> Iterator[BankRow]:
 def with_added(rows: pa.Table) -> pa.Table:
     """The rows of a bank of an older version with the columns that it did not know.
 
-    Nothing was unsupported then; what a certificate did not measure is null.
+    Nothing was unsupported or fragile then; what a certificate did not measure is null.
     """
-    if "num_unsupported" not in rows.schema.names:
-        none = pa.array(np.zeros(rows.num_rows, np.int32))
-        rows = rows.append_column(SCHEMA.field("num_unsupported"), none)
+    for name in map(_counted, _ADDED):
+        if name not in rows.schema.names:
+            none = pa.array(np.zeros(rows.num_rows, np.int32))
+            rows = rows.append_column(SCHEMA.field(name), none)
     if "shake" in rows.schema.names:
         for field in CERTIFICATE:
             if field.name not in rows.schema.names:
@@ -115,7 +124,7 @@ def with_added(rows: pa.Table) -> pa.Table:
 
 def is_fully_certified(rows: pa.Table) -> bool:
     """Whether the rows have their certificate with all that this version measures."""
-    return is_certified(rows) and rows["tilt_1"].null_count == rows["shake"].null_count
+    return is_certified(rows) and rows["robust"].null_count == rows["shake"].null_count
 
 
 def is_certified(rows: pa.Table) -> bool:
@@ -151,6 +160,6 @@ def _row(index: int, scenes: SceneBatch, place: int, names: Sequence[str]) -> di
         "steps": scenes.counts.steps[place][slots].tolist(),
         "rest_steps": scenes.counts.rest_steps[place][slots].tolist(),
         "simulated_steps": int(scenes.counts.simulated_steps[place]),
-        # Nothing is unsupported where no margin is asked for, and that count is not kept.
-        **{f"num_{v.label.replace('-', '_')}": int(counts[v]) if v < len(counts) else 0 for v in COUNTED},
+        # What is not asked for, such as a margin, is not counted.
+        **{_counted(v): int(counts[v]) if v < len(counts) else 0 for v in COUNTED},
     }

@@ -1,0 +1,68 @@
+"""A slight disturbance of what came to rest: gravity tilts and turns once around, with less friction.
+
+What stands by a hair falls in the next simulator. It is found by one short simulation: the tilt's direction
+turns through all directions, so that whatever would tip over an edge is leant over that edge for a while.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.physics import stability
+from cluttergen_jax.physics.simulations import Simulations
+from cluttergen_jax.types import Verdict
+
+_DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def disturb(
+    sims: Simulations,
+    poses: np.ndarray,
+    is_placed: np.ndarray,
+    focus: np.ndarray,
+    config: StabilityConfig,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which scenes at rest would not stand under a slight tilt and less friction.
+
+    All but the focus object sleep until they are touched, so that only what stands together with it is
+    simulated. A scene is fragile as soon as any object is farther from where it came to rest than
+    `config.robust_shift`, or has turned by more than `config.robust_turn`.
+
+    Args:
+      sims: whose first n simulations are used; gravity and friction are as they were afterwards.
+      poses: f[n, K, 7]; is_placed: bool[n, K]; focus: i[n].
+
+    Returns:
+      i32[n], STABLE, FRAGILE or OVERFLOW; and i32[n], steps simulated.
+    """
+    verdict = np.full(len(poses), int(Verdict.STABLE), np.int32)
+    num_steps = np.zeros(len(poses), np.int32)
+    is_focus = np.arange(poses.shape[1]) == focus[:, None]
+    start = sims.release(poses, is_placed, never_sleeps=is_focus & is_placed)
+    sims.scale_friction(config.robust_friction)
+    try:
+        for down in _directions(config.robust_tilt, config.robust_steps):
+            running = np.flatnonzero(verdict == int(Verdict.STABLE))
+            if not running.size:
+                break
+            sims.turn_gravity(down)
+            sims.step(running)
+            num_steps[running] += 1
+            overflowed, is_finite = sims.failures(running)
+            shift, turn = stability.moved(np, sims.poses(running), start[running])
+            is_off = (shift > config.robust_shift) | (turn > config.robust_turn)
+            is_fragile = (is_placed[running] & is_off).any(1) | ~is_finite
+            verdict[running[is_fragile]] = Verdict.FRAGILE
+            verdict[running[overflowed]] = Verdict.OVERFLOW
+    finally:
+        sims.scale_friction(1.0)
+        sims.turn_gravity(_DOWN)
+    return verdict, num_steps
+
+
+def _directions(tilt: float, num_steps: int) -> np.ndarray:
+    """f64[T, 3]: unit vectors of gravity, tilted by `tilt` radians, once around."""
+    turn = 2 * np.pi * np.arange(num_steps) / num_steps
+    sideways = np.sin(tilt) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return np.concatenate([sideways, np.full((num_steps, 1), -np.cos(tilt))], axis=1)
