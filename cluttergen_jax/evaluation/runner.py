@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
 from cluttergen_jax.evaluation.episodes import Outcome, arrays_of, attempts_of, figures_of, run_episodes
 from cluttergen_jax.evaluation.resolved import (
     Checkpoints,
@@ -186,7 +186,9 @@ class Runner:
         """The trial's compiled world and rules, ready for what is compiled already."""
         trial, base = resolved.trial, self._base_setup(resolved)
         stability = StabilityConfig(
-            stop_when_decided=resolved.is_cut and not trial.whole_attempts, judge_neighbours=judge_neighbours
+            stop_when_decided=resolved.is_cut and not trial.whole_attempts,
+            judge_neighbours=judge_neighbours,
+            robust_tilt=ROBUST_TILT if trial.robust else 0.0,
         )
         with usable(resolved.checkpoint, trial):
             config = suited(base.rules.config, resolved.checkpoint)

@@ -18,6 +18,7 @@ from cluttergen_jax.evaluation.studies.learning_curves import LEARNING_CURVES
 from cluttergen_jax.evaluation.studies.margin import MARGIN
 from cluttergen_jax.evaluation.studies.relations import RELATIONS
 from cluttergen_jax.evaluation.studies.robustness import ROBUSTNESS
+from cluttergen_jax.evaluation.studies.stability import STABILITY
 from cluttergen_jax.evaluation.studies.steps_by_attempt import STEPS_BY_ATTEMPT
 from cluttergen_jax.evaluation.studies.study import Scale, Study, of_methods
 from cluttergen_jax.evaluation.studies.survival import MARGIN_SURVIVAL, SURVIVAL
@@ -52,6 +53,7 @@ SUITES: dict[str, tuple[Study, ...]] = {
         SURVIVAL,
         MARGIN,
         MARGIN_SURVIVAL,
+        STABILITY,
         TIME,
     ),
 }

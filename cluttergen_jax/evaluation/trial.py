@@ -15,9 +15,9 @@ from cluttergen_jax.learning.methods import TRUSTED_METHODS
 from cluttergen_jax.placement.changes import find_change
 
 MAX_TRIALS = 1_000_000
-RUIN, RANDOM_ORDER = "ruin", "random order"
+RUIN, RANDOM_ORDER, ROBUST = "ruin", "random order", "robust"
 """Of rows whose rules are not their method's own."""
-_ADDED = ("min_margin", "order", "ruin_after", "budget")
+_ADDED = ("min_margin", "order", "ruin_after", "budget", "robust")
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,7 @@ class Trial:
       paper_count: run it a second time with the paper's looser count (only the current object is judged, the
         others are put back by hand, no last check).
       min_margin: metres of support margin asked of what is placed; 0 asks for nothing, as the paper does.
+      robust: ask that what stands also stands under a slight tilt with less friction.
       order, ruin_after, budget: of a `PlacementConfig`; the paper's unless given.
     """
 
@@ -58,6 +59,7 @@ class Trial:
     order: str = "random"
     ruin_after: int = 0
     budget: int | None = None
+    robust: bool = False
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials <= MAX_TRIALS:
@@ -92,6 +94,7 @@ class Trial:
         words += [f"seed {self.training_seed}"] if self.training_seed else []
         words += [self.change] if self.change != "none" else []
         words += [f"margin {1000 * self.min_margin:g} mm"] if self.min_margin else []
+        words += [ROBUST] if self.robust else []
         words += [self.order] if self.order != "random" else []
         words += [f"ruin after {self.ruin_after}"] if self.ruin_after else []
         words += [f"budget {self.budget}"] if self.budget else []
@@ -104,10 +107,11 @@ def row_name(trial: Mapping[str, Any]) -> str:
     Args:
       trial: fields of a `Trial`; those of results of older versions lack some.
     """
-    method, is_ruined = trial["method"], bool(trial.get("ruin_after", 0))
-    if is_ruined == (method in TRUSTED_METHODS):
-        return str(method)
-    return f"{method}, {RUIN if is_ruined else RANDOM_ORDER}"
+    method, is_ruined = str(trial["method"]), bool(trial.get("ruin_after", 0))
+    is_own = is_ruined == (method in TRUSTED_METHODS)
+    words = [] if is_own else [RUIN if is_ruined else RANDOM_ORDER]
+    words += [ROBUST] if trial.get("robust") else []
+    return ", ".join([method, *words])
 
 
 def key_of(trial: Trial, sources: dict[str, Any]) -> str:

@@ -41,7 +41,7 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
         figures = runner.row(trial)["figures"]
         success = {name: figures[name] for name in ("success", "low95", "high95")}
         measured = runner.measured(trial, "margins", partial(_margins, scenes, runner.num_threads))
-        measured |= runner.measured(trial, "tilt", partial(_tilt, scenes, runner.num_threads))
+        measured |= runner.measured(trial, "tilt", partial(tilt_figures, scenes, runner.num_threads))
         unsupported = figures["verdicts"].get(Verdict.UNSUPPORTED.label, 0) / figures["attempts"]
         rows.append(row_of(trial, **success, unsupported=unsupported, **measured))
     return Findings(rows)
@@ -58,7 +58,7 @@ def _margins(scenes: Successes, num_threads: int) -> dict[str, Any]:
     }
 
 
-def _tilt(scenes: Successes, num_threads: int) -> dict[str, Any]:
+def tilt_figures(scenes: Successes, num_threads: int) -> dict[str, Any]:
     models, config = SceneModels(scenes.world), TiltConfig()
     stands = tilt(models, scenes.poses, scenes.is_placed, config, num_threads)
     return {

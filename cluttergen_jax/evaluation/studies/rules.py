@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.cells import Row
-from cluttergen_jax.evaluation.trial import RANDOM_ORDER, RUIN, Trial
+from cluttergen_jax.evaluation.trial import RANDOM_ORDER, ROBUST, RUIN, Trial
 from cluttergen_jax.learning.methods import rules_asked
 from cluttergen_jax.placement.config import RUIN_AFTER
 
@@ -34,14 +34,20 @@ def without_ruin(trial: Trial) -> Trial:
     return replace(trial, order="random", ruin_after=0)
 
 
-_CHANGED = {"": lambda trial: trial, RUIN: with_ruin, RANDOM_ORDER: without_ruin}
+def when_robust(trial: Trial) -> Trial:
+    """The trial with robust scenes asked for."""
+    return replace(trial, robust=True)
+
+
+_CHANGED = {RUIN: with_ruin, RANDOM_ORDER: without_ruin, ROBUST: when_robust}
 
 
 def named_rows(bases: Iterable[Trial], *names: str) -> tuple[Trial, ...]:
     """Rows of every base by their names in tables (`trial.row_name`), the names vary fastest.
 
     Args:
-      names: METHOD by its own rules, "METHOD, ruin" (`with_ruin`) or "METHOD, random order" (`without_ruin`).
+      names: METHOD by its own rules; after it, each behind a comma, "ruin" (`with_ruin`), "random order"
+        (`without_ruin`) and "robust" (`when_robust`).
 
     Raises:
       ConfigError: there are no such rules.
@@ -50,10 +56,13 @@ def named_rows(bases: Iterable[Trial], *names: str) -> tuple[Trial, ...]:
 
 
 def _named(base: Trial, name: str) -> Trial:
-    method, _, rules = name.partition(", ")
-    if rules not in _CHANGED:
-        raise ConfigError(f"a row {name!r}", f"a method, alone or with `, {RUIN}` or `, {RANDOM_ORDER}`")
-    return _CHANGED[rules](own_rules(replace(base, method=method)))
+    method, *rules = name.split(", ")
+    trial = own_rules(replace(base, method=method))
+    for each in rules:
+        if each not in _CHANGED:
+            raise ConfigError(f"a row {name!r}", f"a method, and after commas {', '.join(_CHANGED)}")
+        trial = _CHANGED[each](trial)
+    return trial
 
 
 def with_seeds(trials: Iterable[Trial], method: str, seeds: int | None) -> tuple[Trial, ...]:

@@ -37,7 +37,7 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
     notes: dict[str, None] = {}
     for trial, scenes in each_standing(runner, trials, rows):
         for engine in PEERS:
-            make = partial(_figures, scenes, engine, runner.num_threads)
+            make = partial(figures_in, scenes, engine, runner.num_threads)
             try:
                 stood = runner.measured(trial, f"survival in {engine}", make)
             except MissingExtraError as error:
@@ -47,7 +47,7 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
     return Findings(rows, notes=list(notes))
 
 
-def _figures(scenes: Successes, engine: str, num_threads: int) -> dict[str, Any]:
+def figures_in(scenes: Successes, engine: str, num_threads: int) -> dict[str, Any]:
     models = SceneModels(scenes.world)
     movement = movement_elsewhere(engine, models, scenes.poses, scenes.is_placed, num_threads=num_threads)
     return {
