@@ -37,6 +37,7 @@ Engine = Literal["auto", "native", "warp", "jax"]
 Order = Literal["random", "fixed", "largest", "weighted"]
 Setting = Literal["default", "paper"]
 Containment = Literal["center", "footprint"]
+Overhang = Literal["any", "half", "none"]
 Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "all"]
 Reward = Literal["paper", "code", "compressed"]
 Encoder = Literal["set", "pointnet", "pointnet2"]
@@ -85,7 +86,7 @@ def check_workers(argument: str, number: int) -> None:
         )
 
 
-ROBUST_TILT = math.radians(3)
+ROBUST_TILT = math.radians(5)
 """Radians by which gravity is tilted where robust scenes are asked for (`StabilityConfig.robust_tilt`)."""
 
 
@@ -155,7 +156,7 @@ class StabilityConfig:
             raise ConfigError(
                 f"StabilityConfig.robust_tilt = {self.robust_tilt!r}",
                 "radians from 0 to a right angle",
-                f"{ROBUST_TILT:.4f}, which is 3 degrees, or 0 to ask for nothing",
+                f"{ROBUST_TILT:.4f}, which is {math.degrees(ROBUST_TILT):g} degrees, or 0 to ask for nothing",
             )
         if self.decision_step > self.max_steps:
             raise ConfigError(

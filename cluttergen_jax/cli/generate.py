@@ -16,6 +16,7 @@ from cluttergen_jax.cli.options import Options, options_from
     num_scenes=Annotated[int, arg(aliases=["-n"])],
     region=str | None,
     keep_out=tuple[str, ...],
+    clutter=str | None,
 )
 class Generate(Options):
     """Generate verified cluttered scenes and save them as a bank.

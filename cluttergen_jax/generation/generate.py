@@ -23,6 +23,7 @@ from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, blocks_of
 from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
+from cluttergen_jax.scene.bank.clutter_stats import clutter_of
 from cluttergen_jax.scene.bank.stats import summary_of
 from cluttergen_jax.scene.bank.table import table_of
 from cluttergen_jax.scene.bank.writer import names_of
@@ -77,6 +78,8 @@ def write_bank(
         num_new = run_blocks(sampler, problem, writer, num_scenes, recipe["seed"])
         bank = read_bank(out)
         summary = summary_of(bank.table, num_scenes, num_new, time.perf_counter() - started)
+        asked = [each for each in clutter_of(bank, bank.table.slice(0, num_scenes)) if each.asked is not None]
+        summary = "\n".join([summary, *(f"clutter    {each.line()}" for each in asked)])
         with writing(bank.path):
             write_card(bank)
             num_files, written = min(num_scenes, max_files), ""
@@ -116,8 +119,9 @@ def run_blocks(
 ) -> int:
     """Makes every block that the bank lacks; returns the number of new scenes."""
     missing = [(block, rows) for block, rows in blocks_of(num_scenes) if not writer.has_block(block, rows)]
+    half_extents = np.asarray(problem.rules.geometry.half_extents)
     for block, indices, scenes in sample_blocks(sampler, missing, seed) if missing else ():
-        writer.write_block(block, table_of(indices, scenes, problem.world.names))
+        writer.write_block(block, table_of(indices, scenes, problem.world.names, half_extents))
     return sum(rows for _, rows in missing)
 
 

@@ -10,7 +10,14 @@ from typing import Any, Never
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.generation.arguments import check_known
 from cluttergen_jax.generation.sampler import Sampler
-from cluttergen_jax.learning.methods import Method, choose_method, rules_asked, sampler_of, suited
+from cluttergen_jax.learning.methods import (
+    Method,
+    check_steered,
+    choose_method,
+    rules_asked,
+    sampler_of,
+    suited,
+)
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.setup import Setup, check_range, check_whole, make_setup, problem_config
@@ -41,6 +48,9 @@ def make_sampler(
     min_margin: float | None = None,
     robust: bool = False,
     setting: str = "default",
+    overhang: str = "any",
+    clutter: str | Mapping[str, float] | None = None,
+    natural: bool = False,
     num_scene_points: int = 0,
     engine: str = "auto",
     num_threads: int = 0,
@@ -76,10 +86,17 @@ def make_sampler(
       budget: attempts of a scene in all; `max_attempts` for each object if not given.
       min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
         asks for nothing. If not given: 0.003.
-      robust: ask that an object also stands, with whatever it touches, while gravity tilts by 3 degrees and
+      robust: ask that an object also stands, with whatever it touches, while gravity tilts by 5 degrees and
         friction is 0.7 times as much; native engine alone.
       setting: what holds of these where they are not given: "default", or "paper" for the paper's rules: a
         random order, nothing taken away, no margin.
+      overhang: how much of an object may reach beyond the support's edge once it rests, seen from above:
+        "any"; "half", a quarter of its footprint, half of where an even body tips; or "none".
+      clutter: what scenes should have, on average (method "spread"): stack, objects on others; depth, objects
+        below each, summed; contacts, pairs that touch; near, metres to the nearest other object, mean;
+        occlusion, mean share of an object that others hide. As text "stack=3,near=0.02"; in Python also a
+        mapping.
+      natural: prefer wide, flat things below and small ones on them (method "spread").
       num_scene_points: points of each scene's cloud, up to 200,000; 0 for none.
       engine: "auto", "native", "warp" or "jax".
       num_threads: of the native engine; 0 takes every core.
@@ -118,6 +135,7 @@ def set_up(config: ProblemConfig, given: Mapping[str, Any]) -> tuple[Method, Set
     chosen = choose_method(
         given["method"], config.pool, config.support, placement.num_objects, given["checkpoint"]
     )
+    check_steered(chosen.name, placement)
     rules = rules_asked(chosen.name, placement.max_attempts, given)
     config = replace(config, placement=suited(replace(placement, **rules), chosen.checkpoint))
     return chosen, make_setup(config, given["keep_out"], read_start(given["start"]))

@@ -81,7 +81,7 @@ class Sampler:
         """
         check_key(key)
         check_call(region, keep_out, start)
-        rules, support = self.problem.rules, self.problem.world.support
+        rules, support = self.steps.rules, self.problem.world.support
         fits = jnp.bool_(True) if region is None else _fits(region, rules.region, support)
         if start is not None:
             fits &= _has_room(start, rules.num_started)

@@ -139,6 +139,21 @@ def suited(placement: PlacementConfig, checkpoint: Checkpoint | None) -> Placeme
     return replace(placement, history_stride=stride)
 
 
+def check_steered(method: str, placement: PlacementConfig) -> None:
+    """Refuses `clutter` and `natural` with a method that draws from no weights.
+
+    Raises:
+      ConfigError: it names the methods that do.
+    """
+    is_steered = {"clutter": placement.clutter is not None, "natural": placement.natural}
+    given = [name for name, is_given in is_steered.items() if is_given]
+    if given and method not in TRUSTED_METHODS:
+        allowed = [name for name in TRUSTED_METHODS if name in METHODS]
+        raise ConfigError(
+            f"`{given[0]}` with method {method!r}", f"with {' or '.join(allowed)}", f"method={allowed[0]!r}"
+        )
+
+
 def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Proposer:
     """The method, bound to a world.
 
@@ -166,11 +181,7 @@ def sampler_of(setup: Setup, method: Method) -> BlockSampler:
       PoolError, ConfigError: its checkpoint cannot be read, or is of another problem.
     """
     rules = setup.problem.rules
-    rules = replace(
-        rules,
-        config=suited(rules.config, method.checkpoint),
-        keeps_bearing=method.name in TRUSTED_METHODS,
-    )
+    rules = replace(rules, config=suited(rules.config, method.checkpoint))
     return BlockSampler(rules, proposer_of(*method, rules), setup.keep_out, setup.start)
 
 

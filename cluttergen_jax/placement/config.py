@@ -6,8 +6,9 @@ from dataclasses import asdict, dataclass
 from numbers import Real
 from typing import Any, get_args
 
-from cluttergen_jax.config import Containment, Order, Reward
+from cluttergen_jax.config import Containment, Order, Overhang, Reward
 from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.placement.clutter import Clutter
 
 MAX_SLOTS = 40
 MAX_ATTEMPTS = 10
@@ -19,8 +20,16 @@ RUIN_AFTER = 3
 """Failed attempts in a row after which a scene is partly taken apart, where that is done."""
 ORDER_POWER = 4.0
 """Of a footprint in the weights of the order "weighted"."""
-_ADDED = ("min_margin", "ruin_after", "budget")
+_ADDED = {
+    "min_margin": 0.0,
+    "ruin_after": 0,
+    "budget": None,
+    "overhang": "any",
+    "clutter": None,
+    "natural": False,
+}
 CONTAINMENTS, ORDERS, REWARDS = get_args(Containment), get_args(Order), get_args(Reward)
+OVERHANGS = get_args(Overhang)
 
 
 @dataclass(frozen=True)
@@ -48,6 +57,10 @@ class PlacementConfig:
         order again (`placement.ruin`); 0 never does, and the scene has failed after `max_attempts`.
       budget: attempts of a scene in all, of which it ends when fewer are left than slots to fill; None for
         `num_objects` x `max_attempts`.
+      overhang: how much of an object may reach beyond the support's edge once it rests, seen from above:
+        "any"; "half", a quarter of its footprint, half of where an even body tips; or "none".
+      clutter: what the trusted methods should bring about (`Clutter`, or what `Clutter.of` takes).
+      natural: the trusted methods prefer flat, wide bearers (`placement.search.natural`).
     """
 
     num_objects: int = 10
@@ -61,6 +74,9 @@ class PlacementConfig:
     min_margin: float = 0.0
     ruin_after: int = 0
     budget: int | None = None
+    overhang: str = "any"
+    clutter: Clutter | None = None
+    natural: bool = False
 
     def __post_init__(self) -> None:
         if not 1 <= self.num_objects <= MAX_SLOTS:
@@ -91,6 +107,7 @@ class PlacementConfig:
             ("containment", self.containment, CONTAINMENTS),
             ("order", self.order, ORDERS),
             ("reward", self.reward, REWARDS),
+            ("overhang", self.overhang, OVERHANGS),
         ):
             if value not in allowed:
                 raise ConfigError(
@@ -99,6 +116,12 @@ class PlacementConfig:
                     f"{name}={allowed[0]!r}",
                     closest(value, allowed),
                 )
+
+        if not isinstance(self.natural, bool):
+            raise ConfigError(f"natural = {self.natural!r}", "True, False", "natural=True")
+        if self.clutter is not None:
+            object.__setattr__(self, "clutter", Clutter.of(self.clutter))
+            self.clutter.check(self.num_objects)
 
     @property
     def max_scene_attempts(self) -> int:
@@ -109,7 +132,9 @@ class PlacementConfig:
 def placement_record(config: PlacementConfig) -> dict[str, Any]:
     """The config as records keep it: without those settings, at rest, that older versions did not know."""
     record = asdict(config)
-    for name in _ADDED:
-        if not record[name]:
+    if config.clutter is not None:
+        record["clutter"] = config.clutter.targets
+    for name, at_rest in _ADDED.items():
+        if record[name] == at_rest:
             del record[name]
     return record

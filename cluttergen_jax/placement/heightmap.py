@@ -62,7 +62,7 @@ class HeightMap(struct.PyTreeNode):
         return self.owner.reshape(-1).at[index].get(mode="clip")
 
 
-class _Ground(struct.PyTreeNode):
+class Ground(struct.PyTreeNode):
     """The support alone, in the world frame.
 
     Attributes:
@@ -74,6 +74,20 @@ class _Ground(struct.PyTreeNode):
     corner: Array
     cell: float = struct.field(pytree_node=False)
 
+    @staticmethod
+    def of(geometry: Geometry) -> Ground:
+        """Reads the arrays of `geometry`, outside `jit`."""
+        return _ground_of(_top_boxes(geometry), float(geometry.top))
+
+    def is_under(self, xy: Array) -> Array:
+        """bool[...]: whether the support is below world points f32[..., 2], to half a cell."""
+        shape = self.height.shape
+        i, j = (
+            jnp.clip((xy[..., k] - self.corner[k]) * (1 / self.cell), 0.0, shape[k] - 1.0).astype(jnp.int32)
+            for k in (0, 1)
+        )
+        return self.height.reshape(-1).at[i * shape[1] + j].get(mode="clip") > VOID
+
 
 class HeightMapper(struct.PyTreeNode):
     """Makes height maps of scenes on one support.
@@ -84,7 +98,7 @@ class HeightMapper(struct.PyTreeNode):
     """
 
     geometry: Geometry
-    ground: _Ground
+    ground: Ground
     cell: tuple[float, float] = struct.field(pytree_node=False)
     shape: tuple[int, int] = struct.field(pytree_node=False)
 
@@ -98,15 +112,13 @@ class HeightMapper(struct.PyTreeNode):
           radius: metres, that of the largest object seen from above; its own if None. Worlds on one support
             that are given the same one have maps of the same size.
         """
-        boxes = np.asarray(geometry.boxes, np.float64)
-        top = float(geometry.top)
-        boxes = boxes[boxes[:, 2] + boxes[:, 5] - top > _LOWEST_GROUND]
+        boxes = _top_boxes(geometry)
         half = np.asarray(region.half_extents, np.float64) + _margin(geometry, region, boxes, radius)
         counts = np.ceil(2 * half / max(_FINEST_CELL, np.sqrt(4 * half.prod() / _MOST_CELLS)) - 1e-4)
         # The sides are whole numbers of cells, so that cells end where the support does.
         cell = (float(2 * half[0] / counts[0]), float(2 * half[1] / counts[1]))
         shape = (int(counts[0]) + 2, int(counts[1]) + 2)
-        return HeightMapper(geometry, _ground_of(boxes, top), cell, shape)
+        return HeightMapper(geometry, Ground.of(geometry), cell, shape)
 
     def __call__(self, region: Region, poses: Array, is_placed: Array, with_owner: bool = False) -> HeightMap:
         """The map of one scene: poses f32[K, 7], world; is_placed bool[K].
@@ -187,7 +199,13 @@ def _corners(boxes: np.ndarray) -> np.ndarray:
     return np.concatenate([rectangle_corners(box[:2], box[3:5], box[6]) for box in boxes])
 
 
-def _ground_of(boxes: np.ndarray, top: float) -> _Ground:
+def _top_boxes(geometry: Geometry) -> np.ndarray:
+    """f64[B, 7]: the support's boxes that reach up to its top."""
+    boxes = np.asarray(geometry.boxes, np.float64)
+    return boxes[boxes[:, 2] + boxes[:, 5] - float(geometry.top) > _LOWEST_GROUND]
+
+
+def _ground_of(boxes: np.ndarray, top: float) -> Ground:
     """The highest box over each cell. Gaps too narrow to matter, as between planks, are bridged."""
     corners = _corners(boxes)
     low, high = corners.min(0), corners.max(0)
@@ -203,4 +221,4 @@ def _ground_of(boxes: np.ndarray, top: float) -> _Ground:
         height[covers] = np.maximum(height[covers], box[2] + box[5] - top)
     width = int(_NARROW_GAP / cell) + 1
     bridged = grey_closing(np.pad(height, width, constant_values=VOID), size=(width, width))
-    return _Ground(jnp.asarray(bridged, jnp.float32), jnp.asarray(low - width * cell, jnp.float32), cell)
+    return Ground(jnp.asarray(bridged, jnp.float32), jnp.asarray(low - width * cell, jnp.float32), cell)

@@ -21,6 +21,7 @@ from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.placement.changes import ChangedRegion, find_change
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.heightmap import Ground
 from cluttergen_jax.placement.region import KeepOut, Region, make_region, no_keep_out
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Geometry
@@ -121,15 +122,17 @@ def compose(
         raise ConfigError(f"a region of {region}", f"sides from {SMALLEST_REGION} m", "a larger `region`")
     world = make_world([*objects, *standing], support, config.stability, config.contact)
     physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
+    geometry = geometry_of(world)
     rules = Rules(
         config=config.placement,
         physics=physics,
-        geometry=geometry_of(world),
+        geometry=geometry,
         region=region_of(_largest_region(region, config.change, support), support),
         num_started=len(standing),
         draw_region=None
         if config.change == "none"
         else ChangedRegion(find_change(config.change), region, support.region, support.top),
+        ground=None if config.placement.overhang == "any" else Ground.of(geometry),
     )
     return Problem(config, world, rules, region)
 

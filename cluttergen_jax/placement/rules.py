@@ -10,6 +10,8 @@ from flax import struct
 
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementConfig
+from cluttergen_jax.placement.heightmap import Ground
+from cluttergen_jax.placement.overhang import most_beyond, shares_beyond
 from cluttergen_jax.placement.region import (
     KeepOut,
     Region,
@@ -56,8 +58,7 @@ class Rules(struct.PyTreeNode, eq=False):
       region: the queried region of every episode that is not given another; the largest of drawn ones.
       num_started: the most objects that may stand there already when an episode begins.
       draw_region: draws an episode's region from a key; None where all take `region`.
-      keeps_bearing: episodes know what carries what, as methods that look at it need; where objects are
-        taken away again they do in any case.
+      ground: the support alone, where overhang is limited (`PlacementConfig.overhang`).
       history_steps: of an attempt that took longer the history tells so many steps, as if it had been cut
         off then; None tells them all. A policy reads histories of the length that it was trained with.
     """
@@ -68,8 +69,8 @@ class Rules(struct.PyTreeNode, eq=False):
     region: Region
     num_started: int = struct.field(pytree_node=False, default=0)
     draw_region: RegionDraw | None = struct.field(pytree_node=False, default=None)
-    keeps_bearing: bool = struct.field(pytree_node=False, default=False)
     history_steps: int | None = struct.field(pytree_node=False, default=None)
+    ground: Ground | None = None
 
     def begin(
         self,
@@ -116,7 +117,7 @@ class Rules(struct.PyTreeNode, eq=False):
             is_success=jnp.bool_(False),
             verdict=jnp.int32(Verdict.NONE),
             drift=jnp.float32(0),
-            bearing=self._nothing_borne() if self.keeps_bearing or config.ruin_after else None,
+            bearing=self._nothing_borne(),
         )
 
     def _nothing_borne(self) -> Bearing:
@@ -233,7 +234,17 @@ class Rules(struct.PyTreeNode, eq=False):
         pose, half_extents = settling.poses[focus], self.geometry.half_extents[focus]
         inside = is_inside(pose, half_extents, episode.region, self.config.containment)
         inside &= ~is_kept_out(pose, half_extents, episode.keep_out)
+        if self.config.overhang != "any":
+            inside &= ~self._is_beyond(episode, focus, settling)
         return jnp.where((verdict == Verdict.STABLE) & ~inside, int(Verdict.OUTSIDE), verdict)
+
+    def _is_beyond(self, episode: Episode, focus: Array, settling: Settling) -> Array:
+        """Whether anything that this episode placed reaches too far beyond the support's edge; bool."""
+        assert self.ground is not None
+        is_focus = jnp.arange(self.geometry.num_objects) == focus
+        is_judged = (episode.is_placed | is_focus) & ~self._is_started(episode)
+        shares = shares_beyond(self.ground, self.geometry, settling.poses)
+        return jnp.any(is_judged & (shares > most_beyond(self.config.overhang)))
 
     def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""
@@ -265,7 +276,7 @@ class Rules(struct.PyTreeNode, eq=False):
         """Stable: the settled poses of all stay and the next slot begins. Else: as it was before."""
         is_focus = jnp.arange(self.geometry.num_objects) == focus
         is_placed = episode.is_placed | is_focus
-        bearing = episode.bearing and _borne(episode.bearing, is_focus, settling)
+        bearing = _borne(episode.bearing, is_focus, settling)
         # Where neighbours are not judged, the paper's looser count puts them back by hand.
         moves = is_placed if self.physics.config.judge_neighbours else is_focus
         attempt = jnp.where(is_stable, 0, episode.attempt + 1)
@@ -323,14 +334,7 @@ class Rules(struct.PyTreeNode, eq=False):
 
         Args:
           which: bool[K]; of what stood there from the beginning nothing is taken.
-
-        Raises:
-          ValueError: the episode does not know what carries what (`keeps_bearing`).
         """
-        if episode.bearing is None:
-            raise ValueError(
-                "remove needs an episode that knows what carries what: Rules(keeps_bearing=True)"
-            )
         is_mine = episode.is_placed & ~self._is_started(episode)
         which = carried_by(which & is_mine, episode.bearing.leans_on & is_mine[:, None])
         slots, index = jnp.arange(self.num_slots), jnp.maximum(episode.object_index, 0)

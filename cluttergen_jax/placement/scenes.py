@@ -32,6 +32,9 @@ class SceneBatch(struct.PyTreeNode):
       num_draws: i32, how often the scene was drawn until it passed, at most `max_retries` + 1.
       cloud: f32[N, 3], world frame, metres: points of the region and of the placed objects; None unless asked
         for. cloud_mask: bool[N], the points that count; the others are the region's origin.
+      level: i32[S], how many objects are below each slot's, one upon the other; -1 where not placed. This and
+        the next are None where the episode does not keep what carries what.
+      num_touching: i32, pairs of objects that touch.
     """
 
     object_index: Array
@@ -46,6 +49,8 @@ class SceneBatch(struct.PyTreeNode):
     num_draws: Array | None = None
     cloud: Array | None = None
     cloud_mask: Array | None = None
+    level: Array | None = None
+    num_touching: Array | None = None
 
     @property
     def T_world_object(self) -> jaxlie.SE3:
@@ -65,6 +70,7 @@ def scene_of(episode: Episode) -> SceneBatch:
     poses = jnp.where(
         is_placed[:, None], episode.poses[jnp.maximum(index, 0)], jnp.eye(7, dtype=jnp.float32)[3]
     )
+    bearing = episode.bearing
     return SceneBatch(
         object_index=index,
         is_placed=is_placed,
@@ -74,4 +80,12 @@ def scene_of(episode: Episode) -> SceneBatch:
         verdict=episode.verdict,
         drift=episode.drift,
         counts=episode.counts,
+        level=jnp.where(is_placed, bearing.level[jnp.maximum(index, 0)], -1),
+        num_touching=num_touching(bearing.leans_on, episode.is_placed),
     )
+
+
+def num_touching(leans_on: Array, is_placed: Array) -> Array:
+    """i32: the pairs of placed objects (bool[K]) that touch, from `Bearing.leans_on`, bool[K, K]."""
+    touch = (leans_on | leans_on.T) & is_placed & is_placed[:, None]
+    return jnp.sum(jnp.triu(touch, 1)).astype(jnp.int32)

@@ -129,7 +129,7 @@ class Episode(struct.PyTreeNode):
       is_success: bool, every slot is filled and the finished scene stands.
       verdict: i32, the latest attempt's verdict; once all slots are filled, the last check's.
       drift: f32, metres, the largest movement in the last check.
-      bearing: what carries what; None where nobody asks.
+      bearing: what carries what.
     """
 
     key: Array
@@ -147,7 +147,7 @@ class Episode(struct.PyTreeNode):
     is_success: Array
     verdict: Array
     drift: Array
-    bearing: Bearing | None = None
+    bearing: Bearing
 
     @property
     def num_slots(self) -> Array:

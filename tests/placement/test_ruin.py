@@ -108,7 +108,6 @@ def test_a_random_order_is_as_it_was():
     # Written down by the version before there were other orders.
     rules = made_up_rules()
     assert orders(rules, 3, seed=1).tolist() == [[1, 0, 3, 5], [0, 3, 2, 5], [1, 3, 4, 2]]
-    assert rules.begin(jax.random.key(0)).bearing is None
 
 
 # Budgets.
@@ -298,14 +297,6 @@ def test_what_stood_there_from_the_beginning_stays_with_all_that_leans_on_it():
         chosen = choose_ruin(episode.replace(key=jax.random.key(seed)), rules.geometry, some(0))
         assert chosen.any()
         assert not (chosen & ~some(1, 2)).any()
-
-
-def test_an_episode_that_does_not_know_what_carries_what_cannot_lose_anything():
-    rules = made_up_rules()
-    with pytest.raises(ValueError, match="keeps_bearing"):
-        rules.remove(rules.begin(jax.random.key(0)), some(0))
-    knowing = dataclasses.replace(rules, keeps_bearing=True)
-    assert knowing.remove(knowing.begin(jax.random.key(0)), some(0)).bearing is not None
 
 
 def test_ruin_comes_after_so_many_failures_and_only_where_it_can_be_made_good():

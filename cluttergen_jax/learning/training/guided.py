@@ -7,7 +7,7 @@ import io
 import time
 import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -66,8 +66,8 @@ class GuidedConfig:
       seed: of worlds, episodes and weights.
     """
 
-    network: StabilityNetConfig = StabilityNetConfig()
-    fit: FitConfig = FitConfig()
+    network: StabilityNetConfig = field(default_factory=StabilityNetConfig)
+    fit: FitConfig = field(default_factory=FitConfig)
     num_rounds: int = 6
     num_settings: int = 10
     num_attempts: int = 16_000
@@ -275,6 +275,6 @@ def _read(file: Path) -> Examples:
     """
     try:
         with np.load(file, allow_pickle=False) as stored:
-            return Examples(**{field.name: stored[field.name] for field in dataclasses.fields(Examples)})
+            return Examples(**{each.name: stored[each.name] for each in dataclasses.fields(Examples)})
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise PoolError(f"{file} cannot be read ({error})", hint="deleting it: it is made again") from error

@@ -134,7 +134,6 @@ class WorldMaker:
             physics=physics,
             geometry=padded(geometry_of(world), NUM_COLUMN_SAMPLES, self.num_runs),
             region=region_of(support.region, support),
-            keeps_bearing=True,
         )
         return TrainingWorld(
             setting, world, rules, HeightMapper.of(rules.geometry, rules.region, self.radius)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.placement.region import from_pose
-from cluttergen_jax.placement.search.fit import Candidates, cells_under, touching
+from cluttergen_jax.placement.search.fit import Candidates, base_share, cells_under, touching
 from cluttergen_jax.placement.search.search import SearchScene
 from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.types import Array
@@ -23,23 +23,26 @@ class Bearers(struct.PyTreeNode):
       margin: f32[N], metres, the least support margin of those that carry it; 0.1 for the support.
       offset: f32[N], metres, the most by which its centre of mass would lie beyond the support of one that
         carries it, in plan: that one's own margin around that one's centre of mass; -0.1 for the support.
+      touched: bool[N, K], the placed objects that it would touch.
+      base: f32[N], the share of its base, the lowest of its columns, that would touch something.
     """
 
     is_on: Array
     level: Array
     margin: Array
     offset: Array
+    touched: Array
+    base: Array
 
 
 def bearers(scene: SearchScene, geometry: Geometry, candidates: Candidates, rest: Array) -> Bearers:
     """Who would carry the current object at each candidate.
 
     Args:
-      scene: with owners, of an episode that knows what carries what.
+      scene: with owners.
       rest: f32[N], from `lower_onto`, metres.
     """
     bearing, under, heights = scene.episode.bearing, scene.under, scene.heights
-    assert bearing is not None
     touches = touching(under, heights, candidates, rest)
     owner = heights.owner_at(cells_under(under, heights, candidates))
     is_by_object = touches & (owner < geometry.num_objects)
@@ -61,7 +64,15 @@ def bearers(scene: SearchScene, geometry: Geometry, candidates: Candidates, rest
         level=most(bearing.level + 1.0, 0.0),
         margin=margin,
         offset=jnp.clip(offset, -_SAFE, _SAFE),
+        touched=_touched(place, geometry.num_objects),
+        base=base_share(under, touches),
     )
+
+
+def _touched(place: Array, number: int) -> Array:
+    """bool[N, K]: which objects are among i32[N, C], where K stands for none."""
+    rows = jnp.arange(len(place))[:, None]
+    return jnp.zeros((len(place), number), bool).at[rows, place].set(True, mode="drop")
 
 
 def _in_world(scene: SearchScene, candidates: Candidates) -> Array:

@@ -113,6 +113,13 @@ def touching(under: UnderSide, heights: HeightMap, candidates: Candidates, rest:
     return (rest[:, None] + under.bottom - below < _CONTACT_GAP) & under.is_column
 
 
+def base_share(under: UnderSide, touches: Array) -> Array:
+    """f32[N]: the share of the base, the lowest of the columns, that touches; bool[N, C] from `touching`."""
+    lowest = jnp.min(jnp.where(under.is_column, under.bottom, jnp.inf))
+    is_base = under.is_column & (under.bottom < lowest + _BASE)
+    return jnp.sum(touches & is_base, axis=1) / jnp.maximum(is_base.sum(), 1)
+
+
 def _margin(under: UnderSide, touches: Array) -> Array:
     """f32[N], metres: how far the centre of mass is inside the columns that touch, bool[N, C]."""
     angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS

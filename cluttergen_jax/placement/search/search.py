@@ -10,6 +10,7 @@ import jaxlie
 from flax import struct
 
 from cluttergen_jax.placement.heightmap import HeightMap, HeightMapper
+from cluttergen_jax.placement.overhang import most_beyond, share_beyond
 from cluttergen_jax.placement.region import Region, action_of_pose, is_inside, is_kept_out, to_pose
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.fit import (
@@ -185,7 +186,22 @@ class Search(struct.PyTreeNode, eq=False):
         return scores, jnp.where(is_allowed, cost, cost + FORBIDDEN)
 
     def _is_allowed(self, episode: Episode, focus: Array, candidates: Candidates) -> Array:
-        """bool[N]: where the object would count as inside and out of every keep-out box."""
+        """bool[N]: where the object would count as inside, out of every keep-out box and on the support."""
+        is_in_region = self._is_in_region(episode, focus, candidates)
+        if self.rules.config.overhang == "any":
+            return is_in_region
+        assert self.rules.ground is not None
+        under = under_side(self.rules, focus)
+        cos, sin = jnp.cos(candidates.yaw)[:, None], jnp.sin(candidates.yaw)[:, None]
+        x, y = under.xy[:, 0], under.xy[:, 1]
+        xy = jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + candidates.xy[:, None]
+        T_world_region = episode.region.T_world_region
+        turn, shift = T_world_region.rotation().as_matrix()[:2, :2], T_world_region.translation()[:2]
+        share = share_beyond(self.rules.ground, xy @ turn.T + shift, under.is_column)
+        return is_in_region & (share <= most_beyond(self.rules.config.overhang))
+
+    def _is_in_region(self, episode: Episode, focus: Array, candidates: Candidates) -> Array:
+        """bool[N]: where the object would be inside and out of every keep-out box."""
         half, containment = self.rules.geometry.half_extents[focus], self.rules.config.containment
         if containment == "center" and not episode.keep_out.yaw.shape[0]:
             return jnp.ones_like(candidates.yaw, bool)

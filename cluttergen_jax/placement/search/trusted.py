@@ -8,9 +8,12 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from cluttergen_jax.placement.ruin import footprint_area
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.bearers import Bearers, bearers
+from cluttergen_jax.placement.search.features import Placing, owed_and_added
 from cluttergen_jax.placement.search.fit import Candidates
+from cluttergen_jax.placement.search.natural import natural_logits
 from cluttergen_jax.placement.search.search import (
     FORBIDDEN,
     Search,
@@ -18,8 +21,14 @@ from cluttergen_jax.placement.search.search import (
     TopCandidates,
     draw_candidates,
 )
+from cluttergen_jax.placement.search.tilting import is_within, tilted
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
+
+_ABOVE = 96
+_MANY_ABOVE = 192
+_MANY = 0.3
+"""Candidates over placed objects where some shall lie on others, and where more than `_MANY` of all shall."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +41,14 @@ class TrustedConfig:
       num_above: over a placed object drawn for each.
       thresholds: the trust asked for at an object's first attempt, its second, and so on; the last one holds
         for all further ones. Where no candidate has it, the most trusted one is taken.
+      least_trust: the trust asked for where no candidate with more comes as far as `Clutter` asks.
     """
 
     num_uniform: int = 80
     num_finalists: int = 16
     num_above: int = 0
     thresholds: tuple[float, ...] = (0.9, 0.8, 0.6)
+    least_trust: float = 0.3
 
 
 class Menu(struct.PyTreeNode):
@@ -80,8 +91,47 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
         thresholds = jnp.array(self.config.thresholds)
         asked = thresholds[jnp.minimum(episode.attempt, len(thresholds) - 1)]
         noise = jax.random.gumbel(key_choice, trust.shape)
+        if self.is_tilted:
+            logits, asked = self.tilt(episode, menu, trust, asked)
+            noise += logits
         # Whoever is trusted comes before all others, and among the others the most trusted.
         return menu.found.action[jnp.argmax(jnp.where(trust >= asked, 2.0 + noise - jnp.min(noise), trust))]
+
+    @property
+    def is_tilted(self) -> bool:
+        """Whether the draw is other than uniform: features are asked for, or what looks natural."""
+        asked = self.search.rules.config
+        return asked.clutter is not None or asked.natural
+
+    def tilt(self, episode: Episode, menu: Menu, trust: Array, asked: Array) -> tuple[Array, Array]:
+        """f32[N]: logits of the draw among the trusted candidates; f32: the trust that is asked for.
+
+        Each scene is steered by itself: at every attempt the expected change of each asked feature is what is
+        still owed of it, shared by the objects left to place. Where no candidate trusted as asked, f32, comes
+        so far, `least_trust` holds.
+        """
+        rules = self.search.rules
+        focus, found = rules.focus(episode), menu.found
+        logits = jnp.zeros(trust.shape)
+        if rules.config.natural:
+            logits = natural_logits(rules.geometry, focus, menu.bearers)
+        if rules.config.clutter is None:
+            return logits, asked
+        rest = found.scores.fit.rest
+        at = Placing.of(episode, rules.geometry, focus, found.candidates, rest, menu.bearers)
+        owed, added = owed_and_added(rules.config.clutter, at)
+        asked = jnp.where(is_within(owed, added, trust >= asked), asked, self.config.least_trust)
+        return tilted(logits, added, owed, trust >= asked), asked
+
+    @property
+    def num_above(self) -> int:
+        """Candidates over placed objects: more than the config's where objects are to lie on others."""
+        asked = self.search.rules.config
+        if asked.clutter is None:
+            return self.config.num_above
+        most = max(each or 0.0 for each in (asked.clutter.stack, asked.clutter.depth, asked.clutter.contacts))
+        number = _MANY_ABOVE if most > _MANY * asked.num_objects else _ABOVE if most else 0
+        return max(self.config.num_above, number)
 
     def menu(self, key: Array, episode: Episode) -> Menu:
         """The candidates for the episode's next attempt."""
@@ -92,8 +142,8 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
         if config.num_finalists:
             many = draw_candidates(keys[1], episode.region, search.config.num_candidates)
             drawn.append(search.best(scene, many, config.num_finalists))
-        if config.num_above:
-            drawn.append(above_objects(keys[2], scene, search.rules, config.num_above))
+        if self.num_above:
+            drawn.append(above_objects(keys[2], scene, search.rules, self.num_above))
         return self._look(scene, jax.tree.map(lambda *parts: jnp.concatenate(parts), *drawn))
 
     def look(self, episode: Episode, candidates: Candidates) -> Menu:
@@ -111,13 +161,13 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
 
 
 def above_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> Candidates:
-    """Candidates over placed objects, uniform over the box of one drawn for each; region frame.
+    """Candidates over placed objects, uniform over the box of one drawn by its footprint; region frame.
 
     With nothing placed they are over the region's centre.
     """
     episode, half = scene.episode, rules.geometry.half_extents
     key_which, key_at, key_yaw = jax.random.split(key, 3)
-    chance = jnp.where(episode.is_placed, 0.0, -jnp.inf)
+    chance = jnp.where(episode.is_placed, jnp.log(footprint_area(rules.geometry)), -jnp.inf)
     noise = jax.random.gumbel(key_which, (number, len(chance)))
     which = jnp.argmax(chance + noise, axis=1)
     T_region_world = episode.region.T_world_region.inverse()

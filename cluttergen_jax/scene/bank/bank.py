@@ -34,7 +34,15 @@ from cluttergen_jax.assets.support_file import read_support, support_hash
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.files import inside
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
-from cluttergen_jax.scene.bank.table import CERTIFICATE, SCHEMA, BankRow, is_certified, rows_of, with_added
+from cluttergen_jax.scene.bank.table import (
+    CERTIFICATE,
+    CLUTTER,
+    SCHEMA,
+    BankRow,
+    is_certified,
+    rows_of,
+    with_added,
+)
 
 FORMAT = 1
 INDEX = "bank.json"
@@ -69,7 +77,7 @@ class Bank:
         if not blocks:
             raise BankError(f"{self.path} holds no scenes yet", hint=_AGAIN)
         rows = [read_block(self.path, block) for block in blocks]
-        names = [*SCHEMA.names, *(CERTIFICATE.names if all(map(is_certified, rows)) else [])]
+        names = [*SCHEMA.names, *CLUTTER.names, *(CERTIFICATE.names if all(map(is_certified, rows)) else [])]
         return pa.concat_tables([each.select(names).replace_schema_metadata(None) for each in rows])
 
     @property
@@ -158,6 +166,9 @@ def _check_rows(table: pa.Table, block: int) -> None:
             raise ValueError(f"its column {field.name!r} is missing or of another type")
         if table[field.name].null_count:
             raise ValueError(f"its column {field.name!r} has gaps")
+    for field in CLUTTER:
+        if table.schema.field(field.name).type != field.type:
+            raise ValueError(f"its column {field.name!r} is of another type")
     first = block * BLOCK_SIZE
     if table["index"].to_pylist() != list(range(first, first + table.num_rows)):
         raise ValueError(f"its scenes are not those from {first} on")

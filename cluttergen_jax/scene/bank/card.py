@@ -11,7 +11,7 @@ from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
-from cluttergen_jax.scene.bank.table import CERTIFICATE, COUNTED, SCHEMA
+from cluttergen_jax.scene.bank.table import CERTIFICATE, CLUTTER, COUNTED, SCHEMA
 from cluttergen_jax.tables import markdown_table
 from cluttergen_jax.types import Verdict, small_length
 
@@ -34,6 +34,12 @@ _COLUMNS = {
     "steps": "slot by slot, steps of all these attempts",
     "rest_steps": "slot by slot, steps of the attempt that succeeded",
     "simulated_steps": "steps simulated for the scene",
+    "levels": "slot by slot, how many objects are below it, one upon the other, -1 where not placed; null "
+    "where the method does not ask what carries what",
+    "num_on": "objects that rest on another; null likewise",
+    "num_touching": "pairs of objects that touch; null likewise",
+    "near": "metres, the mean over the objects of the gap in plan to the nearest other one, as boxes",
+    "occlusion": "the mean share of an object that others hide from eight cameras 30 degrees up, as boxes",
     "residual_speed": "after `cluttergen certify`: m/s, the fastest object 0.25 s after the scene is let go",
     "residual_angular_speed": "after `certify`: rad/s, likewise",
     "horizon_drift": "after `certify`: metres, the most that an object moves within the horizon",
@@ -126,6 +132,7 @@ def _figures(stats: BankStats) -> str:
         ("scenes that repeat another", sum(len(group) - 1 for group in stats.duplicates)),
     ]
     rows += [(f"verdict {name}", number) for name, number in stats.verdicts.items()]
+    rows += [(f"clutter: {each.name}", each.line().partition(" ")[2]) for each in stats.clutter]
     if stats.certificate is not None:
         rows += [(name, value) for name, _, value in (f.partition(": ") for f in stats.certificate.lines())]
     return "\n".join(["## Figures", "", markdown_table(("", ""), rows)])
@@ -148,7 +155,7 @@ def _files() -> str:
         "```",
         "",
     ]
-    fields = [(f"`{f.name}`", f"`{f.type}`", _COLUMNS[f.name]) for f in (*SCHEMA, *CERTIFICATE)]
+    fields = [(f"`{f.name}`", f"`{f.type}`", _COLUMNS[f.name]) for f in (*SCHEMA, *CLUTTER, *CERTIFICATE)]
     return "\n".join([*lines, markdown_table(("column", "type", "meaning"), fields)])
 
 
@@ -170,6 +177,8 @@ def _made(recipe: dict[str, Any]) -> str:
         "containment": placement.get("containment"),
         "support margin asked for, metres": placement.get("min_margin", 0),
         "robust": "asked for" if recipe.get("stability", {}).get("robust_tilt") else "not asked for",
+        "overhang": placement.get("overhang", "any"),
+        **{f"{name} asked for": placement[name] for name in ("clutter", "natural") if name in placement},
         "versions": ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items()),
     }
     return "\n".join(["## How it was made", "", *(f"- {name}: {value}" for name, value in rows.items())])

@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.clutter_stats import FeatureStats, clutter_of
 from cluttergen_jax.scene.bank.table import CERTIFICATE, COUNTED, is_certified
 from cluttergen_jax.types import Verdict, small_length
 
@@ -105,6 +106,7 @@ class BankStats:
       drift_median, drift_most: metres, movement in the last check of the scenes that stand.
       duplicates: indices of scenes that stand and are equal to the bit, objects and poses, group by group.
       certificate: None unless every scene that stands has one.
+      clutter: features of the scenes that stand, as far as they are known.
     """
 
     asked: int
@@ -121,6 +123,7 @@ class BankStats:
     drift_most: float
     duplicates: tuple[tuple[int, ...], ...]
     certificate: CertificateStats | None
+    clutter: tuple[FeatureStats, ...] = ()
 
     @property
     def success_rate(self) -> float:
@@ -156,6 +159,7 @@ def stats_of(bank: Bank) -> BankStats:
         drift_most=float(drift.max(initial=0.0)),
         duplicates=_duplicates(table),
         certificate=_certificate(table.filter(table["is_success"])) if is_certified(table) else None,
+        clutter=clutter_of(bank, table),
     )
 
 
@@ -223,6 +227,7 @@ def stats_text(bank: Bank, stats: BankStats) -> str:
         f"movement   in the last check of scenes that stand: median {small_length(stats.drift_median)}, "
         f"most {small_length(stats.drift_most)}"
     )
+    lines += [f"{'' if place else 'clutter':11}{each.line()}" for place, each in enumerate(stats.clutter)]
     if stats.certificate is not None:
         facts = stats.certificate.lines()
         lines += [f"{'' if place else 'certified':11}{fact}" for place, fact in enumerate(facts)]

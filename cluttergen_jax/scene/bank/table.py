@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from itertools import compress
 from typing import Any
 
+import jax
 import numpy as np
 import pyarrow as pa
 
+from cluttergen_jax.placement.boxes import spacing_of
 from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.types import Verdict
 
@@ -45,6 +47,17 @@ SCHEMA = pa.schema(
 """Slots are lists; `poses` are T_world_object, metres and wxyz; `drift` is in metres; `num_stable` and so on
 count the scene's attempts by verdict."""
 
+CLUTTER = pa.schema(
+    [
+        ("levels", pa.list_(pa.int32())),
+        ("num_on", pa.int32()),
+        ("num_touching", pa.int32()),
+        ("near", pa.float32()),
+        ("occlusion", pa.float32()),
+    ]
+)
+"""How cluttered a scene is, of what is placed: null in banks of older versions, the first three also where
+the method does not ask what carries what. `levels` has an entry per slot, -1 where nothing is placed."""
 
 CERTIFICATE = pa.schema(
     [
@@ -109,12 +122,16 @@ def rows_of(table: pa.Table) -> Iterator[BankRow]:
 def with_added(rows: pa.Table) -> pa.Table:
     """The rows of a bank of an older version with the columns that it did not know.
 
-    Nothing was unsupported or fragile then; what a certificate did not measure is null.
+    Nothing was unsupported or fragile then; how cluttered scenes are, and what a certificate did not measure,
+    is null.
     """
     for name in map(_counted, _ADDED):
         if name not in rows.schema.names:
             none = pa.array(np.zeros(rows.num_rows, np.int32))
             rows = rows.append_column(SCHEMA.field(name), none)
+    for field in CLUTTER:
+        if field.name not in rows.schema.names:
+            rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
     if "shake" in rows.schema.names:
         for field in CERTIFICATE:
             if field.name not in rows.schema.names:
@@ -135,10 +152,25 @@ def is_certified(rows: pa.Table) -> bool:
     )
 
 
-def table_of(indices: np.ndarray, scenes: SceneBatch, names: Sequence[str]) -> pa.Table:
-    """The rows of a block of scenes with one leading axis."""
-    rows = [_row(int(index), scenes, place, names) for place, index in enumerate(indices)]
-    return pa.Table.from_pylist(rows, schema=SCHEMA)
+def table_of(
+    indices: np.ndarray, scenes: SceneBatch, names: Sequence[str], half_extents: np.ndarray
+) -> pa.Table:
+    """The rows of a block of scenes with one leading axis.
+
+    Args:
+      names: of the world's K objects; half_extents: f32[K, 3] of their boxes, metres.
+    """
+    half = half_extents[np.maximum(scenes.object_index, 0)]
+    near, hidden = jax.device_get(_spacing(half, scenes.poses, scenes.is_placed))
+    rows = [
+        _row(int(index), scenes, place, names)
+        | {"near": float(near[place]), "occlusion": float(hidden[place])}
+        for place, index in enumerate(indices)
+    ]
+    return pa.Table.from_pylist(rows, schema=pa.unify_schemas([SCHEMA, CLUTTER]))
+
+
+_spacing = jax.jit(jax.vmap(spacing_of))
 
 
 def _row(index: int, scenes: SceneBatch, place: int, names: Sequence[str]) -> dict[str, Any]:
@@ -160,6 +192,18 @@ def _row(index: int, scenes: SceneBatch, place: int, names: Sequence[str]) -> di
         "steps": scenes.counts.steps[place][slots].tolist(),
         "rest_steps": scenes.counts.rest_steps[place][slots].tolist(),
         "simulated_steps": int(scenes.counts.simulated_steps[place]),
+        **_stacking(scenes, place, slots),
         # What is not asked for, such as a margin, is not counted.
         **{_counted(v): int(counts[v]) if v < len(counts) else 0 for v in COUNTED},
+    }
+
+
+def _stacking(scenes: SceneBatch, place: int, slots: np.ndarray) -> dict[str, Any]:
+    if scenes.level is None or scenes.num_touching is None:
+        return dict.fromkeys(("levels", "num_on", "num_touching"))
+    levels = scenes.level[place][slots]
+    return {
+        "levels": levels.tolist(),
+        "num_on": int((levels > 0).sum()),
+        "num_touching": int(scenes.num_touching[place]),
     }

@@ -1,0 +1,109 @@
+"""Clutter targets: how much of which feature a scene should have (`--clutter stack=3,near=0.02`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from numbers import Real
+from typing import Any
+
+from cluttergen_jax.errors import ConfigError, closest
+
+_EXAMPLE = "clutter='stack=3,occlusion=0.2'"
+
+
+@dataclass(frozen=True)
+class Clutter:
+    """Targets of a scene's features; None asks for nothing. Scenes of N objects.
+
+    Attributes:
+      stack: objects that rest on another object, 0 to N - 1.
+      depth: the sum over all objects of how many others are below each, one upon the other; a tower of three
+        counts 0 + 1 + 2.
+      contacts: pairs of objects that touch, 0 to N (N - 1) / 2.
+      near: metres, 0 to 1, the mean over all objects of the gap in plan to the nearest other one
+        (`placement.boxes.gaps`).
+      occlusion: 0 to 1, the mean share of an object that others hide from a ring of eight cameras that look
+        down by 30 degrees (`placement.boxes.hidden_shares`).
+    """
+
+    stack: float | None = None
+    depth: float | None = None
+    contacts: float | None = None
+    near: float | None = None
+    occlusion: float | None = None
+
+    @staticmethod
+    def of(given: str | Mapping[str, float] | Clutter) -> Clutter:
+        """From text, "stack=3,near=0.02", or a mapping of names to numbers.
+
+        Raises:
+          ConfigError: a name is unknown or comes twice, or a value is no number of its range.
+        """
+        if isinstance(given, Clutter):
+            return given
+        if isinstance(given, str):
+            given = _parsed(given)
+        if not isinstance(given, Mapping):
+            raise ConfigError(f"clutter = {given!r}", "text or a mapping of names to numbers", _EXAMPLE)
+        if not given:
+            raise ConfigError("clutter that asks for nothing", f"one or more of {', '.join(NAMES)}", _EXAMPLE)
+        for name in given:
+            if name not in NAMES:
+                raise ConfigError(f"clutter {name!r}", ", ".join(NAMES), _EXAMPLE, closest(name, NAMES))
+        return Clutter(**{name: _checked(name, value) for name, value in given.items()})
+
+    @property
+    def targets(self) -> dict[str, float]:
+        """What is asked for, by name."""
+        named = {name: getattr(self, name) for name in NAMES}
+        return {name: value for name, value in named.items() if value is not None}
+
+    def check(self, num_objects: int) -> None:
+        """Refuses what no scene of so many objects can have.
+
+        Raises:
+          ConfigError: it says what the most is.
+        """
+        pairs = num_objects * (num_objects - 1) // 2
+        most = {"stack": num_objects - 1, "depth": pairs, "contacts": pairs}
+        for name, value in self.targets.items():
+            if value > most.get(name, math.inf):
+                raise ConfigError(
+                    f"clutter {name}={value:g} with {num_objects} objects", f"0 to {most[name]}", _EXAMPLE
+                )
+
+    def __str__(self) -> str:
+        return ",".join(f"{name}={value:g}" for name, value in self.targets.items())
+
+
+NAMES = tuple(each.name for each in fields(Clutter))
+_MOST = {"near": 1.0, "occlusion": 1.0}
+_ALLOWED = {"near": "0 to 1 m", "occlusion": "0 to 1"}
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    targets: dict[str, Any] = {}
+    for part in filter(None, (each.strip() for each in text.split(","))):
+        name, equals, value = (each.strip() for each in part.partition("="))
+        if not equals:
+            raise ConfigError(f"clutter {part!r}", "NAME=VALUE, with commas between", _EXAMPLE)
+        if name in targets:
+            raise ConfigError(f"clutter {text!r}, where {name} comes twice", "every name once", _EXAMPLE)
+        try:
+            targets[name] = float(value)
+        except ValueError:
+            raise ConfigError(f"clutter {part!r}", "a number after the =", _EXAMPLE) from None
+    return targets
+
+
+def _checked(name: str, value: object) -> float | None:
+    if value is None:
+        return None
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
+    if not is_number or not 0 <= float(value) <= _MOST.get(name, math.inf) or math.isinf(float(value)):  # type: ignore[arg-type]
+        raise ConfigError(
+            f"clutter {name}={value!r}", _ALLOWED.get(name, "a finite number, 0 or more"), _EXAMPLE
+        )
+    return float(value)  # type: ignore[arg-type]

@@ -1,0 +1,162 @@
+"""Features of clutter: what a scene has of each, and what an object would add at each candidate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from flax import struct
+
+from cluttergen_jax.placement.boxes import Boxes, Views, gaps, hidden_shares, nearest_gaps, seen_shares
+from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.placement.scenes import num_touching
+from cluttergen_jax.placement.search.bearers import Bearers
+from cluttergen_jax.placement.search.fit import Candidates
+from cluttergen_jax.placement.types import Episode, Geometry
+from cluttergen_jax.types import Array
+
+_EARLY = 0.5
+"""The share of the objects that are left among which counted features are sought."""
+
+
+class Placing(struct.PyTreeNode):
+    """A scene and N candidates for its current object. K objects.
+
+    Attributes:
+      episode: one that knows what carries what.
+      placed: the boxes of all objects.
+      proposed: those of the current object at the candidates.
+      bearers: what would carry it there.
+    """
+
+    episode: Episode
+    placed: Boxes
+    proposed: Boxes
+    bearers: Bearers
+
+    @staticmethod
+    def of(
+        episode: Episode,
+        geometry: Geometry,
+        focus: Array,
+        candidates: Candidates,
+        rest: Array,
+        bearers: Bearers,
+    ) -> Placing:
+        """Args: focus: i32, the current object; rest: f32[N], from `lower_onto`, metres."""
+        T_world_region = episode.region.T_world_region
+        turn, shift = T_world_region.rotation().as_matrix(), T_world_region.translation()
+        cos, sin = jnp.cos(candidates.yaw), jnp.sin(candidates.yaw)
+        zero = jnp.zeros_like(cos)
+        axes = jnp.stack(
+            [
+                jnp.stack([cos, sin, zero], -1),
+                jnp.stack([-sin, cos, zero], -1),
+                zero[:, None] + jnp.eye(3)[2],
+            ],
+            axis=1,
+        )
+        center = jnp.concatenate([candidates.xy, rest[:, None]], axis=1)
+        return Placing(
+            episode=episode,
+            placed=Boxes.of(geometry.half_extents, _safe_poses(episode.poses, episode.is_placed)),
+            proposed=Boxes(center @ turn.T + shift, axes @ turn.T * geometry.half_extents[focus][:, None]),
+            bearers=bearers,
+        )
+
+
+class Feature(NamedTuple):
+    """One feature of clutter.
+
+    Attributes:
+      total: of the placed objects of an episode, f32.
+      added: f32[N], by how much each candidate would change it.
+      is_mean: its target is a mean over the objects, of which `total` is the sum.
+    """
+
+    total: Callable[[Placing], Array]
+    added: Callable[[Placing], Array]
+    is_mean: bool = False
+
+
+def _num_on(at: Placing) -> Array:
+    return jnp.sum(_levels(at) > 0).astype(jnp.float32)
+
+
+def _depth(at: Placing) -> Array:
+    return jnp.sum(_levels(at)).astype(jnp.float32)
+
+
+def _levels(at: Placing) -> Array:
+    assert at.episode.bearing is not None
+    return jnp.where(at.episode.is_placed, at.episode.bearing.level, 0)
+
+
+def _num_touching(at: Placing) -> Array:
+    assert at.episode.bearing is not None
+    return num_touching(at.episode.bearing.leans_on, at.episode.is_placed).astype(jnp.float32)
+
+
+def _sum_of_gaps(at: Placing) -> Array:
+    return jnp.sum(nearest_gaps(at.placed, at.episode.is_placed))
+
+
+def _gaps_added(at: Placing) -> Array:
+    is_placed = at.episode.is_placed
+    own = gaps(at.proposed, at.placed)
+    nearest = jnp.min(jnp.where(is_placed, own, jnp.inf), axis=1)
+    # Who stands alone has no gap yet, and gets one.
+    before = nearest_gaps(at.placed, is_placed)
+    is_alone = is_placed.sum() == 1
+    after = jnp.where(is_alone, own, jnp.minimum(own, before))
+    change = jnp.sum(jnp.where(is_placed, after - before, 0.0), axis=1)
+    return jnp.where(jnp.isfinite(nearest), nearest + change, 0.0)
+
+
+def _sum_of_hidden(at: Placing) -> Array:
+    is_placed = at.episode.is_placed
+    seen = seen_shares(Views.of(at.placed), is_placed)
+    return jnp.sum(jnp.where(is_placed, 1.0 - seen.mean(1), 0.0))
+
+
+def _hidden_added(at: Placing) -> Array:
+    is_placed = at.episode.is_placed[:, None]
+    placed, proposed = Views.of(at.placed), Views.of(at.proposed)
+    seen = seen_shares(placed, at.episode.is_placed)
+    own = 1.0 - jnp.prod(1.0 - jnp.where(is_placed, hidden_shares(proposed, placed), 0.0), axis=1)
+    by_it = jnp.moveaxis(hidden_shares(placed, proposed), 0, 1) * seen
+    return (own + by_it.sum(1)).mean(-1)
+
+
+FEATURES: dict[str, Feature] = {
+    "stack": Feature(_num_on, lambda at: at.bearers.is_on.astype(jnp.float32)),
+    "depth": Feature(_depth, lambda at: at.bearers.level),
+    "contacts": Feature(_num_touching, lambda at: at.bearers.touched.sum(1).astype(jnp.float32)),
+    "near": Feature(_sum_of_gaps, _gaps_added, is_mean=True),
+    "occlusion": Feature(_sum_of_hidden, _hidden_added, is_mean=True),
+}
+"""By name, as in `Clutter`; near is summed in metres, occlusion in shares."""
+
+
+def owed_and_added(clutter: Clutter, at: Placing) -> tuple[Array, Array]:
+    """What the current object should add of each asked feature, f32[F], and would, f32[N, F].
+
+    What is owed is shared equally among the objects that are left.
+    """
+    episode = at.episode
+    left = jnp.maximum(episode.num_slots - episode.slot, 1)
+    owed, added = [], []
+    for name, target in clutter.targets.items():
+        feature = FEATURES[name]
+        asked = target * episode.num_slots if feature.is_mean else target
+        # Not every object finds something to lie on: what is counted is asked of the first to come.
+        share = left if feature.is_mean else jnp.maximum(_EARLY * left, 1.0)
+        owed.append((asked - feature.total(at)) / share)
+        added.append(feature.added(at))
+    return jnp.stack(owed), jnp.stack(added, axis=1)
+
+
+def _safe_poses(poses: Array, is_placed: Array) -> Array:
+    """Poses of objects that are not placed may be anything."""
+    return jnp.where(is_placed[:, None], poses, jnp.eye(7, dtype=jnp.float32)[3])

@@ -1,0 +1,231 @@
+"""Clutter targets: parsing, the draw against scipy, features against what placing changes, real scenes."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+from shapely import affinity
+from shapely.geometry import box as rectangle
+
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.learning.methods import Method, check_steered, sampler_of
+from cluttergen_jax.placement.baselines import make_proposer
+from cluttergen_jax.placement.boxes import Boxes, Views, gaps, hidden_shares, spacing_of
+from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.placement.config import PlacementConfig, placement_record
+from cluttergen_jax.placement.problem import ProblemConfig
+from cluttergen_jax.placement.rollout import Rollout
+from cluttergen_jax.placement.search.features import FEATURES, Placing
+from cluttergen_jax.placement.search.tilting import tilted
+from cluttergen_jax.placement.setup import make_setup
+from cluttergen_jax.scene.bank.table import CLUTTER, table_of, with_added
+from tests.helpers import banks
+from tests.helpers.problems import trio_problem
+
+NEAR_ENOUGH = 2e-3
+
+
+def test_text_and_mapping_are_the_same():
+    assert (
+        Clutter.of("stack=3, near=0.02") == Clutter.of({"near": 0.02, "stack": 3}) == Clutter(3.0, near=0.02)
+    )
+    assert str(Clutter.of("near=0.02,stack=3")) == "stack=3,near=0.02"
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("stak=3", "Did you mean 'stack'"),
+        ("stack", "NAME=VALUE"),
+        ("stack=three", "a number"),
+        ("stack=1,stack=2", "twice"),
+        ("", "asks for nothing"),
+        ("stack=nan", "0 or more"),
+        ("stack=inf", "0 or more"),
+        ("stack=-1", "0 or more"),
+        ("near=2", "0 to 1 m"),
+        ("occlusion=1.5", "0 to 1"),
+        ({"stack": "3"}, "0 or more"),
+        ({"stack": True}, "0 or more"),
+        (3, "text or a mapping"),
+    ],
+)
+def test_a_bad_target_is_refused(given, said):
+    with pytest.raises(ConfigError, match=said):
+        Clutter.of(given)
+
+
+def test_more_than_the_objects_can_have_is_refused():
+    with pytest.raises(ConfigError, match="0 to 2"):
+        PlacementConfig(num_objects=3, clutter="stack=3")
+    with pytest.raises(ConfigError, match="none"):
+        PlacementConfig(overhang="nothing")
+
+
+def test_records_tell_what_was_asked_and_nothing_else():
+    assert not {"clutter", "overhang", "natural"} & set(placement_record(PlacementConfig()))
+    asked = PlacementConfig(clutter="stack=3", overhang="half", natural=True)
+    record = placement_record(asked)
+    assert record["clutter"] == {"stack": 3.0}
+    assert PlacementConfig(**record) == asked
+
+
+def test_only_methods_that_draw_from_weights_take_it():
+    for asked in ({"clutter": "stack=1"}, {"natural": True}):
+        with pytest.raises(ConfigError, match="spread"):
+            check_steered("drop", PlacementConfig(**asked))
+        check_steered("spread", PlacementConfig(**asked))
+    check_steered("drop", PlacementConfig(overhang="none"))
+
+
+def drawn(seed: int, number: int = 40, features: int = 3):
+    draw = np.random.default_rng(seed)
+    values = draw.normal(size=(number, features)) * [1.0, 0.02, 5.0]
+    return draw.normal(size=number), values, draw.uniform(size=number) < 0.6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_tilted_weights_are_those_of_maximum_entropy(seed):
+    logits, values, is_allowed = drawn(seed)
+    asked = np.random.default_rng(seed + 10).dirichlet(np.ones(is_allowed.sum())) @ values[is_allowed]
+    found = jax.nn.softmax(jnp.where(is_allowed, tilted(logits, values, asked, is_allowed), -jnp.inf))
+    base, unit = logits[is_allowed], values[is_allowed].std(0)
+    scaled = (values[is_allowed] - asked) / unit
+    best = minimize(lambda slope: np.log(np.exp(base + scaled @ slope).sum()), np.zeros(3), tol=1e-10).x
+    exact = np.exp(base + scaled @ best)
+    np.testing.assert_allclose(np.asarray(found)[is_allowed], exact / exact.sum(), atol=NEAR_ENOUGH)
+    np.testing.assert_allclose((found @ values - asked) / unit, 0, atol=5 * NEAR_ENOUGH)
+
+
+def test_nothing_to_choose_leaves_the_weights_alone():
+    logits, values, is_allowed = drawn(0)
+    np.testing.assert_array_equal(tilted(logits, values, np.ones(3), is_allowed & False), np.float32(logits))
+    alike = np.ones((40, 1))
+    np.testing.assert_allclose(tilted(logits, alike, np.array([7.0]), is_allowed), logits, rtol=1e-6)
+
+
+def test_what_is_out_of_reach_is_met_as_nearly_as_can_be():
+    is_on = (np.arange(40) < 2).astype(float)[:, None]
+    for asked, most in ((0.0, 0.0), (5.0, 1.0)):
+        weight = jax.nn.softmax(tilted(np.zeros(40), is_on, np.array([asked]), np.ones(40, bool)))
+        assert weight @ is_on == pytest.approx(most, abs=0.01)
+
+
+def some_boxes(seed: int, number: int = 6) -> tuple[np.ndarray, np.ndarray]:
+    draw = np.random.default_rng(seed)
+    half = draw.uniform(0.01, 0.08, (number, 3))
+    yaw = draw.uniform(0, 2 * np.pi, number)
+    turn = Rotation.from_euler("z", yaw[:, None]).as_quat(scalar_first=True)
+    return half, np.c_[draw.uniform(-0.2, 0.2, (number, 3)), turn]
+
+
+def test_gaps_are_the_distances_of_rectangles():
+    half, poses = some_boxes(0, 12)
+    boxes = Boxes.of(jnp.asarray(half), jnp.asarray(poses))
+    found = np.asarray(gaps(boxes, boxes))
+    np.testing.assert_allclose(found, found.T, atol=1e-6)
+    shapes = []
+    for (x, y, _), pose in zip(half, poses, strict=True):
+        turn = Rotation.from_quat(pose[3:], scalar_first=True).as_euler("xyz", degrees=True)[2]
+        shapes.append(affinity.translate(affinity.rotate(rectangle(-x, -y, x, y), turn), *pose[:2]))
+    exact = np.array([[one.distance(other) for other in shapes] for one in shapes])
+    assert np.all(found <= exact + 1e-6)
+    assert np.all(found >= exact / np.sqrt(2) - 1e-6)
+    assert np.all((found > 1e-6) == (exact > 1e-6))
+
+
+def test_a_tall_box_hides_a_low_one_from_one_side():
+    half = jnp.array([[0.02, 0.02, 0.02], [0.02, 0.02, 0.2]])
+    poses = jnp.array([[0.0, 0, 0.02, 1, 0, 0, 0], [0.1, 0, 0.2, 1, 0, 0, 0]])
+    views = Views.of(Boxes.of(half, poses))
+    hidden = np.asarray(hidden_shares(views, views))
+    assert hidden[0, 1, 0] == pytest.approx(0.6, abs=1e-5)
+    assert hidden[0, 1, 4] == 0
+    assert hidden[1, 0, 0] == 0
+
+
+@pytest.mark.parametrize("number", [1, 2, 4])
+def test_what_is_said_to_be_added_is_what_placing_changes(number):
+    problem = trio_problem(num_objects=3)
+    rules = problem.rules
+    half, poses = some_boxes(3)
+    geometry = rules.geometry.replace(half_extents=jnp.asarray(half, jnp.float32))
+    episode = rules.begin(jax.random.key(0))
+    is_placed = jnp.arange(6) < number
+    at = Placing(
+        episode.replace(poses=jnp.asarray(poses, jnp.float32), is_placed=is_placed),
+        Boxes.of(geometry.half_extents, jnp.asarray(poses)),
+        Boxes.of(geometry.half_extents[5:], jnp.asarray(poses[5:])),
+        None,
+    )
+    after = at.replace(episode=at.episode.replace(is_placed=is_placed.at[5].set(True)))
+    for name in ("near", "occlusion"):
+        change = FEATURES[name].total(after) - FEATURES[name].total(at)
+        np.testing.assert_allclose(FEATURES[name].added(at)[0], change, atol=1e-5)
+    near, hidden = spacing_of(geometry.half_extents, jnp.asarray(poses), after.episode.is_placed)
+    np.testing.assert_allclose(near * (number + 1), FEATURES["near"].total(after), atol=1e-6)
+    np.testing.assert_allclose(hidden * (number + 1), FEATURES["occlusion"].total(after), atol=1e-6)
+
+
+def test_without_targets_the_draw_is_uniform_as_ever():
+    problem = trio_problem(num_objects=3)
+    rules = problem.rules
+    spread = make_proposer("spread", rules)
+    episode, key = rules.begin(jax.random.key(1)), jax.random.key(2)
+    key_draw, key_choice = jax.random.split(key)
+    menu = spread.menu(key_draw, episode)
+    trust = np.where(menu.is_allowed, spread.trust(episode, menu), -1.0)
+    noise = np.asarray(jax.random.gumbel(key_choice, trust.shape))
+    place = int(np.argmax(np.where(trust >= 0.9, noise, -np.inf)))
+    assert len(trust) == 96
+    np.testing.assert_array_equal(spread(key, episode), menu.found.action[place])
+
+
+def filled(num_scenes: int, support: str = "table", num_objects: int = 10, **placement):
+    placement = PlacementConfig(
+        num_objects=num_objects, order="weighted", ruin_after=3, history_stride=0, **placement
+    )
+    setup = make_setup(ProblemConfig(pool="dining", support=support, placement=placement))
+    sampler = sampler_of(setup, Method("spread"))
+    return setup, Rollout().run_all(sampler, jax.random.key(0), num_scenes, num_scenes)
+
+
+@pytest.mark.parametrize("asked", [0, 3])
+def test_scenes_have_as_many_on_others_as_was_asked(asked):
+    setup, scenes = filled(16, clutter={"stack": asked}, min_margin=0.003)
+    assert scenes.is_success.mean() > 0.9
+    on = (scenes.level > 0).sum(1)[scenes.is_success]
+    assert on.mean() == pytest.approx(asked, abs=0.3)
+    assert np.all(scenes.num_touching[scenes.is_success] >= on)
+    half = np.asarray(setup.problem.rules.geometry.half_extents)
+    rows = table_of(np.arange(16), scenes, setup.problem.world.names, half)
+    np.testing.assert_array_equal(rows["num_on"], (scenes.level > 0).sum(1))
+    for place, row in enumerate(rows.to_pylist()):
+        index, is_placed = scenes.object_index[place], scenes.is_placed[place]
+        near, hidden = spacing_of(half[index], scenes.poses[place], is_placed)
+        assert (row["near"], row["occlusion"]) == pytest.approx((float(near), float(hidden)), abs=1e-5)
+        assert row["levels"] == scenes.level[place].tolist()
+
+
+def test_older_banks_do_not_know_how_cluttered_they_are():
+    older = banks.rows(0, 3)
+    rows = with_added(older)
+    assert all(rows[name].null_count == 3 for name in CLUTTER.names)
+    assert with_added(rows).schema == rows.schema
+
+
+def test_nothing_placed_reaches_beyond_the_edge():
+    setup, scenes = filled(32, "table-0.40x0.50", overhang="none")
+    assert scenes.is_success.mean() > 0.8
+    half = np.array([0.2, 0.25])
+    objects = setup.problem.world.objects
+    for index, poses, is_placed in zip(scenes.object_index, scenes.poses, scenes.is_placed, strict=True):
+        for k, pose in zip(index[is_placed], poses[is_placed], strict=True):
+            turn = Rotation.from_quat(pose[3:], scalar_first=True)
+            for part in objects[k].parts:
+                beyond = np.abs(turn.apply(part.vertices)[:, :2] + pose[:2]) - half
+                assert beyond.max() < 0.002

@@ -1,0 +1,181 @@
+"""Placers that draw uniformly among trusted candidates: what is looked at, and who is drawn."""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cluttergen_jax.placement.baselines import LowestFit, Spread, make_proposer
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.problem import ProblemConfig, make_problem
+from cluttergen_jax.placement.rollout import BlockSampler
+from cluttergen_jax.placement.rollout.run import Rollout
+from cluttergen_jax.placement.search.fit import Candidates
+from cluttergen_jax.placement.search.trusted import TrustedConfig, TrustedSearch
+from cluttergen_jax.placement.types import Start
+from cluttergen_jax.types import Verdict
+
+BOX = "calculator"
+
+
+@cache
+def rules_of(pool="office+study", objects=(BOX, "ring_binder"), support="table-0.40x0.50"):
+    placement = PlacementConfig(num_objects=len(objects), order="fixed", history_stride=0)
+    return make_problem(ProblemConfig(pool=pool, objects=objects, support=support, placement=placement)).rules
+
+
+class ByNumber(TrustedSearch, eq=False):
+    """Trusts the candidates whose numbers are even; of the others number 1 the most."""
+
+    def trust(self, episode, menu):
+        number = jnp.arange(len(menu.is_allowed))
+        return jnp.where(number % 2 == 0, 0.95, 0.5 / number.clip(1))
+
+
+class Nobody(TrustedSearch, eq=False):
+    """Trusts no candidate enough; the fifth the most."""
+
+    def trust(self, episode, menu):
+        return jnp.where(jnp.arange(len(menu.is_allowed)) == 5, 0.4, 0.1)
+
+
+def chosen_numbers(kind, attempt=0, number=200):
+    """Which candidates are drawn with so many keys for the choice, and the same candidates each time."""
+    rules = rules_of()
+    placer = kind(LowestFit(rules), TrustedConfig(num_uniform=10, num_finalists=0))
+    episode = rules.begin(jax.random.key(0)).replace(attempt=jnp.int32(attempt))
+
+    def draw(key):
+        menu = placer.menu(jax.random.split(key)[0], episode)
+        return jnp.argmin(jnp.abs(menu.found.action - placer(key, episode)).sum(1))
+
+    return np.asarray(jax.jit(jax.vmap(draw))(jax.random.split(jax.random.key(1), number)))
+
+
+def test_only_the_trusted_are_drawn_and_all_of_them_alike():
+    counts = np.bincount(chosen_numbers(ByNumber, number=1000), minlength=10)
+    assert not counts[1::2].any()
+    # Five equal chances in a thousand draws: 200 each, give or take five standard deviations.
+    assert np.all(np.abs(counts[::2] - 200) < 5 * np.sqrt(1000 * 0.2 * 0.8))
+
+
+def test_where_nobody_is_trusted_the_most_trusted_is_taken():
+    assert set(chosen_numbers(Nobody)) == {5}
+
+
+def test_the_threshold_falls_with_failures_and_then_stays():
+    class Half(ByNumber, eq=False):
+        def trust(self, episode, menu):
+            return jnp.full(len(menu.is_allowed), 0.7).at[0].set(0.85)
+
+    first, second, third, tenth = (set(chosen_numbers(Half, attempt)) for attempt in (0, 1, 2, 9))
+    assert first == {0}
+    assert second == {0}
+    assert len(third) == 10
+    assert len(tenth) == 10
+
+
+def test_equal_keys_draw_equal_poses():
+    rules = rules_of()
+    placer, episode = make_proposer("spread", rules), rules.begin(jax.random.key(0))
+    one, same, other = (placer(jax.random.key(seed), episode) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one, same)
+    assert not np.array_equal(one, other)
+
+
+def test_the_menu_holds_uniform_ones_finalists_and_ones_above_objects():
+    rules = rules_of()
+    episode, _ = placed_first(rules)
+    placer = Spread(LowestFit(rules), TrustedConfig(num_uniform=30, num_finalists=4, num_above=64))
+    menu = jax.jit(placer.menu)(jax.random.key(0), episode)
+    assert menu.found.candidates.xy.shape == (98, 2)
+    # Those above an object meet it far more often than those drawn over the whole table.
+    is_on = np.asarray(menu.bearers.is_on)
+    assert is_on[34:].mean() > 0.4 > is_on[:30].mean()
+
+
+def placed_first(rules):
+    """An episode whose first object stands, and its pose."""
+    episode = rules.begin(jax.random.key(0))
+    clear = make_proposer("clear", rules)
+    propose = jax.jit(lambda key, episode: rules.attempt(episode, clear(key, episode)))
+    for seed in range(20):
+        episode, transition = propose(jax.random.key(seed), episode)
+        if int(transition.verdict) == Verdict.STABLE:
+            return episode, np.asarray(episode.poses[0])
+    raise AssertionError("the first object never stood")
+
+
+def test_bearers_are_known_by_name_level_margin_and_offset():
+    rules = rules_of()
+    episode, pose = placed_first(rules)
+    T = episode.region.T_world_region
+    above = T.inverse().apply(jnp.asarray(pose[:3]))[:2]
+    far = jnp.where(above > 0, -1.0, 1.0) * episode.region.half_extents * 0.6
+    placer = Spread(LowestFit(rules))
+    menu = placer.look(episode, Candidates(jnp.stack([above, far]), jnp.zeros(2)))
+    on, off = (jax.tree.map(lambda leaf, i=i: np.asarray(leaf[i]), menu.bearers) for i in (0, 1))
+    assert bool(on.is_on)
+    assert on.level == 1
+    assert on.margin == pytest.approx(float(episode.bearing.margin[0]), abs=1e-6)
+    # Its centre of mass is over that of what would bear it, or nearly so: well within the support.
+    assert on.offset < 0
+    assert not off.is_on
+    assert off.level == 0
+    assert off.margin == pytest.approx(0.1)
+
+
+def test_the_level_of_what_was_placed_counts_those_below():
+    rules = rules_of(objects=("ring_binder", BOX))
+    episode, pose = placed_first(rules)
+    placer = Spread(LowestFit(rules))
+    above = episode.region.T_world_region.inverse().apply(jnp.asarray(pose[:3]))[:2]
+    attempt = jax.jit(rules.attempt)
+    for seed in range(20):
+        jitter = 0.01 * jax.random.normal(jax.random.key(seed), (2,))
+        menu = placer.look(episode, Candidates((above + jitter)[None], jnp.zeros(1)))
+        after, transition = attempt(episode, menu.found.action[0])
+        if int(transition.verdict) == Verdict.STABLE:
+            break
+    assert int(transition.verdict) == Verdict.STABLE
+    np.testing.assert_array_equal(np.asarray(after.bearing.level)[:2], [0, 1])
+    assert after.bearing.leans_on[1, 0]
+    assert not after.bearing.leans_on[0, 1]
+
+
+def test_a_map_with_owners_is_the_map_to_a_micrometre():
+    rules = rules_of()
+    episode, _ = placed_first(rules)
+    search = LowestFit(rules)
+    plain, owned = (search.scene(episode, with_owner=each).heights for each in (False, True))
+    np.testing.assert_allclose(plain.height, owned.height, atol=1e-6)
+    is_object = np.asarray(owned.owner) == 0
+    assert is_object.any()
+    assert set(np.unique(owned.owner)) == {0, rules.geometry.num_objects}
+    assert np.asarray(owned.height)[is_object].min() > 0.003
+
+
+@pytest.mark.parametrize("method", ["spread"])
+def test_scenes_stand_and_are_spread(method):
+    rules = rules_of("dining", ("mug", "bowl", "soup_can", "cereal_box"))
+    sampler = BlockSampler(rules, make_proposer(method, rules))
+    scenes = Rollout().run_all(sampler, jax.random.key(0), 16, 16)
+    assert scenes.is_success.mean() >= 0.9
+    standing = jax.vmap(rules.physics.stand)(
+        jnp.asarray(scenes.poses)[np.arange(16)[:, None], np.argsort(scenes.object_index, axis=1)],
+        jnp.asarray(scenes.is_placed),
+        jnp.asarray(scenes.is_success),
+    )
+    assert np.all(np.asarray(standing.verdict)[scenes.is_success] == Verdict.STABLE)
+    # Uniform draws use the whole table, not one corner of it.
+    assert np.ptp(scenes.poses[scenes.is_success][..., 0]) > 0.2
+
+
+def test_what_stands_there_already_is_trusted_as_on_a_flat_table():
+    rules = rules_of()
+    poses = rules.begin(jax.random.key(0)).poses
+    start = Start(poses, jnp.zeros(rules.geometry.num_objects, bool))
+    bearing = rules.begin(jax.random.key(0), start=start).bearing
+    np.testing.assert_allclose(bearing.margin, rules.geometry.own_margin)
