@@ -20,11 +20,12 @@ from cluttergen_jax.evaluation.resolved import (
 )
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.learning.methods import TRUSTED_METHODS, proposer_of, suited
+from cluttergen_jax.learning.methods import proposer_of, suited
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import SwappablePhysics
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.protocol import Physics
+from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
@@ -198,7 +199,6 @@ class Runner:
         rules = replace(
             base.rules,
             config=config,
-            keeps_bearing=trial.method in TRUSTED_METHODS,
             physics=self._physics(base.world, stability),
             history_steps=stability.decision_step if is_longer else None,
         )
@@ -246,6 +246,7 @@ class Runner:
                 min_margin=trial.min_margin,
                 ruin_after=trial.ruin_after,
                 budget=trial.budget,
+                clutter=Clutter.of(trial.clutter) if trial.clutter else None,
             ),
         )
         if config not in self._setups:

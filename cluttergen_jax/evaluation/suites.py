@@ -10,6 +10,7 @@ from cluttergen_jax.evaluation.studies.acceptance import ACCEPTANCE
 from cluttergen_jax.evaluation.studies.attempts import ATTEMPTS
 from cluttergen_jax.evaluation.studies.closed_loop import CLOSED_LOOP
 from cluttergen_jax.evaluation.studies.density import CROWDS, DENSITY
+from cluttergen_jax.evaluation.studies.dial import DIAL
 from cluttergen_jax.evaluation.studies.diversity import DIVERSITY
 from cluttergen_jax.evaluation.studies.diversity_maps import DIVERSITY_MAPS
 from cluttergen_jax.evaluation.studies.fig1a import FIG1A
@@ -54,6 +55,7 @@ SUITES: dict[str, tuple[Study, ...]] = {
         MARGIN,
         MARGIN_SURVIVAL,
         STABILITY,
+        DIAL,
         TIME,
     ),
 }

@@ -17,7 +17,7 @@ from cluttergen_jax.placement.changes import find_change
 MAX_TRIALS = 1_000_000
 RUIN, RANDOM_ORDER, ROBUST = "ruin", "random order", "robust"
 """Of rows whose rules are not their method's own."""
-_ADDED = ("min_margin", "order", "ruin_after", "budget", "robust")
+_ADDED = ("min_margin", "order", "ruin_after", "budget", "robust", "clutter")
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,7 @@ class Trial:
         others are put back by hand, no last check).
       min_margin: metres of support margin asked of what is placed; 0 asks for nothing, as the paper does.
       robust: ask that what stands also stands under a slight tilt with less friction.
+      clutter: what scenes should have on average, as text ("stack=3"); "" asks for nothing.
       order, ruin_after, budget: of a `PlacementConfig`; the paper's unless given.
     """
 
@@ -60,6 +61,7 @@ class Trial:
     ruin_after: int = 0
     budget: int | None = None
     robust: bool = False
+    clutter: str = ""
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials <= MAX_TRIALS:
@@ -95,6 +97,7 @@ class Trial:
         words += [self.change] if self.change != "none" else []
         words += [f"margin {1000 * self.min_margin:g} mm"] if self.min_margin else []
         words += [ROBUST] if self.robust else []
+        words += [self.clutter] if self.clutter else []
         words += [self.order] if self.order != "random" else []
         words += [f"ruin after {self.ruin_after}"] if self.ruin_after else []
         words += [f"budget {self.budget}"] if self.budget else []
@@ -111,6 +114,7 @@ def row_name(trial: Mapping[str, Any]) -> str:
     is_own = is_ruined == (method in TRUSTED_METHODS)
     words = [] if is_own else [RUIN if is_ruined else RANDOM_ORDER]
     words += [ROBUST] if trial.get("robust") else []
+    words += [trial["clutter"]] if trial.get("clutter") else []
     return ", ".join([method, *words])
 
 

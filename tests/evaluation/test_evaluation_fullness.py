@@ -165,6 +165,23 @@ def test_rivals_are_read_from_the_rows():
     assert success_notes(rows[1:], lambda row: "two objects") == []
 
 
+def test_what_was_asked_of_the_dial_stands_beside_what_was_got():
+    (planned,) = find_suite("extended", Scale(), ("dial",))
+    rows = []
+    for trial in planned.trials:
+        (row,) = rows_of(spread=100)
+        figures = row["figures"] | {"stack": {"mean": 1.5, "std": 0.5}}
+        rows.append({"trial": dataclasses.asdict(trial), "figures": figures})
+    result = {"name": "dial", "title": "t", "records": rows}
+    (table,) = planned.study.tables(result)
+    of_guided = [row for row in table.rows if row[1] == "guided"]
+    asked, error = (table.columns.index(name) for name in ("objects on others, asked", "error"))
+    assert [row[asked] for row in of_guided] == ["nothing", "0", "1", "2", "3", "4", "5"]
+    # By hand: 1.5 for 1, 2 and 3; of nothing and of 0 there is no share.
+    assert [row[error] for row in of_guided][:5] == ["-", "-", "+50%", "-25%", "-50%"]
+    assert all(trial.order == "weighted" for trial in planned.trials)
+
+
 def made_by(runner, tmp_path, name, method, **changed):
     """The tables of a study's rows of one method, made small."""
     (planned,) = find_suite("extended", Scale(trials=4), (name,))
@@ -186,9 +203,10 @@ def test_crowds_are_made_with_spread(runner, tmp_path):
 
 
 def test_robust_scenes_stand_beside_others(runner, tmp_path):
-    result = made_by(runner, tmp_path, "stability", "spread", num_objects=2, pool="dining", support="table")
+    same = {"num_objects": 2, "pool": "dining", "support": "table", "clutter": "", "order": "random"}
+    result = made_by(runner, tmp_path, "stability", "spread", **same, ruin_after=0)
     rows = result["measure"]["rows"]
-    assert [row["method"] for row in rows] == ["spread", "spread, robust"]
+    assert [row["method"] for row in rows] == ["spread, random order", "spread, random order, robust"]
     assert all(0 <= row["robust"]["share"] <= 1 for row in rows)
     assert [each["degrees"] for each in rows[0]["tilt"]] == list(stability.DEGREES)
     (table,) = tables_of(result)

@@ -84,10 +84,10 @@ def _pictures(examples: Sequence[tuple[Trial, Successes, np.ndarray]], stem: Pat
                 caption = f"{names[i]} {kind.label} {names[j]} ({trial.pool_name}, {trial.method})"
                 found[caption] = (scenes, scene)
                 chosen += 1
-    return sheet([_draw(*place) for place in found.values()], list(found), stem)
+    return sheet([draw(*place) for place in found.values()], list(found), stem)
 
 
-def _draw(scenes: Successes, scene: int) -> np.ndarray:
+def draw(scenes: Successes, scene: int) -> np.ndarray:
     """uint8[H, W, 3]: one of the successful scenes, seen closely."""
     here = np.flatnonzero(scenes.is_placed[scene])
     objects, poses = [scenes.world.objects[k] for k in here], scenes.poses[scene, here]

@@ -30,6 +30,7 @@ from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each
 from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, named_rows
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study
 from cluttergen_jax.evaluation.trial import ROBUST, Trial
+from cluttergen_jax.learning.methods import TRUSTED_METHODS
 from cluttergen_jax.proportions import proportion
 from cluttergen_jax.tables import Table
 
@@ -37,15 +38,21 @@ ROWS = tuple(
     name for method in ("drop, ruin", "spread", "guided") for name in (method, f"{method}, {ROBUST}")
 )
 """Each method without and with robust scenes asked for."""
+STACKED = "stack=3"
+"""Clutter of the rows with objects on others, of the methods that can be asked for it."""
 DEGREES = (2.0, 5.0)
 """Tilts that are shown, of those that are measured."""
 
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
-    """Ten objects on a tight table, and thirty of every pool on the paper's."""
+    """Ten objects on a tight table, thirty of every pool on the paper's, and ten with some on others."""
     base = scale.trial(256, 4)
     tight = [replace(base, pool=pool, support=TIGHT) for pool in scale.chosen("dining")]
-    return named_rows([*tight, replace(base, pool=ALL, num_objects=30)], *ROWS)
+    stacked = [replace(each, clutter=STACKED) for each in tight]
+    return (
+        *named_rows([*tight, replace(base, pool=ALL, num_objects=30)], *ROWS),
+        *named_rows(stacked, *(name for name in ROWS if name.split(", ")[0] in TRUSTED_METHODS)),
+    )
 
 
 def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
