@@ -96,6 +96,22 @@ def share_notes(rows: Iterable[Row], question: Callable[[Row], str], name: str =
     return notes
 
 
+def tally(rows: Sequence[Row], question: Callable[[Row], str]) -> str:
+    """How often other rows are as good as `guided`, or better; "" where it has no row."""
+    found = [each for group in by_question(rows, question).values() if (each := standing(group))]
+    if not found:
+        return ""
+    alone = sum(not each.better and not each.equal for each in found)
+    parts = [f"`{OURS}` is ahead of all others in {alone} of {len(found)} comparisons"]
+    for what, rivals in (
+        ("as good", [name for each in found for name in each.equal]),
+        ("better", [name for each in found for name in each.better]),
+    ):
+        counts = ", ".join(f"`{name}` in {rivals.count(name)}" for name in dict.fromkeys(rivals))
+        parts += [f"{what}: {counts}"] if counts else []
+    return "; ".join(parts)
+
+
 def ranking(rows: Iterable[Row], name: str, digits: int, falls: bool = True) -> str:
     """The rows that have a figure, from the highest (or the lowest) on."""
     known = [row for row in rows if row.get(name) is not None]

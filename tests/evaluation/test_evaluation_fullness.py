@@ -10,7 +10,7 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import variant_pools
 from cluttergen_jax.evaluation.report import tables_of
-from cluttergen_jax.evaluation.rivals import standing, success_notes
+from cluttergen_jax.evaluation.rivals import standing, success_notes, tally
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.running import run_study
 from cluttergen_jax.evaluation.store import Store
@@ -160,7 +160,11 @@ def test_rivals_are_read_from_the_rows():
     assert "as good (intervals overlap): `spread`" in note
     assert "better: `drop, ruin`" in note
     assert note.endswith("0.99, 0.99")
+    told = tally(rows, lambda row: "two objects")
+    assert told.startswith("`guided` is ahead of all others in 0 of 1 comparisons; ")
+    assert told.endswith("as good: `spread` in 1; better: `drop, ruin` in 1")
     # Nothing is said of a method that has no row.
+    assert tally(rows[1:], lambda row: "two objects") == ""
     assert standing(rows[1:]) is None
     assert success_notes(rows[1:], lambda row: "two objects") == []
 

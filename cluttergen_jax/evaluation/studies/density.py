@@ -105,7 +105,7 @@ def tables(result: Result) -> list[Table]:
         "fill: the sum of the objects' footprints over the region's area, on average",
         *EFFORT_NOTES,
         *RULES,
-        *success_notes(made, lambda row: f"{row['trial']['pool']}, {_rung(row)}"),
+        *success_notes(made, _question),
         *dict.fromkeys(map(missing, lacking)),
     )
     return [table_of(result["title"] + margin_of(made), columns, made, notes)]
@@ -116,6 +116,10 @@ def _seeds(rows: list[Row]) -> tuple[Column, ...]:
     if not any(row["trial"]["training_seed"] for row in rows):
         return ()
     return (Column("training seed", lambda row: str(row["trial"]["training_seed"])),)
+
+
+def _question(row: Row) -> str:
+    return f"{row['trial']['pool']}, {_rung(row)}"
 
 
 def _rung(row: Row) -> str:
@@ -157,5 +161,14 @@ DENSITY = Study(
     trials,
     tables,
     plot=plot,
+    question=_question,
 )
-CROWDS = Study("crowds", "Objects of the pool `all` on 0.60 x 0.70 m", 256, crowds, tables, plot=plot)
+CROWDS = Study(
+    "crowds",
+    "Objects of the pool `all` on 0.60 x 0.70 m",
+    256,
+    crowds,
+    tables,
+    plot=plot,
+    question=_question,
+)

@@ -177,4 +177,5 @@ FURNITURE = Study(
     tables,
     renders=renders,
     measured_as="renders",
+    question=lambda row: f"{row['trial']['pool']} on {row['trial']['support']}",
 )

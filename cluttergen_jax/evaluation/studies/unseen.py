@@ -80,5 +80,10 @@ def _differences(made: list[Row]) -> list[str]:
 
 
 UNSEEN = Study(
-    "unseen", "Twenty objects on 0.50 x 0.60 m that no network was trained on", 256, trials, tables
+    "unseen",
+    "Twenty objects on 0.50 x 0.60 m that no network was trained on",
+    256,
+    trials,
+    tables,
+    question=lambda row: row["trial"]["pool"],
 )
