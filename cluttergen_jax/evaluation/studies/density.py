@@ -102,7 +102,7 @@ def tables(result: Result) -> list[Table]:
     notes = (
         "n: the objects of a scene; 5 n attempts a scene unless the rung says otherwise, cut off as soon as "
         "they can no longer succeed; what overhangs can fall",
-        "fill: the sum of the objects' footprints over the region's area, on average",
+        "fill: the sum of the objects' footprints (boxes from above) over the region's area, on average",
         *EFFORT_NOTES,
         *RULES,
         *success_notes(made, _question),

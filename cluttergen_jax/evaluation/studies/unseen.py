@@ -56,7 +56,7 @@ def tables(result: Result) -> list[Table]:
         f"`{HELD_OUT}`: {NUM_VARIANTS} shapes of {len(VARIANT_POOLS[HELD_OUT])} families that no network is "
         f"trained on; `{SEEN}`: {NUM_VARIANTS} shapes, from seed {FIRST_SEED} on, of families that it is "
         "trained on; other pools are imported objects, which nothing is trained on",
-        "fill: the sum of the objects' footprints over the region's area, on average",
+        "fill: the sum of the objects' footprints (boxes from above) over the region's area, on average",
         *EFFORT_NOTES,
         *RULES,
         *success_notes(made, lambda row: row["trial"]["pool"]),
