@@ -18,7 +18,7 @@ import tyro
 
 from benchmarks.section import prose, report, table
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.learning.agents import PoseAgent
+from cluttergen_jax.learning.agents import Agent
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.training.presets import paper
 
@@ -57,7 +57,7 @@ class Contender:
     def __init__(
         self, network: NetworkConfig, clouds: np.ndarray, half_extents: np.ndarray, batch: int
     ) -> None:
-        agent = PoseAgent(network, jnp.asarray(clouds), jnp.asarray(half_extents), len(clouds))
+        agent = Agent(network, jnp.asarray(clouds), jnp.asarray(half_extents), len(clouds))
         seen = observations(batch, half_extents)
         params = agent.init(jax.random.key(0), jax.tree.map(lambda leaf: leaf[0], seen))
         self.num_weights = sum(leaf.size for leaf in jax.tree.leaves(params))

@@ -65,7 +65,7 @@ def main() -> None:
         Soon: when the training's success over {WINDOW} updates first reached {GOAL}. Minutes are of training,
         compilation (about one) not counted; the runs shared two cores with each other and with other work, so
         they are upper bounds and not to be compared. Success: of 256 fresh episodes with the whole last
-        check, actions sampled (`ranked`: the best), 95 % interval."""
+        check, actions sampled, 95 % interval."""
     )
     header = ["run", "attempts to 0.95", "minutes to 0.95", "attempts", "minutes", "success"]
     lines = table(header, [cells(run) for run in args.runs])

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
 from numbers import Real
 from typing import Any, Literal, get_args
 
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, closest
 
 # The words of settings stand where nothing heavy is imported: the command line offers them as choices.
 Method = Literal[
@@ -21,18 +22,15 @@ Method = Literal[
     "normal",
     "open_loop",
     "short_memory",
-    "ranked",
-    "policy-clear",
 ]
-Variant = Literal["guided", "policy", "beta", "normal", "open_loop", "short_memory", "ranked"]
+Variant = Literal["guided", "policy", "beta", "normal", "open_loop", "short_memory"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
-PPO_VARIANTS = VARIANTS[1:]
 """`guided` is no policy: its network learns by supervision what will stand, for every pool.
 
 `policy` is the full method with the preset's head (a mixture; in `paper` a Beta a coordinate); `beta` and
 `normal` are the full method with the paper's heads; `open_loop` and `short_memory` look back on nothing and
-on one attempt; `ranked` chooses among poses that geometry has found."""
-Preset = Literal["cpu", "tight", "gpu", "paper"]
+on one attempt."""
+Preset = Literal["cpu", "gpu", "paper"]
 Engine = Literal["auto", "native", "warp", "jax"]
 Order = Literal["random", "fixed", "largest", "weighted"]
 Setting = Literal["default", "paper"]
@@ -49,6 +47,21 @@ Tier = Literal["standard", "light"]
 CameraName = Literal["overhead", "front", "side", "wrist"]
 FilmFormat = Literal["gif", "mp4"]
 ExportFormat = Literal["mjcf", "urdf", "sdf", "usd", "glb", "maniskill", "robosuite", "libero"]
+
+REMOVED = {
+    "ranked": "method='guided', which needs no training",
+    "policy-clear": "method='guided', which needs no training",
+    "tight": "preset='cpu', or `generate` with method guided, which fills crowded tables without training",
+}
+"""Names of methods, variants and presets that earlier versions had, and what to take in their place."""
+
+
+def no_such(what: str, name: str, known: Iterable[str]) -> ConfigError:
+    """The error for a name of a method, a variant or a preset that is unknown, or is so by now."""
+    known = tuple(known)
+    if name in REMOVED:
+        return ConfigError(f"{what} {name!r}, which was removed", ", ".join(known), REMOVED[name])
+    return ConfigError(f"{what} {name!r}", ", ".join(known), meant=closest(name, known))
 
 
 def _is_positive(value: object) -> bool:

@@ -1,8 +1,9 @@
-"""Takes trained policies into scenes/checkpoints: weights for acting, learning curve, and a card.
+"""Takes trained checkpoints into scenes/checkpoints: weights for acting, a picture, and a card.
 
-    python scenes/ship_policies.py runs/dining-policy-0 runs/kitchen-normal-0 ...
+    python scenes/ship_policies.py runs/dining-policy-0 runs/kitchen-normal-0 runs/guided-0 ...
 
-Each run must have been evaluated, which `python train.py` does at its end.
+A policy must have been evaluated, which `python train.py` does at its end; its picture is the learning curve,
+that of `guided` the calibration on families of objects that were held out.
 """
 
 from __future__ import annotations
@@ -13,16 +14,18 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.agent.checkpoint import read_record
-from cluttergen_jax.training.metrics_log import draw_curve, read_rows
+from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
+from cluttergen_jax.learning.ppo.checkpoint import read_record
+from cluttergen_jax.learning.training.metrics_log import draw_curve, read_rows
 
-MAX_BYTES = 1_000_000
+MAX_BYTES, MAX_BYTES_FOR_ANY_POOL = 1_000_000, 200_000
 ROOT = Path(__file__).parent / "checkpoints"
 
 
 def name_of(record: dict[str, Any]) -> str:
-    """POOL-VARIANT."""
-    return f"{record['pool']}-{record['variant']}"
+    """POOL-VARIANT, or the variant alone where it serves every pool."""
+    is_for_any = record["variant"] in FOR_ANY_POOL
+    return record["variant"] if is_for_any else f"{record['pool']}-{record['variant']}"
 
 
 def command_of(record: dict[str, Any]) -> str:
@@ -39,12 +42,11 @@ def command_of(record: dict[str, Any]) -> str:
 
 
 def card(record: dict[str, Any], rows: list[dict[str, float]]) -> str:
-    """What a user should know, in Markdown."""
+    """What a user should know of a policy, in Markdown."""
     found = record["evaluation"]
     size = rows[0]["attempts"]
     seconds = sum(size / row["attempts_per_second"] for row in rows)
     placement = record["placement"]
-    versions = ", ".join(f"{name} {number}" for name, number in record["versions"].items())
     success = f"{found['success']:.3f} [{found['low95']:.3f}, {found['high95']:.3f}]"
     return f"""# {name_of(record)}
 
@@ -56,27 +58,76 @@ A placement policy of cluttergen_jax (variant `{record["variant"]}`, preset `{re
 - {rows[-1]["attempts"]:,.0f} attempts in {seconds / 60:.0f} minutes, compilation not counted,
   on two cores that other work shared
 - Success with the whole last check: {success} of {found["episodes"]} fresh episodes, action {found["action"]}
-- Trained with {versions}
+- Trained with {_versions(record)}
 - `weights.npz`: what acting needs, half precision; `record.json`: every setting; `curve.png`: its
   learning curve
 """
 
 
+def guided_card(record: dict[str, Any]) -> str:
+    """What a user should know of `guided`, in Markdown."""
+    config = record["config"]
+    command = f"python train.py --variant guided --seed {config['seed']}"
+    command += f" --num-attempts {config['num_attempts'] * config['num_rounds']}"
+    lines = "\n".join(f"| {name} | {_cells(found)} |" for name, found in record["held_out"].items())
+    names = list(dict.fromkeys(name for found in record["held_out"].values() for name in _plain(found)))
+    return f"""# {name_of(record)}
+
+The stability network of cluttergen_jax (variant `guided`): whether an object that is let go at a pose will
+stand. It knows no object and no pool, and serves all of them.
+
+- Made by `{command}`
+- {record["num_attempts"]:,} attempts in {config["num_rounds"]} rounds, with objects of
+  {len(record["families"])} families of the modeller: {", ".join(record["families"])}
+- Never seen in training: {len(record["held_out_families"])} whole families
+  ({", ".join(record["held_out_families"])}), and all imported objects
+- Trained with {_versions(record)}
+- `weights.npz`: half precision; `record.json`: every setting; `calibration.png`: what it says of attempts
+  with objects of the held-out families, and what became of them
+
+Of those attempts:
+
+| | {" | ".join(names)} |
+|---|{"---|" * len(names)}
+{lines}
+"""
+
+
+def _plain(found: dict[str, Any]) -> dict[str, float]:
+    """The single numbers of a calibration, by name; curves are in the picture."""
+    return {name.replace("_", " "): value for name, value in found.items() if isinstance(value, int | float)}
+
+
+def _cells(found: dict[str, Any]) -> str:
+    texts = (f"{value:,}" if isinstance(value, int) else f"{value:.3f}" for value in _plain(found).values())
+    return " | ".join(texts)
+
+
+def _versions(record: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {number}" for name, number in record["versions"].items())
+
+
 def ship(run: Path, root: Path = ROOT) -> Path:
     """One run's policy; the folder it went to."""
     record = read_record(run / "policy")
-    if "evaluation" not in record:
+    is_for_any = record["variant"] in FOR_ANY_POOL
+    if not is_for_any and "evaluation" not in record:
         raise SystemExit(f"{run} has not been evaluated; the same train command does it")
+    size = (run / "policy" / "weights.npz").stat().st_size
+    most = MAX_BYTES_FOR_ANY_POOL if is_for_any else MAX_BYTES
+    if size > most:
+        raise SystemExit(f"{run / 'policy' / 'weights.npz'} has {size:,} bytes; at most {most:,}")
     folder = root / name_of(record)
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(run / "policy", folder)
-    rows, evaluations = (read_rows(run / f"{name}.csv") for name in ("progress", "evaluations"))
-    # The run's own curve is called after its folder, which may have any name.
-    draw_curve(rows, folder / "curve.png", f"{name_of(record)}-{record['seed']}", evaluations)
-    (folder / "README.md").write_text(card(record, rows))
-    size = (folder / "weights.npz").stat().st_size
-    if size > MAX_BYTES:
-        raise SystemExit(f"{folder / 'weights.npz'} has {size:,} bytes; at most {MAX_BYTES:,}")
+    if is_for_any:
+        text = guided_card(record)
+    else:
+        rows, evaluations = (read_rows(run / f"{name}.csv") for name in ("progress", "evaluations"))
+        # The run's own curve is called after its folder, which may have any name.
+        draw_curve(rows, folder / "curve.png", f"{name_of(record)}-{record['seed']}", evaluations)
+        text = card(record, rows)
+    (folder / "README.md").write_text(text)
     return folder
 
 

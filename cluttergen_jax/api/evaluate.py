@@ -44,8 +44,8 @@ def evaluate(
     """Compares methods: success rates with 95 % intervals, objects placed, effort and speed.
 
     Args:
-      methods: "random", "clear", "drop" (these three if not given), and trained policies: "policy",
-        "policy-clear", "ranked", "beta", "normal", "open_loop", "short_memory". Of a suite, the rows that are
+      methods: "random", "clear", "drop", "spread" (these four if not given), "guided", and policies trained
+        for the pool: "policy", "beta", "normal", "open_loop", "short_memory". Of a suite, the rows that are
         made; all if not given.
       pools: names or folders, or several joined by +; dining if not given, and what each study asks for in a
         suite.

@@ -54,9 +54,9 @@ def train(
       change: how the queried region is changed at random in every episode: "none", "translation",
         "rotation", "shrinkage", "expansion" or "all".
       max_attempts: per object, 1 to 10.
-      preset: "cpu", "tight" (for crowded tables), "gpu" or "paper".
+      preset: "cpu", "gpu" or "paper".
       variant: "guided" (no policy: one network for every pool, which takes `num_attempts`, `seed` and `out`
-        alone), "policy" (the full method), "open_loop", "short_memory", "normal", "beta" or "ranked".
+        alone), "policy" (the full method), "open_loop", "short_memory", "normal" or "beta".
       num_attempts: environment steps of the run; the preset's if not given.
       num_envs: environments side by side; the preset's if not given.
       seed: of weights, episodes and actions, 0 to 4294967295.
@@ -69,7 +69,7 @@ def train(
       engine: "auto", "native", "warp" or "jax".
       eval_every: attempts between evaluations; 0 evaluates at the end only.
       eval_episodes: fresh episodes of each evaluation; 0 leaves evaluations out.
-      eval_action: "sampled", or "mean" (of a ranker's candidates, the best); as `generate` acts if not given.
+      eval_action: "sampled", as `generate` acts and if not given, or "mean".
       memory_limit: GB that the run may need; what is free if not given.
       wandb: send the figures to Weights & Biases too (extra wandb).
       coordinator: HOST:PORT of the first of several processes that train one policy together.

@@ -28,7 +28,7 @@ def view(
       source: a bank; one scene of it, BANK:INDEX or BANK/scenes/000003.xml; any MJCF file with free bodies;
         or a checkpoint, whose policy then makes the scenes. Without it, `method` makes them from `pool`.
       pool: a pool's name or folder to sample from where no bank says it; a checkpoint's own if one is given.
-      method: "random", "clear", "drop", or a trained policy; the checkpoint's own, else "drop".
+      method: as `generate` takes it; the checkpoint's own, else "drop".
       num_objects: all of the pool's (40 at most) if not given.
       support: a support's name or folder; a checkpoint's own, else the paper's table.
       native: open MuJoCo's own viewer instead (needs a screen).

@@ -36,7 +36,7 @@ class List:
         for name in list_supports():
             print(f"  {name}")
         print("  table-WxD[xH] is a cuboid of that size in metres, such as table-0.40x0.50")
-        print("trained policies, POOL-METHOD")
+        print("trained checkpoints, POOL-METHOD, or METHOD alone where one serves any pool")
         for name in list_policies():
             print(f"  {name}")
         if not list_policies():

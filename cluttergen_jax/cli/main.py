@@ -10,7 +10,7 @@ from types import FrameType
 from typing import Any
 
 from cluttergen_jax.cli.commands import COMMANDS, all_commands, load, overview
-from cluttergen_jax.cli.flags import with_flags
+from cluttergen_jax.cli.flags import removed_name, with_flags
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.files import advice_on
 from cluttergen_jax.progress import stop_asked
@@ -50,6 +50,9 @@ def main(args: Sequence[str] | None = None) -> int:
         given, meant = f"no command is called {name!r}", closest(name, COMMANDS)
         error = ConfigError(given, ", ".join(COMMANDS), "cluttergen --help", meant)
         print(f"error: {error}", file=sys.stderr)
+        return 2
+    if old := None if is_completion else removed_name(words):
+        print(f"error: {old}", file=sys.stderr)
         return 2
     try:
         if is_completion:

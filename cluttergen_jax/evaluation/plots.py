@@ -20,8 +20,6 @@ COLOURS = {
     "normal": "#7b5ea7",
     "beta": "#e07b39",
     "policy": "#c8102e",
-    "policy-clear": "#1f77b4",
-    "ranked": "#e377c2",
     "spread": "#17a2a2",
     "guided": "#1f3fb4",
 }

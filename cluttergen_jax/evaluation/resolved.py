@@ -14,13 +14,13 @@ from typing import Any
 from cluttergen_jax.assets.pool import Pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.config import VARIANTS
 from cluttergen_jax.errors import ClutterGenError, ConfigError, PoolError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.evaluation.variant_pools import find_any_pool
 from cluttergen_jax.learning.methods import METHODS, checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
+from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
 from cluttergen_jax.learning.training.suite import DEFAULT_ATTEMPTS, DEFAULT_OBJECTS
 from cluttergen_jax.placement.baselines import BASELINES
 
@@ -129,21 +129,24 @@ def _names(trial: Trial) -> list[str]:
 
     One trained with the trial's attempts goes before one trained with the usual number.
     """
+    if trial.method in FOR_ANY_POOL:
+        return [f"{trial.method}-{trial.training_seed}", *([trial.method] * (not trial.training_seed))]
     pool = trial.pool_name
-    # Methods that are no variant of the network act with the weights of the full method.
-    variants = dict.fromkeys((trial.method, trial.method if trial.method in VARIANTS else "policy"))
     attempts = "" if trial.attempts == DEFAULT_ATTEMPTS else f"-attempts{trial.attempts}"
-    stems = [f"{pool}-{variant}{extra}" for extra in dict.fromkeys((attempts, "")) for variant in variants]
+    stems = [f"{pool}-{trial.method}{extra}" for extra in dict.fromkeys((attempts, ""))]
     endings = (f"-{trial.training_seed}", *([""] if trial.training_seed == 0 else []))
     return [f"{stem}{ending}" for stem in stems for ending in endings]
 
 
 def train_command(trial: Trial) -> str:
     """The command that trains what a row lacks."""
-    variant = trial.method if trial.method in VARIANTS else "policy"
-    words = [f"cluttergen train --pool {trial.pool} --variant {variant}"]
+    is_for_any = trial.method in FOR_ANY_POOL
+    of_pool = "" if is_for_any else f" --pool {trial.pool}"
+    words = [f"cluttergen train{of_pool} --variant {trial.method}"]
     if trial.training_seed:
         words.append(f"--seed {trial.training_seed}")
+    if is_for_any:
+        return " ".join(words)
     if trial.num_objects < DEFAULT_OBJECTS:
         # Who was trained with more objects fills smaller scenes too; but a pool may have no more.
         words.append(f"--num-objects {trial.num_objects}")

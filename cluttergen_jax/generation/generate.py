@@ -16,7 +16,7 @@ import numpy as np
 from cluttergen_jax.config import stability_record
 from cluttergen_jax.files import writing
 from cluttergen_jax.generation.files import write_files
-from cluttergen_jax.learning.methods import FILTERED, Method, sampler_of
+from cluttergen_jax.learning.methods import DEFAULT_METHOD, Method, sampler_of
 from cluttergen_jax.placement.config import placement_record
 from cluttergen_jax.placement.problem import Problem, crowding
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
@@ -29,13 +29,7 @@ from cluttergen_jax.scene.bank.table import table_of
 from cluttergen_jax.scene.bank.writer import names_of
 
 _FEW = 0.5
-_BETTER = {
-    "random": "method='clear'",
-    "clear": "method='drop'",
-    "drop": "fewer objects",
-    "ranked": "fewer objects",
-    FILTERED: "method='drop'",
-}
+_ROOM = "fewer objects, a larger region or a larger `budget`"
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +123,8 @@ def _advice(method: str, success: float) -> str:
     """What to try where few scenes succeed; nothing where most do."""
     if success >= _FEW:
         return ""
-    better = _BETTER.get(method, f"method={FILTERED!r}")
-    return f"advice     few scenes succeed with {method} here; try {better} or a larger support"
+    better = _ROOM if method == DEFAULT_METHOD else f"method={DEFAULT_METHOD!r}"
+    return f"advice     few scenes succeed with {method} here; try {better}"
 
 
 def _notes(problem: Problem) -> Iterator[str]:

@@ -65,8 +65,9 @@ def make_sampler(
       pool: a pool's name or folder, or several joined by "+".
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
       num_objects: objects per scene, 1 to 40; all of the pool's (40 at most) if not given.
-      method: "random", "clear", "drop", or a trained policy. If not given: the checkpoint's own; else
-        "policy" where a good one is embedded for this pool, support and number of objects, else "clear".
+      method: "guided", "spread", "drop", "clear", "random", or a policy trained for the pool: "policy",
+        "beta", "normal", "open_loop", "short_memory". If not given: the checkpoint's own, else "guided"
+        ("spread" where no checkpoint of it is embedded).
       checkpoint: a policy's folder, such as `cluttergen train` leaves; the embedded one if not given.
       max_retries: a scene that fails is drawn again up to so often, inside the compiled code, until one
         passes; 0 to 10,000.
@@ -132,9 +133,7 @@ def set_up(config: ProblemConfig, given: Mapping[str, Any]) -> tuple[Method, Set
       ConfigError, PoolError, BankError: see `make_sampler`.
     """
     placement = config.placement
-    chosen = choose_method(
-        given["method"], config.pool, config.support, placement.num_objects, given["checkpoint"]
-    )
+    chosen = choose_method(given["method"], config.pool, given["checkpoint"])
     check_steered(chosen.name, placement)
     rules = rules_asked(chosen.name, placement.max_attempts, given)
     config = replace(config, placement=suited(replace(placement, **rules), chosen.checkpoint))

@@ -1,24 +1,19 @@
-"""Agents: networks bound to a world's objects, which PPO trains and a policy acts with, and their kinds."""
+"""Agents: networks bound to a world's objects, which PPO trains and a policy acts with."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
-import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.learning.networks import cloud_encoder
 from cluttergen_jax.learning.networks.actor_critic import ActorCritic
-from cluttergen_jax.learning.networks.config import AgentConfig, NetworkConfig
+from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.networks.distributions import ActionDistribution
 from cluttergen_jax.learning.networks.footprint import FootprintFeatures
-from cluttergen_jax.learning.networks.ranking import Ranker, RankerConfig
-from cluttergen_jax.learning.ppo.ppo import as_seen
-from cluttergen_jax.learning.ranking_env import RankingEnv
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.rules import Rules
@@ -27,63 +22,27 @@ from cluttergen_jax.types import Array
 Params = Any
 
 
-class Agent(struct.PyTreeNode, ABC, eq=False):
-    """A network that knows a world's point clouds.
-
-    A kind of agent says what its `network` is, and where needed how observations are prepared for it.
-
-    Attributes:
-      config: the network's sizes (`learning.networks.config.AgentConfig`).
-      cloud: f32[K, P, 3], every object's, object frames, metres.
-      half_extents: f32[K, 3], metres.
-      max_objects: the most objects that can stand at once.
-      region_side: of the larger regions to be expected, metres.
-    """
-
-    config: Any = struct.field(pytree_node=False)
-    cloud: Array
-    half_extents: Array
-    max_objects: int = struct.field(pytree_node=False)
-    region_side: float = struct.field(pytree_node=False, default=0.7)
-
-    @property
-    @abstractmethod
-    def network(self) -> nn.Module:
-        """The module; its parameters depend on sizes in the config alone, not on the world."""
-
-    def init(self, key: Array, observation: Any) -> Params:
-        """Fresh parameters; `observation` is one, or its shapes, without a leading axis."""
-        return jax.jit(self.network.init)(key, self.cloud, self.half_extents, blank_batch(observation))
-
-    def apply(self, params: Params, observation: Any) -> tuple[Any, Array]:
-        """The action distribution and the values f32[B] of observations with a leading axis B."""
-        return self.network.apply(params, self.cloud, self.half_extents, observation)
-
-    def encode(self, params: Params) -> Callable[[Any], Any]:
-        """A function that adds to observations with a leading axis what no later update changes.
-
-        `apply` then takes it from there, however often it is called with that observation.
-        """
-        return as_seen(params)
-
-
-def blank_batch(observation: Any) -> Any:
-    """Zeros of an observation's shapes, as a batch of one."""
-    return jax.tree.map(lambda leaf: jnp.zeros((1, *leaf.shape), leaf.dtype), observation)
-
-
 ENCODER = "encoder"
 """Where the weights of the two networks on clouds are."""
 
 
-class PoseAgent(Agent, eq=False):
-    """An actor-critic whose action is a pose, f32[4] (docs/contract.md).
+class Agent(struct.PyTreeNode, eq=False):
+    """An actor-critic that knows a world's point clouds; its action is a pose, f32[4] (docs/contract.md).
 
     Attributes:
+      config: the network's sizes.
+      cloud: f32[K, P, 3], every object's, object frames, metres.
+      half_extents: f32[K, 3], metres.
+      max_objects: the most objects that can stand at once.
+      region_side: of the larger regions to be expected, metres.
       room: the objects' footprints, where the network reads them; made here if not given.
     """
 
     config: NetworkConfig = struct.field(pytree_node=False)
+    cloud: Array
+    half_extents: Array
+    max_objects: int = struct.field(pytree_node=False)
+    region_side: float = struct.field(pytree_node=False, default=0.7)
     room: FootprintFeatures | None = None
 
     def __post_init__(self) -> None:
@@ -92,7 +51,7 @@ class PoseAgent(Agent, eq=False):
 
     @property
     def network(self) -> ActorCritic:
-        """See `Agent.network`."""
+        """The module; its parameters depend on sizes in the config alone, not on the world."""
         return ActorCritic(self.config, self.max_objects)
 
     @property
@@ -112,8 +71,8 @@ class PoseAgent(Agent, eq=False):
         )
 
     def init(self, key: Array, observation: Any) -> Params:
-        """See `Agent.init`."""
-        blank = blank_batch(observation)
+        """Fresh parameters; `observation` is one, or its shapes, without a leading axis."""
+        blank = jax.tree.map(lambda leaf: jnp.zeros((1, *leaf.shape), leaf.dtype), observation)
         if self.room is not None:
             blank |= {"room": jnp.zeros((1, *self.room.shape))}
         if not self.config.reads_clouds:
@@ -126,16 +85,18 @@ class PoseAgent(Agent, eq=False):
         return {"params": params | {ENCODER: weights}}
 
     def apply(self, params: Params, observation: Any) -> tuple[ActionDistribution, Array]:
-        """See `Agent.apply`."""
+        """The action distribution and the values f32[B] of observations with a leading axis B."""
         observation = self._with_room(observation)
         if self.config.reads_clouds and "encoded" not in observation:
             observation = self._encode(params)(observation)
-        return super().apply(params, observation)
+        return self.network.apply(params, self.cloud, self.half_extents, observation)
 
     def encode(self, params: Params) -> Callable[[Any], Any]:
-        """See `Agent.encode`: adds the room for the current object, and the features of a frozen encoder.
+        """A function that adds to observations with a leading axis what no later update changes.
 
-        Those of an encoder that learns change with every step.
+        That is the room for the current object, and the features of a frozen encoder; those of an encoder
+        that learns change with every step. `apply` takes it from there, however often it is called with that
+        observation.
         """
         if self.config.reads_clouds and self.config.encoder_frozen:
             encode = self._encode(params)
@@ -161,46 +122,14 @@ class PoseAgent(Agent, eq=False):
         return encode
 
 
-class RankingAgent(Agent, eq=False):
-    """A ranker whose action is the number of a candidate in the observation, i32."""
-
-    config: RankerConfig = struct.field(pytree_node=False)
-
-    @property
-    def network(self) -> Ranker:
-        """See `Agent.network`."""
-        return Ranker(self.config, self.max_objects)
-
-
-class Kind(NamedTuple):
-    """A kind of agent.
-
-    Attributes:
-      config: the class of its network's sizes.
-      agent: binds the network to a world.
-      env: whose observations it reads, and whose actions it chooses.
-    """
-
-    config: type[AgentConfig]
-    agent: type[Agent]
-    env: type[PlacementEnv]
-
-
-KINDS = {
-    "pose": Kind(NetworkConfig, PoseAgent, PlacementEnv),
-    "ranking": Kind(RankerConfig, RankingAgent, RankingEnv),
-}
-"""By the name that stands in a checkpoint's record (`AgentConfig.kind`)."""
-
-
-def make_agent(rules: Rules, network: AgentConfig) -> tuple[PlacementEnv, Agent]:
-    """The environment and the agent of the kind that `network` is of."""
-    kind, geometry = KINDS[network.kind], rules.geometry
-    agent = kind.agent(
+def make_agent(rules: Rules, network: NetworkConfig) -> tuple[PlacementEnv, Agent]:
+    """The agent of a network in a world, and the environment that shows it what it reads."""
+    geometry = rules.geometry
+    agent = Agent(
         network,
         geometry.cloud,
         geometry.half_extents,
         min(rules.num_slots, geometry.num_objects),
         region_side=2 * float(rules.region.half_extents.max()),
     )
-    return kind.env(rules, ObservationConfig(num_cells=network.num_cells_read)), agent
+    return PlacementEnv(rules, ObservationConfig(num_cells=network.num_cells_read)), agent

@@ -8,27 +8,23 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 from cluttergen_jax.assets.pool import without_exclusions
-from cluttergen_jax.config import VARIANTS, Setting
+from cluttergen_jax.config import VARIANTS, Setting, no_such
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
 from cluttergen_jax.learning.policies.guided import KIND, load_guided
-from cluttergen_jax.learning.policies.policy import FilteredPolicy, TrainedPolicy, load_policy
-from cluttergen_jax.placement.baselines import BASELINES, Clear, make_proposer
+from cluttergen_jax.learning.policies.policy import load_policy
+from cluttergen_jax.placement.baselines import BASELINES, make_proposer
 from cluttergen_jax.placement.config import MIN_MARGIN, RUIN_AFTER, PlacementConfig
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rules import Proposer, Rules
-from cluttergen_jax.placement.search import SearchConfig
 from cluttergen_jax.placement.setup import Setup
 
-FILTERED = "policy-clear"
-METHODS = (*BASELINES, *VARIANTS, FILTERED)
+METHODS = (*BASELINES, *VARIANTS)
 TRUSTED_METHODS = ("spread", "guided")
 """Those that ask what carries what, and that take objects away when they are stuck unless told otherwise."""
-DEFAULT_METHOD = "policy"
-FALLBACK_METHOD = "clear"
-GOOD_SUCCESS = 0.9
-"""Success, as its record tells it, from which an embedded policy is what a user gets unasked."""
+DEFAULT_METHOD, FALLBACK_METHOD = "guided", "spread"
+"""What a user gets unasked; the second where no checkpoint of the first is embedded."""
 SETTINGS = get_args(Setting)
 
 
@@ -39,33 +35,28 @@ class Method(NamedTuple):
     checkpoint: Checkpoint | None = None
 
 
-def choose_method(
-    method: str | None, pool: str, support: str, num_objects: int, checkpoint: str | Path | None = None
-) -> Method:
-    """The method of that name, the one that fits the problem best if none is named; records are read once.
+def choose_method(method: str | None, pool: str, checkpoint: str | Path | None = None) -> Method:
+    """The method of that name, or the one to take if none is named; records are read once.
 
     Args:
-      method: None takes the given checkpoint's own; without one, `policy` where one is embedded that was
-        trained for this pool on this support with at least as many objects, and that fills most scenes;
-        else `clear`.
+      method: None takes the given checkpoint's own; without one `guided`, or `spread` where no checkpoint of
+        `guided` is embedded.
       checkpoint: a policy's folder; the embedded one if None.
 
     Raises:
       ConfigError: there is no such method, or the given checkpoint is of another.
       PoolError: no checkpoint is embedded for it, or there is none in the given folder.
     """
-    given = None if checkpoint is None else read_checkpoint(Path(checkpoint))
-    if method is None and given is not None:
-        method = given.variant or DEFAULT_METHOD
     if method is not None:
-        return Method(method, checkpoint_of(method, pool, given))
-    embedded = list_policies().get(f"{without_exclusions(pool)}-{DEFAULT_METHOD}")
-    if embedded is None:
-        return Method(FALLBACK_METHOD)
-    found = read_checkpoint(embedded)
-    is_trained = found.record.get("support") == support and num_objects <= found.placement["num_objects"]
-    is_good = found.record.get("evaluation", {}).get("success", 0.0) >= GOOD_SUCCESS
-    return Method(DEFAULT_METHOD, found) if is_trained and is_good else Method(FALLBACK_METHOD)
+        _check_known(method)
+    given = None if checkpoint is None else read_checkpoint(Path(checkpoint))
+    if method is None:
+        method = _default() if given is None else given.variant or "policy"
+    return Method(method, checkpoint_of(method, pool, given))
+
+
+def _default() -> str:
+    return DEFAULT_METHOD if DEFAULT_METHOD in list_policies() else FALLBACK_METHOD
 
 
 def rules_asked(method: str | None, max_attempts: int, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -106,31 +97,32 @@ def checkpoint_of(method: str, pool: str, given: Checkpoint | None = None) -> Ch
       ConfigError: there is no such method, or the given checkpoint is of another.
       PoolError: no checkpoint is embedded for it.
     """
-    if method not in METHODS:
-        raise ConfigError(
-            f"method {method!r}", ", ".join(METHODS), "method='clear'", closest(method, METHODS)
-        )
+    _check_known(method)
     if method in BASELINES:
         if given is not None:
             raise ConfigError(f"`checkpoint` with method {method!r}, which has none", ", ".join(VARIANTS))
         return None
     if given is None:
-        name = DEFAULT_METHOD if method == FILTERED else method
-        return read_checkpoint(find_policy(name, without_exclusions(pool)))
+        return read_checkpoint(find_policy(method, without_exclusions(pool)))
     _check_variant(method, given)
     return given
 
 
+def _check_known(method: str, what: str = "method") -> None:
+    if method not in METHODS:
+        raise no_such(what, method, METHODS)
+
+
 def _check_variant(method: str, given: Checkpoint) -> None:
-    """Refuses a checkpoint of another method; the geometric filter takes every policy of poses."""
+    """Refuses a checkpoint of another method, or of one that was removed."""
     variant = given.variant or method
-    if variant == method or (method == FILTERED and given.kind == "pose"):
-        return
-    raise ConfigError(
-        f"method {method!r} with {given.path}, which was trained as {variant!r}",
-        "a policy of poses" if method == FILTERED else f"method {variant!r}",
-        f"method={variant!r}",
-    )
+    _check_known(variant, f"{given.path}, a checkpoint of method")
+    if variant != method:
+        raise ConfigError(
+            f"method {method!r} with {given.path}, which was trained as {variant!r}",
+            f"method {variant!r}",
+            f"method={variant!r}",
+        )
 
 
 def suited(placement: PlacementConfig, checkpoint: Checkpoint | None) -> PlacementConfig:
@@ -158,20 +150,13 @@ def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Pro
     """The method, bound to a world.
 
     Raises:
-      ConfigError: the geometric filter is asked for around a policy that ranks candidates already.
+      PoolError, ConfigError: its checkpoint cannot be read, or is of another problem.
     """
     if checkpoint is None:
         return make_proposer(method, rules)
     if checkpoint.kind == KIND:
         return load_guided(checkpoint, rules)
-    policy = load_policy(checkpoint, rules)
-    if method != FILTERED:
-        return policy
-    if checkpoint.kind != "pose":
-        raise ConfigError(
-            f"method {FILTERED!r} with {checkpoint.path}, which ranks candidates", "a policy of poses"
-        )
-    return make_filtered(policy, rules)
+    return load_policy(checkpoint, rules)
 
 
 def sampler_of(setup: Setup, method: Method) -> BlockSampler:
@@ -183,10 +168,3 @@ def sampler_of(setup: Setup, method: Method) -> BlockSampler:
     rules = setup.problem.rules
     rules = replace(rules, config=suited(rules.config, method.checkpoint))
     return BlockSampler(rules, proposer_of(*method, rules), setup.keep_out, setup.start)
-
-
-def make_filtered(policy: TrainedPolicy, rules: Rules) -> FilteredPolicy:
-    """Draws of a policy, filtered by the geometry that `clear` uses."""
-    num_draws = FilteredPolicy.num_draws
-    search = SearchConfig(num_candidates=num_draws, num_finalists=num_draws // 2)
-    return FilteredPolicy(policy, Clear(rules, search))

@@ -93,7 +93,7 @@ class PlacementEnv(Env):
     def step(self, state: State, action: Array) -> State:
         """One attempt with `action`, f32[4] in (0, 1)."""
         before: Ongoing = state.pipeline_state
-        after, transition = self.rules.attempt(before.episode, self.pose_of(state.obs, action))
+        after, transition = self.rules.attempt(before.episode, action)
         ends = after.is_over & ~before.episode.is_over
         ongoing = before.replace(
             episode=after,
@@ -134,11 +134,6 @@ class PlacementEnv(Env):
     def observe(self, episode: Episode) -> dict[str, Any]:
         """The observation of an episode (`placement.observation.observe`)."""
         return observe(self.rules, episode, self.observation)
-
-    def pose_of(self, observation: dict[str, Any], action: Array) -> Array:
-        """The pose f32[4] that an action on an observation means: here the action itself."""
-        del observation
-        return action
 
     @property
     def observation_size(self) -> dict[str, Any]:

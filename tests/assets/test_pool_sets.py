@@ -76,12 +76,8 @@ def test_names_without_folders():
 
 
 def test_part_of_a_pool_has_its_policy():
-    for method in (None, "policy"):
-        (name, part), (_, whole) = (
-            choose_method(method, pool, "table", 9) for pool in ("dining~mug", "dining")
-        )
-        assert name == "policy"
-        assert part.path == whole.path
+    part, whole = (choose_method("policy", pool).checkpoint for pool in ("dining~mug", "dining"))
+    assert part.path == whole.path
 
 
 @pytest.mark.slow

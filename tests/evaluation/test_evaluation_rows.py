@@ -91,6 +91,31 @@ def test_whole_attempts_change_steps_and_no_verdict(runner):
     assert cut.attempts.steps.max() <= 60
 
 
+def test_a_trusted_method_acts_where_nothing_is_taken_away(runner):
+    trial = dataclasses.replace(SMALL, method="spread")
+    assert trial.ruin_after == 0
+    sampler = runner.sampler(runner.resolve(trial))
+    pose = jax.eval_shape(lambda key: sampler.propose(key, sampler.rules.begin(key)), jax.random.key(0))
+    assert pose.shape == (4,)
+
+
+def test_what_trains_guided_names_no_pool(runner, tmp_path):
+    trial = dataclasses.replace(SMALL, method="guided", training_seed=3)
+    elsewhere = Runner(Store(tmp_path / "rows"), Checkpoints(folder=tmp_path))
+    assert elsewhere.row(trial)["hint"] == "cluttergen train --variant guided --seed 3"
+    for name in ("guided-3", "guided"):
+        policy = tmp_path / name / "policy"
+        policy.mkdir(parents=True)
+        record = {"format": 1, "network": {}, "placement": {"max_attempts": 5, "history_stride": 0}}
+        (policy / "record.json").write_text(json.dumps(record))
+        (policy / "weights.npz").write_bytes(b"weights")
+    found = Checkpoints(folder=tmp_path)
+    assert found.find(trial).path == tmp_path / "guided-3" / "policy"
+    # A folder without a seed is of the first one.
+    first = dataclasses.replace(trial, training_seed=0)
+    assert found.find(first).path == tmp_path / "guided" / "policy"
+
+
 def test_changed_regions_are_where_objects_go(runner):
     trial = dataclasses.replace(SMALL, support="table-1.40x1.40", region=(0.2, 0.2), change="translation")
     episode = runner.setup(runner.resolve(trial)).rules.begin(jax.random.key(4))
@@ -110,7 +135,7 @@ def test_missing_checkpoints_are_rows_of_their_own(runner, tmp_path):
     assert "--attempts 3 --out runs/study-policy-attempts3-0" in elsewhere.row(other)["hint"]
     # A given checkpoint is no other method's.
     given = Runner(Store(tmp_path / "given"), Checkpoints(path=list_policies()["dining-normal"]))
-    assert given.checkpoints.find(dataclasses.replace(SMALL, method="policy-clear")) is not None
+    assert given.checkpoints.find(dataclasses.replace(SMALL, method="normal")) is not None
     with pytest.raises(MissingCheckpointError, match="trained as 'normal'"):
         given.checkpoints.find(dataclasses.replace(SMALL, method="policy"))
     with pytest.raises(ConfigError, match="folder of training runs"):

@@ -18,8 +18,7 @@ from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError, PoolError
-from cluttergen_jax.learning.methods import FALLBACK_METHOD, choose_method, suited
-from cluttergen_jax.learning.policies.checkpoint import Checkpoint
+from cluttergen_jax.learning.methods import choose_method, suited
 from cluttergen_jax.learning.policies.embedded import list_policies
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.region import KeepOut, make_region
@@ -325,56 +324,31 @@ def test_what_a_call_cannot_take_is_refused(sample, asked, says):
         sample(jax.random.key(0), **asked)
 
 
-def default_method(*args):
-    """The method's name where none is asked for; a policy comes with its checkpoint."""
-    method, checkpoint = choose_method(None, *args)
-    assert (checkpoint is None) == (method == FALLBACK_METHOD)
-    return method
+def test_the_default_method_is_the_same_for_every_pool(monkeypatch):
+    for embedded, expected in (
+        ({"guided": Path("guided")}, "guided"),
+        ({"dining-policy": Path("p")}, "spread"),
+    ):
+        monkeypatch.setattr("cluttergen_jax.learning.methods.list_policies", lambda found=embedded: found)
+        monkeypatch.setattr(
+            "cluttergen_jax.learning.methods.checkpoint_of", lambda method, pool, given: given
+        )
+        assert [choose_method(None, pool).name for pool in ("dining", "all", "mine")] == [expected] * 3
 
 
-def test_the_default_method_follows_what_is_embedded(pool, monkeypatch):
-    assert default_method(pool, "table", 2) == FALLBACK_METHOD
-    assert default_method("dining", "table", 10) == "policy"
-    # An embedded policy is for the support and the number of objects that it was trained with.
-    assert default_method("dining", "table", 4) == "policy"
-    assert default_method("dining", "table", 11) == FALLBACK_METHOD
-    assert default_method("dining", "table-0.30x0.40", 10) == FALLBACK_METHOD
-    # A given checkpoint brings its own method.
-    assert default_method("dining", "table-0.30x0.40", 40, str(list_policies()["dining-ranked"])) == "ranked"
-    success = {"dining": 0.97, "kitchen": 0.4}
-    embedded = {f"{name}-policy": name for name in (*success, "office")}
-    monkeypatch.setattr("cluttergen_jax.learning.methods.list_policies", lambda: embedded)
-
-    def stored(name):
-        evaluation = {"evaluation": {"success": success[name]}} if name in success else {}
-        return Checkpoint(Path(name), {"support": "table", "placement": {"num_objects": 10}, **evaluation})
-
-    monkeypatch.setattr("cluttergen_jax.learning.methods.read_checkpoint", stored)
-    assert default_method("dining", "table", 10) == "policy"
-    # A poor policy, one that was not evaluated, and none.
-    assert [default_method(name, "table", 10) for name in ("kitchen", "office", "study")] == [
-        FALLBACK_METHOD
-    ] * 3
-
-
-def path_of(method, checkpoint):
-    """The folder of the checkpoint behind a method on dining."""
-    return choose_method(method, "dining", "table", 10, checkpoint)[1].path
+def test_a_checkpoint_brings_its_own_method():
+    folder = list_policies()["dining-normal"]
+    assert choose_method(None, "dining", folder).name == "normal"
 
 
 @pytest.mark.parametrize(
-    ("method", "trained"), [("policy", "ranked"), ("normal", "policy"), ("policy-clear", "ranked")]
+    ("method", "trained"), [("policy", "normal"), ("normal", "policy"), ("guided", "policy")]
 )
 def test_a_checkpoint_of_another_method_is_refused(method, trained):
     folder = list_policies()[f"dining-{trained}"]
     with pytest.raises(ConfigError, match=f"method={trained!r}"):
-        path_of(method, str(folder))
-    assert path_of(trained, folder) == folder
-
-
-def test_the_filter_takes_every_policy_of_poses():
-    normal = list_policies()["dining-normal"]
-    assert path_of("policy-clear", normal) == normal
+        choose_method(method, "dining", str(folder))
+    assert choose_method(trained, "dining", folder).checkpoint.path == folder
 
 
 def test_a_samplers_record_is_read_once(monkeypatch):
@@ -385,9 +359,9 @@ def test_a_samplers_record_is_read_once(monkeypatch):
         return read(path, *args, **kwargs)
 
     monkeypatch.setattr(Path, "read_text", noted)
-    method, checkpoint = choose_method(None, "dining", "table", 10)
+    method, checkpoint = choose_method("policy", "dining")
     assert suited(PlacementConfig(), checkpoint).history_stride == checkpoint.placement["history_stride"]
-    assert checkpoint.kind == checkpoint.network.kind == "pose"
+    assert checkpoint.kind == "pose"
     assert (method, opened.count("record.json")) == ("policy", 1)
 
 

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 
 HERE = Path(__file__).parent
 COLUMNS = ("index", "is_success", "object_index", "poses", "attempts", "steps", "verdict")
-METHODS = ("random", "clear", "drop", "policy", "ranked")
+METHODS = ("random", "clear", "drop", "policy")
 
 
 def digest(method: str, pool: str, support: str) -> str:
@@ -26,8 +26,6 @@ def digest(method: str, pool: str, support: str) -> str:
         command = [sys.executable, "-m", "cluttergen_jax", "generate", "--out", f"{folder}/bank", "-n", "64"]
         command += ["--max-files", "0", "--setting", "paper"]
         command += ["--pool", pool, "--support", support, "--method", method]
-        if method == "ranked":
-            command += ["--checkpoint", str(HERE.parents[1] / "scenes" / "checkpoints" / "dining-ranked")]
         subprocess.run(command, check=True, capture_output=True)
         found = hashlib.sha256()
         for file in sorted(Path(folder, "bank").glob("scenes-*.parquet")):

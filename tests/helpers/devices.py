@@ -51,14 +51,14 @@ def probe() -> None:
 
 def real() -> None:
     """Three objects in MuJoCo's C engine, which is called from both devices."""
-    from cluttergen_jax.learning.agents import PoseAgent
+    from cluttergen_jax.learning.agents import Agent
     from cluttergen_jax.learning.ppo.ppo import PPOConfig
     from tests.helpers.problems import trio_problem
     from tests.helpers.runs import SMALL
 
     problem = trio_problem(history_stride=12, reward="compressed")
     geometry = problem.rules.geometry
-    net = PoseAgent(SMALL, geometry.cloud, geometry.half_extents, 3)
+    net = Agent(SMALL, geometry.cloud, geometry.half_extents, 3)
     env = PlacementEnv(problem.rules)
     ppo = PPO(env, net.apply, PPOConfig(num_envs=8, num_steps=8, num_minibatches=2, num_epochs=2))
     params = net.init(jax.random.key(0), jax.eval_shape(env.reset, jax.random.key(0)).obs)

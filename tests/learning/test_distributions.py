@@ -10,7 +10,6 @@ from cluttergen_jax.learning.networks.distributions import (
     EDGE,
     HEADS,
     Beta,
-    Categorical,
     Mixture,
     TruncatedNormal,
 )
@@ -135,16 +134,6 @@ def test_mixture_is_finite_at_the_edges():
         mixture = mixture_of(SCORES * scale)
         for action in (jnp.zeros(4), jnp.ones(4)):
             assert np.isfinite(mixture.log_prob(action))
-
-
-def test_categorical_matches_scipy():
-    dist = Categorical(jax.nn.log_softmax(SCORES.reshape(5, 15)))
-    weights = np.exp(np.asarray(dist.logits, np.float64))
-    np.testing.assert_allclose(dist.entropy(), scipy.stats.entropy(weights, axis=-1), atol=1e-5)
-    np.testing.assert_allclose(
-        dist.log_prob(jnp.arange(5)), np.log(weights[np.arange(5), np.arange(5)]), atol=1e-5
-    )
-    assert (dist.mean() == weights.argmax(-1)).all()
 
 
 def test_beta_has_its_mode_inside():

@@ -11,7 +11,7 @@ from scipy.spatial.distance import pdist
 
 from cluttergen_jax.assets.cloud import farthest_first
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.learning.agents import PoseAgent
+from cluttergen_jax.learning.agents import Agent
 from cluttergen_jax.learning.networks import cloud_encoder, pointnet2
 from cluttergen_jax.learning.networks.actor_critic import NetworkConfig
 from cluttergen_jax.learning.networks.cloud_encoder import CloudEncoder, CloudNet, encode_scenes, init_encoder
@@ -254,7 +254,7 @@ def test_frozen_weights_keep_their_bits_through_an_update():
     config = dataclasses.replace(SMALL, scene_encoder="pointnet", encoder_frozen=True)
     rules = made_up_rules(history_stride=12, reward="compressed")
     geometry = rules.geometry.replace(cloud=jnp.tile(world()[0], (2, 1, 1))[:6])
-    agent = PoseAgent(config, geometry.cloud, geometry.half_extents, 4)
+    agent = Agent(config, geometry.cloud, geometry.half_extents, 4)
     numbers = PPOConfig(num_envs=4, num_steps=4, num_minibatches=2, num_epochs=2, num_attempts=64)
     ppo = PPO(PlacementEnv(rules), agent.apply, numbers, encode=agent.encode)
     observation = jax.eval_shape(ppo.env.reset, jax.random.key(0)).obs
@@ -270,7 +270,7 @@ def test_frozen_encoders_get_no_gradient_and_keep_their_features(kind, is_frozen
     config = dataclasses.replace(
         SMALL, scene_encoder=kind, history_width=0, encoder_frozen=is_frozen, token_width=8
     )
-    agent = PoseAgent(config, *world(), NUM_OBJECTS)
+    agent = Agent(config, *world(), NUM_OBJECTS)
     seen = scenes(3) | {"focus": jnp.array([0, 2, 1])}
     params = agent.init(jax.random.key(0), jax.tree.map(lambda leaf: leaf[0], seen))
 
@@ -292,7 +292,7 @@ def test_frozen_encoders_get_no_gradient_and_keep_their_features(kind, is_frozen
 def test_renumbering_the_objects_leaves_actions_unchanged(kind):
     config = dataclasses.replace(SMALL, scene_encoder=kind, history_width=0, token_width=8)
     clouds, half = world()
-    agent = PoseAgent(config, clouds, half, NUM_OBJECTS)
+    agent = Agent(config, clouds, half, NUM_OBJECTS)
     seen = scenes(3) | {"focus": jnp.array([0, 2, 1])}
     params = agent.init(jax.random.key(0), jax.tree.map(lambda leaf: leaf[0], seen))
     order = jnp.array([3, 0, 1, 2])
@@ -304,7 +304,7 @@ def test_renumbering_the_objects_leaves_actions_unchanged(kind):
 
     @jax.jit
     def act(clouds, half, seen):
-        dist, value = PoseAgent(config, clouds, half, NUM_OBJECTS).apply(params, seen)
+        dist, value = Agent(config, clouds, half, NUM_OBJECTS).apply(params, seen)
         return dist.mean(), value
 
     one, two = act(clouds, half, seen), act(clouds[order], half[order], renumbered)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.learning.agents import PoseAgent
+from cluttergen_jax.learning.agents import Agent
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.policies.policy import load_policy
@@ -79,7 +79,7 @@ def test_weights_of_another_network_are_refused(trained):
     other = NetworkConfig(width=24, num_layers=2)
     rules = made_up_rules(history_stride=12)
     geometry = rules.geometry
-    agent = PoseAgent(other, geometry.cloud, geometry.half_extents, 4)
+    agent = Agent(other, geometry.cloud, geometry.half_extents, 4)
     seen = jax.eval_shape(PlacementEnv(rules).reset, jax.random.key(0)).obs
     with pytest.raises(PoolError, match="another network"):
         read_policy(trained[0] / "policy", agent.init(jax.random.key(0), seen))
@@ -100,7 +100,7 @@ def test_renumbering_the_objects_leaves_actions_unchanged():
     for _ in range(2):
         episode, _ = rules.attempt(episode, jnp.array([0.9, 0.4, 0.5, 0.1]))
     seen = jax.tree.map(lambda leaf: leaf[None], observe(rules, episode, ObservationConfig()))
-    agent = PoseAgent(SMALL, cloud, half, 4)
+    agent = Agent(SMALL, cloud, half, 4)
     params = agent.init(jax.random.key(1), jax.tree.map(lambda leaf: leaf[0], seen))
     order = jnp.array([3, 0, 5, 1, 4, 2])
     new_number = jnp.argsort(order)
@@ -110,6 +110,6 @@ def test_renumbering_the_objects_leaves_actions_unchanged():
         "T_region_object": seen["T_region_object"][:, order],
     }
     one = agent.apply(params, seen)
-    two = PoseAgent(SMALL, cloud[order], half[order], 4).apply(params, renumbered)
+    two = Agent(SMALL, cloud[order], half[order], 4).apply(params, renumbered)
     np.testing.assert_allclose(one[0].mean(), two[0].mean(), atol=1e-5)
     np.testing.assert_allclose(one[1], two[1], atol=1e-5)

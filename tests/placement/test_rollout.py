@@ -10,7 +10,6 @@ import pytest
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.learning.agents import make_agent
-from cluttergen_jax.learning.networks.ranking import RankerConfig
 from cluttergen_jax.learning.policies.policy import make_policy
 from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.changes import ChangedRegion, find_change
@@ -22,7 +21,6 @@ from tests.helpers.runs import SMALL
 NETWORKS = {
     "policy": SMALL,
     "mixture": dataclasses.replace(SMALL, head="mixture"),
-    "ranked": RankerConfig(),
 }
 PHYSICS = HalfTable()
 PLACE, ALL = np.arange(8), np.ones(8, bool)
@@ -58,7 +56,7 @@ def compiled():
     jax.monitoring.clear_event_listeners()
 
 
-SLOW = {"mixture", "ranked"}
+SLOW = {"mixture"}
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ import cluttergen_jax as cg
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.support_file import read_support, support_hash
+from cluttergen_jax.learning.methods import proposer_of
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.policies.embedded import list_policies
-from cluttergen_jax.learning.policies.policy import load_policy
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.scene.bank import read_bank
@@ -61,5 +61,5 @@ def test_a_bank_reads_stands_and_resets():
 @pytest.mark.parametrize("name", sorted(list_policies()))
 def test_a_shipped_checkpoint_loads(name, problem):
     checkpoint = read_checkpoint(list_policies()[name])
-    assert checkpoint.kind == ("ranking" if name.endswith("ranked") else "pose")
-    assert load_policy(checkpoint, problem.rules) is not None
+    assert checkpoint.kind == ("stability" if name == "guided" else "pose")
+    assert proposer_of(checkpoint.variant, checkpoint, problem.rules) is not None

@@ -22,7 +22,7 @@ class LiveConfig:
 
     Attributes:
       pool: a pool's name or folder; a checkpoint's own if one is given.
-      method: random, clear, drop, or a trained policy; the checkpoint's own, else drop.
+      method: as `generate` takes it; the checkpoint's own, else drop.
       num_objects: all of the pool's (40 at most) if not given.
       support: a support's name or folder.
     """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +11,8 @@ import numpy as np
 from cluttergen_jax.assets.rectangle_text import recorded_rectangle
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.learning.methods import Method, checkpoint_of, sampler_of
-from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
+from cluttergen_jax.learning.methods import Method, choose_method, sampler_of
+from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig
@@ -65,6 +64,7 @@ def replay_context_of(bank: Bank) -> ReplayContext:
     Raises:
       BankError: the bank does not say how it was made, or the bank that it started from is gone.
       PoolError: its checkpoint is gone.
+      ConfigError: its method was removed since.
     """
     recipe = bank.record.get("recipe") or {}
     try:
@@ -74,13 +74,12 @@ def replay_context_of(bank: Bank) -> ReplayContext:
         boxes = recipe.get("keep_out", ())
     except (KeyError, TypeError, ValueError) as error:
         raise BankError(f"{bank.path}: how it was made is not recorded whole ({error})") from error
+    trained = choose_method(method, pool, checkpoint).checkpoint
     standing = read_start(recipe.get("start"))
     num_placed = len(names) - (len(standing[0]) if standing else 0)
     objects = [bank.object(base_name(name)) for name in names[:num_placed]]
     keep_out = [recorded_rectangle(entry) for entry in boxes]
     setup = make_setup(config, keep_out, standing, (objects, bank.support))
-    given = None if checkpoint is None else read_checkpoint(Path(checkpoint))
-    trained = checkpoint_of(method, pool, given)
     return ReplayContext(setup, {} if trained is None else {method: trained})
 
 

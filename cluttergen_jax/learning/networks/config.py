@@ -1,47 +1,24 @@
-"""Sizes and kinds of the networks."""
+"""Sizes of the network that proposes poses."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, get_args
+from typing import get_args
 
 from cluttergen_jax.config import Encoder
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.networks.distributions import HEADS
 from cluttergen_jax.placement.clouds import MAX_POINTS
 
+KIND = "pose"
+"""Of these networks, as a checkpoint's record names it."""
 MIXTURE = "mixture"
 SCENE_ENCODERS = get_args(Encoder)
 _POSITIVE = ("object_points", "object_features", "scene_features", "num_centroids", "group_size")
 
 
 @dataclass(frozen=True)
-class AgentConfig:
-    """The sizes of an agent's network; each kind of agent has a class of its own.
-
-    Attributes:
-      kind: the agent's, as a checkpoint's record names it (`learning.agents.KINDS`).
-      is_sampled: whether its actions are drawn where nothing else is asked for; else the mean is taken.
-      reads_history: whether it reads failed attempts from the observation.
-    """
-
-    kind: ClassVar[str]
-    is_sampled: ClassVar[bool]
-    reads_history: ClassVar[bool] = False
-
-    @property
-    def num_cells_read(self) -> int:
-        """Cells along each side of the height grid that observations must hold; 0 if none is read."""
-        return 0
-
-    def with_attempts(self, number: int) -> AgentConfig:
-        """The sizes for objects that may be tried so often."""
-        del number
-        return self
-
-
-@dataclass(frozen=True)
-class NetworkConfig(AgentConfig):
+class NetworkConfig:
     """Sizes of the network that proposes poses.
 
     Attributes:
@@ -71,10 +48,6 @@ class NetworkConfig(AgentConfig):
       history_length: how many of the latest attempts are read (variant `short_memory`: 1).
       num_layers, width: of actor and critic (paper: 5 of 256).
     """
-
-    kind: ClassVar[str] = "pose"
-    is_sampled: ClassVar[bool] = True
-    reads_history: ClassVar[bool] = True
 
     head: str = "beta"
     num_cells: int = 20
@@ -114,7 +87,7 @@ class NetworkConfig(AgentConfig):
 
     @property
     def num_cells_read(self) -> int:
-        """See `AgentConfig`."""
+        """Cells along each side of the height grid that observations must hold; 0 if none is read."""
         return self.num_cells if self.head == MIXTURE else 0
 
     @property

@@ -222,30 +222,4 @@ class Mixture(struct.PyTreeNode):
         return jnp.log(self.side**2 * self.num_turns) - jnp.log(self.width)
 
 
-class Categorical(struct.PyTreeNode):
-    """A choice among M.
-
-    Attributes:
-      logits: f32[..., M], normalised.
-    """
-
-    logits: Array
-
-    def sample(self, key: Array) -> Array:
-        """One draw, i32[...]."""
-        return jax.random.categorical(key, self.logits)
-
-    def mean(self) -> Array:
-        """i32[...]: the likeliest, the deterministic action."""
-        return jnp.argmax(self.logits, axis=-1)
-
-    def log_prob(self, action: Array) -> Array:
-        """f32[...]."""
-        return jnp.take_along_axis(self.logits, action[..., None], axis=-1)[..., 0]
-
-    def entropy(self) -> Array:
-        """f32[...], nats."""
-        return -jnp.sum(jnp.exp(self.logits) * self.logits, axis=-1)
-
-
 HEADS: dict[str, type[Beta] | type[TruncatedNormal]] = {"beta": Beta, "normal": TruncatedNormal}

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.learning.agents import KINDS
-from cluttergen_jax.learning.networks.config import AgentConfig
+from cluttergen_jax.learning.networks.config import KIND, NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 
 _TRAINED = ("max_attempts", "history_stride")
@@ -41,23 +40,23 @@ class Checkpoint:
 
     @property
     def kind(self) -> str:
-        """Of its agent. Records of before kinds were written down are known by their network's sizes."""
-        sizes = self.record["network"].keys()
-        fitting = (
-            name for name, kind in KINDS.items() if sizes <= {each.name for each in fields(kind.config)}
-        )
-        return self.record.get("kind") or next(fitting, "pose")
+        """Of its network. Records of before kinds were written down are of poses."""
+        return self.record.get("kind", KIND)
 
     @cached_property
-    def network(self) -> AgentConfig:
-        """The sizes of its network.
+    def network(self) -> NetworkConfig:
+        """The sizes of its network, one that proposes poses.
 
         Raises:
-          PoolError: the record names a kind, or sizes, that this version does not know.
+          PoolError: it is of another kind, or the record names sizes that this version does not know.
         """
+        if self.kind != KIND:
+            raise PoolError(
+                f"{self.path} holds a network of kind {self.kind!r}, and no policy of poses", hint=_HINT
+            )
         try:
-            return KINDS[self.kind].config(**self.record["network"])
-        except (KeyError, TypeError) as error:
+            return NetworkConfig(**self.record["network"])
+        except TypeError as error:
             raise PoolError(
                 f"{self.path / 'record.json'} does not say what network it holds ({error})", hint=_HINT
             ) from error

@@ -28,8 +28,9 @@ def find_policy(variant: str, pool: str) -> Path:
     name = variant if variant in FOR_ANY_POOL else f"{pool}-{variant}"
     if name in policies:
         return policies[name]
+    of_pool = "" if variant in FOR_ANY_POOL else f" --pool {pool}"
     raise PoolError(
         f"no checkpoint for method {variant!r} on pool {pool!r}",
         ", ".join(policies) or "none is embedded",
-        f"cluttergen train --pool {pool} --variant {variant}, then --checkpoint runs/{name}-0/policy",
+        f"cluttergen train{of_pool} --variant {variant}, then --checkpoint runs/{name}-0/policy",
     )

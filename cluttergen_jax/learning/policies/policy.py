@@ -1,4 +1,4 @@
-"""Trained policies as proposers: an agent with its weights in a world, alone or filtered by geometry."""
+"""Trained policies as proposers: an agent with its weights in a world."""
 
 from __future__ import annotations
 
@@ -12,23 +12,20 @@ from flax import struct
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.agents import Agent, make_agent
-from cluttergen_jax.learning.networks.config import AgentConfig
+from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.learning.ppo.checkpoint import read_policy
 from cluttergen_jax.placement.env import PlacementEnv
-from cluttergen_jax.placement.region import action_scale
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search import Search
-from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
 
 class TrainedPolicy(struct.PyTreeNode, eq=False):
-    """A proposer that draws from an agent's distribution, or takes its mean (of candidates, the likeliest).
+    """A proposer that draws from an agent's distribution, or takes its mean.
 
     Attributes:
-      env: shows episodes to the agent, and turns its actions into poses.
+      env: shows episodes to the agent.
       agent, params: the network and its weights.
       is_sampled: draw actions; else take the mean.
       num_attempts: how many failed attempts the agent reads; those that the rules do not allow are empty.
@@ -42,28 +39,17 @@ class TrainedPolicy(struct.PyTreeNode, eq=False):
 
     def __call__(self, key: Array, episode: Episode) -> Array:
         """See `placement.rules.Proposer`."""
-        seen = self.observe(episode)
-        dist = self._distribution(seen)
-        return self.env.pose_of(seen, dist.sample(key) if self.is_sampled else dist.mean())
-
-    def draw(self, key: Array, episode: Episode, number: int) -> Array:
-        """Many poses for the same attempt, f32[number, 4]."""
-        seen = self.observe(episode)
-        actions = jax.vmap(self._distribution(seen).sample)(jax.random.split(key, number))
-        return jax.vmap(lambda action: self.env.pose_of(seen, action))(actions)
+        seen = jax.tree.map(lambda leaf: leaf[None], self.observe(episode))
+        dist = jax.tree.map(lambda leaf: leaf[0], self.agent.apply(self.params, seen)[0])
+        return dist.sample(key) if self.is_sampled else dist.mean()
 
     def observe(self, episode: Episode) -> dict[str, Any]:
         """What the agent sees of an episode."""
         seen = self.env.observe(episode)
         missing = self.num_attempts - self.env.rules.config.max_attempts
-        if missing == 0 or "history" not in seen:
+        if missing == 0:
             return seen
         return seen | {"history": jax.tree.map(lambda rows: _padded(rows, missing), seen["history"])}
-
-    def _distribution(self, seen: dict[str, Any]) -> Any:
-        """Over the actions of one attempt."""
-        dist, _ = self.agent.apply(self.params, jax.tree.map(lambda leaf: leaf[None], seen))
-        return jax.tree.map(lambda leaf: leaf[0], dist)
 
 
 def _padded(rows: Array, missing: int) -> Array:
@@ -71,20 +57,18 @@ def _padded(rows: Array, missing: int) -> Array:
 
 
 def make_policy(
-    rules: Rules, network: AgentConfig, params: Any = None, is_sampled: bool | None = None
+    rules: Rules, network: NetworkConfig, params: Any = None, is_sampled: bool = True
 ) -> TrainedPolicy:
     """A policy with given weights; with other weights it is `dataclasses.replace(policy, params=...)`.
 
     Args:
-      is_sampled: draw actions, or take the distribution's mean; the kind's own habit if None: poses are
-        drawn, and of candidates the best is taken.
+      is_sampled: draw actions; else take the distribution's mean.
     """
     env, agent = make_agent(rules, network)
-    is_sampled = network.is_sampled if is_sampled is None else is_sampled
     return TrainedPolicy(env, agent, params, is_sampled, rules.config.max_attempts)
 
 
-def load_policy(checkpoint: Checkpoint, rules: Rules, is_sampled: bool | None = None) -> TrainedPolicy:
+def load_policy(checkpoint: Checkpoint, rules: Rules, is_sampled: bool = True) -> TrainedPolicy:
     """A policy with the weights of a checkpoint.
 
     Args:
@@ -96,9 +80,8 @@ def load_policy(checkpoint: Checkpoint, rules: Rules, is_sampled: bool | None = 
       ConfigError: the world's history is not what the policy reads. Fewer attempts are; more are not.
     """
     policy = make_policy(rules, checkpoint.network, None, is_sampled)
-    if checkpoint.network.reads_history:
-        _check_history(checkpoint.placement, rules)
-        policy = replace(policy, num_attempts=checkpoint.placement["max_attempts"])
+    _check_history(checkpoint.placement, rules)
+    policy = replace(policy, num_attempts=checkpoint.placement["max_attempts"])
     # Only shapes are needed: drawing fresh parameters would take longer to compile than acting does.
     seen = jax.eval_shape(lambda: policy.observe(rules.begin(jax.random.key(0))))
     shapes = jax.eval_shape(policy.agent.init, jax.random.key(0), seen)
@@ -120,28 +103,3 @@ def _check_history(trained: dict[str, Any], rules: Rules) -> None:
             f"history_stride = {rules.config.history_stride} with a policy trained with {stride}",
             f"history_stride = {stride}",
         )
-
-
-class FilteredPolicy(struct.PyTreeNode, eq=False):
-    """Many draws from a policy, lowered vertically to first contact; the cheapest by a search's cost.
-
-    The policy says where and how turned; how high follows from what lies below.
-
-    Attributes:
-      policy: draws poses.
-      search: says what is cheap, with `clear`'s cost for instance.
-      num_draws: how many.
-    """
-
-    policy: TrainedPolicy
-    search: Search
-    num_draws: int = struct.field(pytree_node=False, default=64)
-
-    def __call__(self, key: Array, episode: Episode) -> Array:
-        """See `placement.rules.Proposer`."""
-        actions = self.policy.draw(key, episode, self.num_draws)
-        rules = self.search.rules
-        lower, size = action_scale(episode.region, rules.height_range(episode))
-        xy = lower[:2] + actions[:, :2] * size[:2]
-        found = self.search.narrow(Candidates(xy, 2 * jnp.pi * actions[:, 3]), episode)
-        return found.action[jnp.argmin(found.cost)]

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.learning.networks.config import AgentConfig
+from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.policy import TrainedPolicy, make_policy
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.placement.problem import Problem
@@ -35,7 +35,7 @@ class Evaluator:
     """
 
     problem: Problem
-    network: AgentConfig
+    network: NetworkConfig
     num_episodes: int = 256
     is_sampled: bool = True
     seed: int = 0

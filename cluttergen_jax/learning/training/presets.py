@@ -6,10 +6,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.config import PPO_VARIANTS, StabilityConfig
-from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.learning.networks.config import AgentConfig, NetworkConfig
-from cluttergen_jax.learning.networks.ranking import RankerConfig
+from cluttergen_jax.config import StabilityConfig, no_such
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.ppo.ppo import PPOConfig
 from cluttergen_jax.placement.config import PlacementConfig
@@ -20,7 +19,7 @@ class Settings:
     """What a preset decides."""
 
     ppo: PPOConfig = field(default_factory=PPOConfig)
-    network: AgentConfig = field(default_factory=NetworkConfig)
+    network: NetworkConfig = field(default_factory=NetworkConfig)
     placement: PlacementConfig = field(default_factory=PlacementConfig)
     stability: StabilityConfig = field(default_factory=StabilityConfig)
 
@@ -41,16 +40,6 @@ def cpu() -> Settings:
         network=_TUNED,
         placement=PlacementConfig(reward="compressed", history_stride=12),
         stability=_training_stability(True),
-    )
-
-
-def tight() -> Settings:
-    """As `cpu`, but it looks farther ahead and more closely: for crowded tables, more slowly."""
-    settings = cpu()
-    return replace(
-        settings,
-        ppo=replace(settings.ppo, discount=0.99, gae_lambda=0.95),
-        network=replace(_TUNED, num_turns=16, turn_symmetry=1, undersides=True),
     )
 
 
@@ -94,7 +83,7 @@ def paper() -> Settings:
     )
 
 
-PRESETS = {"cpu": cpu, "tight": tight, "gpu": gpu, "paper": paper}
+PRESETS = {"cpu": cpu, "gpu": gpu, "paper": paper}
 
 _CHANGES: dict[str, dict[str, Any]] = {
     "policy": {},
@@ -112,22 +101,11 @@ def make_settings(preset: str, variant: str) -> Settings:
       ConfigError: there is no such preset or variant.
     """
     if preset not in PRESETS:
-        raise ConfigError(f"preset {preset!r}", ", ".join(PRESETS), meant=closest(preset, PRESETS))
-    if variant not in PPO_VARIANTS:
-        raise ConfigError(
-            f"variant {variant!r}", ", ".join(PPO_VARIANTS), meant=closest(variant, PPO_VARIANTS)
-        )
+        raise no_such("preset", preset, PRESETS)
+    if variant not in _CHANGES:
+        raise no_such("variant", variant, _CHANGES)
     settings = PRESETS[preset]()
-    if variant == "ranked":
-        return _ranked(settings)
     return replace(settings, network=replace(settings.network, **_CHANGES[variant]))
-
-
-def _ranked(settings: Settings) -> Settings:
-    """A preset for the ranking of candidates: what is left free for later objects counts for more."""
-    ppo = replace(settings.ppo, discount=0.99, learning_rate=5e-4, entropy_cost=0.003, value_cost=0.2)
-    placement = replace(settings.placement, history_stride=60)
-    return replace(settings, ppo=ppo, network=RankerConfig(), placement=placement)
 
 
 def fitted(network: NetworkConfig, folder: Path) -> NetworkConfig:
@@ -150,18 +128,16 @@ def fitted(network: NetworkConfig, folder: Path) -> NetworkConfig:
 
 
 def choose_encoder(
-    network: AgentConfig, encoder: str | None, weights: str | None, is_frozen: bool
-) -> AgentConfig:
+    network: NetworkConfig, encoder: str | None, weights: str | None, is_frozen: bool
+) -> NetworkConfig:
     """The config with what the command line says of encoders.
 
     Raises:
-      ConfigError: a ranker has no encoder of clouds, or a frozen one has no weights.
+      ConfigError: a frozen encoder has no weights.
       PoolError: there are no weights where they should be.
     """
     if encoder is None and weights is None and not is_frozen:
         return network
-    if not isinstance(network, NetworkConfig):
-        raise ConfigError("an encoder for a ranker, which reads no clouds", hint="another `variant`")
     if is_frozen and weights is None:
         raise ConfigError("`encoder_frozen` without weights", hint="`encoder_weights` of cluttergen pretrain")
     network = replace(network, scene_encoder=encoder or network.scene_encoder, encoder_frozen=is_frozen)

@@ -11,7 +11,7 @@ import jax
 
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.learning.agents import ENCODER, make_agent
-from cluttergen_jax.learning.networks.config import AgentConfig
+from cluttergen_jax.learning.networks.config import KIND, NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import has_state, read_policy, read_state
 from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig, TrainState
 from cluttergen_jax.learning.ppo.sharding import make_mesh
@@ -48,7 +48,7 @@ class Run:
     def __init__(
         self,
         rules: Rules,
-        network: AgentConfig,
+        network: NetworkConfig,
         ppo: PPOConfig,
         config: RunConfig,
         folder: Path,
@@ -57,7 +57,7 @@ class Run:
         encoder_weights: Path | None = None,
     ) -> None:
         self.config, self.folder = config, folder
-        self.recipe = recipe | {"kind": network.kind}
+        self.recipe = recipe | {"kind": KIND}
         env, self.agent = make_agent(rules, network)
         self.ppo = PPO(env, self.agent.apply, ppo, make_mesh(ppo.num_envs), self.agent.encode)
         self._encoder_weights = encoder_weights

@@ -16,9 +16,7 @@ ATTEMPTS_POOL = "dining"
 TABLE_ATTEMPTS = (1, 2, 3, 5, 10)
 DEFAULT_ATTEMPTS, DEFAULT_OBJECTS = 5, 10
 LADDER_POOLS = ("dining",)
-TIGHTEST = "table-0.30x0.40"
 CROWD = 20
-_OF_CROWDS: tuple[Variant, ...] = ("policy", "ranked")
 
 
 @dataclass(frozen=True)
@@ -81,14 +79,13 @@ def _paper(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
 
 
 def _extended(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
-    """The ladder's variants, the ranker on its tightest table, and crowds of all objects; one seed each."""
+    """The ladder's variants, and crowds of all objects; one seed each."""
     if seed != SEEDS[0]:
         return []
     ladder = [pool for pool in pools if pool in LADDER_POOLS]
     return [
         *(PlannedRun(pool, variant, seed) for pool in ladder for variant in TABLE_VARIANTS),
-        *(PlannedRun(pool, "ranked", seed, support=TIGHTEST) for pool in ladder),
-        *(PlannedRun("all", variant, seed, num_objects=CROWD) for variant in _OF_CROWDS),
+        PlannedRun("all", "policy", seed, num_objects=CROWD),
     ]
 
 

@@ -127,8 +127,7 @@ def run_training(
     check_folder(config.folder, recipe)
     say = show if is_writer() else _say_nothing
     say(f"run        {config.folder}")
-    own = settings.network.is_sampled
-    is_sampled = own if config.eval_action is None else config.eval_action == "sampled"
+    is_sampled = config.eval_action != "mean"
     evaluate = Evaluator(problem, settings.network, config.eval_episodes, is_sampled, config.seed)
     Run(
         problem.rules,

@@ -76,14 +76,12 @@ class TopCandidates(struct.PyTreeNode):
       scores: what is known of them, wholly looked at.
       cost: f32[M], what the search keeps low; at least FORBIDDEN for poses that would not count.
       action: f32[M, 4], the actions that propose them.
-      heights: the scene that they were lowered onto.
     """
 
     candidates: Candidates
     scores: CandidateScores
     cost: Array
     action: Array
-    heights: HeightMap
 
 
 class SearchScene(struct.PyTreeNode):
@@ -127,16 +125,9 @@ class Search(struct.PyTreeNode, eq=False):
 
     def __call__(self, key: Array, episode: Episode) -> Array:
         """See `placement.rules.Proposer`."""
-        found = self.shortlist(key, episode)
+        candidates = draw_candidates(key, episode.region, self.config.num_candidates)
+        found = self.closely(self.scene(episode), candidates, self.config.num_finalists)
         return found.action[jnp.argmin(found.cost)]
-
-    def shortlist(self, key: Array, episode: Episode) -> TopCandidates:
-        """The finalists of uniform candidates drawn with `key`."""
-        return self.narrow(draw_candidates(key, episode.region, self.config.num_candidates), episode)
-
-    def narrow(self, candidates: Candidates, episode: Episode) -> TopCandidates:
-        """The finalists among given candidates."""
-        return self.closely(self.scene(episode), candidates, self.config.num_finalists)
 
     def scene(self, episode: Episode, with_owner: bool = False) -> SearchScene:
         """What there is to know of an episode before candidates are looked at."""
@@ -170,7 +161,7 @@ class Search(struct.PyTreeNode, eq=False):
         action = jax.vmap(action_of_pose, in_axes=(0, 0, None, None))(
             position, finalists.yaw, scene.episode.region, scene.height_range
         )
-        return TopCandidates(finalists, scores, cost, action, scene.heights)
+        return TopCandidates(finalists, scores, cost, action)
 
     def _rank(
         self, scene: SearchScene, candidates: Candidates, fit: LoweredFit, support: Array

@@ -1,0 +1,242 @@
+"""The stability network: what it reads, how it is fitted, how far its trust holds, and a small training."""
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cluttergen_jax import train
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.learning.methods import proposer_of
+from cluttergen_jax.learning.networks.stability import (
+    NUM_FEATURES,
+    StabilityNet,
+    StabilityNetConfig,
+    features_of,
+)
+from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
+from cluttergen_jax.learning.policies.guided import blank_params, load_guided, make_guided
+from cluttergen_jax.learning.ppo.checkpoint import save_policy
+from cluttergen_jax.learning.training import guided
+from cluttergen_jax.learning.training.attempts import Examples, Explorer, begin, collect_step
+from cluttergen_jax.learning.training.stability import (
+    FitConfig,
+    calibration,
+    draw_calibration,
+    fit,
+    outlook_of,
+)
+from cluttergen_jax.placement.baselines import LowestFit
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.problem import ProblemConfig, make_problem
+
+SMALL = StabilityNetConfig(width=16)
+RECORD = {
+    "kind": "stability",
+    "variant": "guided",
+    "network": dataclasses.asdict(SMALL),
+    "placement": {"max_attempts": 5, "history_stride": 0},
+}
+
+
+@pytest.fixture(scope="module")
+def rules():
+    placement = PlacementConfig(num_objects=4, history_stride=0, min_margin=0.003)
+    objects = ("mug", "bowl", "soup_can", "cereal_box")
+    return make_problem(ProblemConfig(objects=objects, support="table-0.30x0.30", placement=placement)).rules
+
+
+def made_up(number, seed=0):
+    """Examples whose outcome follows from two features, but for noise."""
+    rng = np.random.default_rng(seed)
+    features = rng.normal(size=(number, NUM_FEATURES)).astype(np.float32)
+    stands = features[:, 0] + features[:, 3] ** 2 + 0.2 * rng.normal(size=number) > 0.7
+    return Examples(
+        features=features,
+        stands=stands,
+        is_robust=stands & (features[:, 1] > 0),
+        knows_robust=np.ones(number, bool),
+        disturbs=~stands & (features[:, 2] > 0),
+        shift=np.where(stands, 0.0, 0.05).astype(np.float32),
+        margin=(0.01 * features[:, 4]).astype(np.float32),
+        is_on=features[:, 5] > 0,
+    )
+
+
+def test_a_fit_learns_what_can_be_learned_and_equal_seeds_fit_alike():
+    examples, fresh = made_up(6000), made_up(2000, seed=1)
+    params, loss = fit(SMALL, FitConfig(num_epochs=12), examples, seed=0)
+    assert np.isfinite(loss)
+    outlook = outlook_of(SMALL, params, fresh)
+    stands = calibration(outlook.stands, fresh.stands, fresh.is_on)
+    robust = calibration(outlook.is_robust, fresh.is_robust, fresh.is_on)
+    assert stands.auc > 0.95
+    assert robust.auc > 0.95
+    assert stands.precision > 0.95
+    again, _ = fit(SMALL, FitConfig(num_epochs=12), examples, seed=0)
+    jax.tree.map(np.testing.assert_array_equal, params, again)
+
+
+def test_what_nobody_looked_at_teaches_nothing_of_robustness():
+    examples = made_up(2000)
+    unknown = examples.replace(knows_robust=np.zeros(2000, bool))
+    one, _ = fit(SMALL, FitConfig(num_epochs=2), unknown, seed=0)
+    other, _ = fit(SMALL, FitConfig(num_epochs=2), unknown.replace(is_robust=~examples.is_robust), seed=0)
+    jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def test_fewer_examples_than_a_batch_are_fitted_too():
+    params, loss = fit(SMALL, FitConfig(num_epochs=2), made_up(60), seed=0)
+    assert np.isfinite(loss)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(params))
+
+
+def test_calibration_counts_what_stood(tmp_path):
+    logits = np.array([-5.0, -5.0, 0.05, 5.0, 5.0, 5.0], np.float32)
+    stood = np.array([False, True, True, True, True, False])
+    found = calibration(logits, stood, np.array([True] * 3 + [False] * 3))
+    assert found.count == (2, 0, 0, 0, 0, 1, 0, 0, 0, 3)
+    assert found.stood[0] == 0.5
+    assert found.stood[-1] == pytest.approx(2 / 3)
+    assert found.precision == pytest.approx(2 / 3)
+    # Of the four that stood and the two that fell: pairs in the right order, ties half.
+    assert found.auc == pytest.approx((0.5 + 0 + 1 + 0 + 1 + 0.5 + 1 + 0.5) / 8)
+    draw_calibration({"stands": found}, tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 5000
+
+
+def test_features_are_finite_and_know_neither_the_object_nor_its_number(rules):
+    placer = make_guided(rules, SMALL, blank_params(SMALL))
+    episode = rules.begin(jax.random.key(0))
+    menu = placer.menu(jax.random.key(1), episode)
+    features = np.asarray(features_of(rules, episode, menu))
+    assert features.shape == (len(menu.is_allowed), NUM_FEATURES)
+    assert np.isfinite(features).all()
+    assert np.abs(features).max() < 10
+    # The same object under another number is the same to the network.
+    other = dataclasses.replace(
+        rules,
+        geometry=jax.tree.map(
+            lambda leaf: leaf[::-1] if jnp.shape(leaf)[:1] == (4,) and jnp.ndim(leaf) else leaf,
+            rules.geometry,
+        ).replace(surface_owner=3 - rules.geometry.surface_owner, boxes=rules.geometry.boxes),
+    )
+    swapped = episode.replace(object_index=3 - episode.object_index)
+    placer = make_guided(other, SMALL, blank_params(SMALL))
+    again = features_of(other, swapped, placer.menu(jax.random.key(1), swapped))
+    np.testing.assert_allclose(features, again, atol=1e-5)
+
+
+def test_attempts_are_labelled_with_what_the_rules_said(rules):
+    explorer = Explorer(
+        LowestFit(rules), params=blank_params(SMALL), network=SMALL, exploration=np.float32(1)
+    )
+    episodes = begin(explorer, jax.random.key(0), 16)
+    step = jax.jit(collect_step)
+    seen = []
+    for _ in range(6):
+        episodes, row = step(explorer, episodes)
+        seen.append(jax.device_get(row))
+    rows = jax.tree.map(lambda *parts: np.concatenate(parts), *seen)
+    assert rows.features.shape == (96, NUM_FEATURES)
+    assert np.isfinite(rows.features).all()
+    # Everything is tried: some stand, some fall, and whatever moved another does not stand.
+    assert 0.1 < rows.stands.mean() < 0.99
+    assert not (rows.stands & rows.disturbs).any()
+    # Nothing asked about robustness: only of what fell is it known.
+    np.testing.assert_array_equal(rows.knows_robust, ~rows.stands)
+    assert not rows.is_robust[rows.knows_robust].any()
+    assert np.all(rows.margin[rows.stands] >= 0.002)
+
+
+def test_a_stored_network_places_as_before(rules, tmp_path):
+    params, _ = fit(SMALL, FitConfig(num_epochs=1), made_up(512), seed=0)
+    save_policy(tmp_path, params, RECORD)
+    checkpoint = read_checkpoint(tmp_path)
+    stored, episode = load_guided(checkpoint, rules), rules.begin(jax.random.key(0))
+    half = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float16).astype(jnp.float32), params)
+    jax.tree.map(np.testing.assert_array_equal, stored.params, half)
+    pose = proposer_of("guided", checkpoint, rules)(jax.random.key(2), episode)
+    np.testing.assert_array_equal(pose, stored(jax.random.key(2), episode))
+    assert not stored.is_robust
+
+
+def test_a_record_of_other_sizes_is_refused(rules, tmp_path):
+    save_policy(tmp_path, blank_params(SMALL), RECORD | {"network": {"size": 3}})
+    with pytest.raises(PoolError, match="does not say what network"):
+        load_guided(read_checkpoint(tmp_path), rules)
+    save_policy(tmp_path, blank_params(SMALL), RECORD | {"network": {"width": 32}})
+    with pytest.raises(PoolError, match="of shape"):
+        load_guided(read_checkpoint(tmp_path), rules)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"pool": "kitchen"}, "pool = 'kitchen'"),
+        ({"num_objects": 20}, "num_objects = 20"),
+        ({"preset": "gpu"}, "preset = 'gpu'"),
+        ({"num_attempts": 7}, "1 attempts a round"),
+    ],
+)
+def test_arguments_that_mean_nothing_here_are_refused(given, words, tmp_path):
+    with pytest.raises(ConfigError, match=words):
+        train(variant="guided", out=tmp_path / "run", **given)
+    assert not (tmp_path / "run").exists()
+
+
+TINY = guided.GuidedConfig(
+    network=SMALL,
+    num_rounds=2,
+    num_settings=2,
+    num_attempts=64,
+    num_episodes=8,
+    num_variants=50,
+    num_held_out=50,
+)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_training_can_be_stopped_and_taken_up_and_ends_alike(home, tmp_path):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    lines = []
+    policy = guided.GuidedTraining(TINY, whole, lines.append).run()
+    assert sum(line.startswith("round") for line in lines) == 2
+    files = sorted(path.name for path in (whole / "attempts").iterdir())
+    assert files == ["00-00.npz", "00-01.npz", "01-00.npz", "01-01.npz", "held-out-00.npz", "held-out-01.npz"]
+    record = json.loads((policy / "record.json").read_text())
+    assert record["num_attempts"] == 128
+    assert record["held_out"]["stands"]["number"] == 64
+    assert not set(record["families"]) & set(record["held_out_families"])
+    assert (policy / "weights.npz").stat().st_size < 200_000
+    assert (policy / "calibration.png").exists()
+
+    class Stopped(guided.GuidedTraining):
+        def _collect(self, *arguments):
+            if len(list((self.folder / "attempts").iterdir())) == 3:
+                raise KeyboardInterrupt
+            return super()._collect(*arguments)
+
+    with pytest.raises(KeyboardInterrupt):
+        Stopped(TINY, parts, lines.append).run()
+    assert not (parts / "policy").exists()
+    guided.GuidedTraining(TINY, parts, lines.append).run()
+    with np.load(whole / "policy/weights.npz") as one, np.load(parts / "policy/weights.npz") as other:
+        for name in one.files:
+            np.testing.assert_array_equal(one[name], other[name])
+    with pytest.raises(ConfigError, match="another config"):
+        guided.GuidedTraining(dataclasses.replace(TINY, exploration=0.5), whole, lines.append)
+    (whole / "attempts" / "00-01.npz").write_bytes(b"half of it")
+    with pytest.raises(PoolError, match=r"00-01\.npz cannot be read"):
+        guided.GuidedTraining(TINY, whole, lines.append).run()
+
+
+def test_the_network_is_small():
+    params = blank_params(StabilityNetConfig())
+    assert sum(leaf.size for leaf in jax.tree.leaves(params)) < 10_000
+    outlook = StabilityNet().apply(params, jnp.ones((3, NUM_FEATURES)))
+    assert outlook.stands.shape == (3,)

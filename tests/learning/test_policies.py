@@ -1,0 +1,69 @@
+"""Policies of poses: with fewer attempts than they know they act as before, and more are refused."""
+
+from dataclasses import asdict, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.learning.agents import make_agent
+from cluttergen_jax.learning.networks.config import NetworkConfig
+from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
+from cluttergen_jax.learning.policies.policy import load_policy
+from cluttergen_jax.learning.ppo.checkpoint import save_policy
+from tests.helpers.problems import trio_problem
+
+NETWORK = NetworkConfig(width=16, num_layers=2)
+PLACEMENT = {"max_attempts": 5, "history_stride": 60}
+
+
+@pytest.fixture(scope="module")
+def rules():
+    return trio_problem(history_stride=60).rules
+
+
+@pytest.fixture(scope="module")
+def stored(rules, tmp_path_factory):
+    """A fresh policy of poses, trained with up to five attempts."""
+    folder = tmp_path_factory.mktemp("policy")
+    env, agent = make_agent(rules, NETWORK)
+    seen = jax.eval_shape(env.reset, jax.random.key(0)).obs
+    blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), seen)
+    params = jax.jit(agent.init)(jax.random.key(0), blank)
+    save_policy(folder, params, {"network": asdict(NETWORK), "placement": PLACEMENT})
+    return folder
+
+
+def with_attempts(rules, number):
+    """The rules with another number of attempts."""
+    return replace(rules, config=replace(rules.config, max_attempts=number))
+
+
+def test_a_policy_acts_with_fewer_attempts_than_it_was_trained_with(rules, stored):
+    actions = []
+    for its_rules in (with_attempts(rules, 2), rules):
+        policy = load_policy(read_checkpoint(stored), its_rules, is_sampled=False)
+        failed = jax.jit(its_rules.attempt)(
+            its_rules.begin(jax.random.key(9)), jnp.array([0.5, 0.5, 0.99, 0.5])
+        )[0]
+        actions.append(jax.jit(policy)(jax.random.key(1), failed))
+    assert actions[0].shape == (4,)
+    # What it is not allowed to try is as empty as what it has not tried yet.
+    np.testing.assert_array_equal(*actions)
+
+
+def test_a_policy_refuses_more_attempts(rules, stored):
+    with pytest.raises(ConfigError, match="max_attempts = 7"):
+        load_policy(read_checkpoint(stored), with_attempts(rules, 7))
+
+
+@pytest.mark.parametrize(
+    ("record", "says"),
+    [({"kind": "ranking"}, "kind 'ranking'"), ({"network": {"cost_scale": 0.005}}, "what network it holds")],
+)
+def test_a_network_of_another_kind_is_refused(rules, record, says, tmp_path):
+    save_policy(tmp_path, {}, {"network": {}, "placement": PLACEMENT} | record)
+    with pytest.raises(PoolError, match=says):
+        load_policy(read_checkpoint(tmp_path), rules)
