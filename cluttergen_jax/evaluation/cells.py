@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from cluttergen_jax.evaluation.episodes import WITHIN
+from cluttergen_jax.evaluation.trial import row_name
 from cluttergen_jax.proportions import wilson
 from cluttergen_jax.tables import Table
 
@@ -30,9 +32,16 @@ def asked(*names: str, **headings: str) -> tuple[Column, ...]:
     """Columns of what a row's trial asks; `headings` names some otherwise than their field."""
 
     def column(name: str, heading: str) -> Column:
+        if name == "method":
+            return Column(heading, name_of, is_asked=True)
         return Column(heading, lambda row: str(row.get("trial", row)[name]), is_asked=True)
 
     return (*(column(n, n) for n in names), *(column(n, heading) for n, heading in headings.items()))
+
+
+def name_of(row: Row) -> str:
+    """A row's method, and what sets its rules apart; rows of findings have it by name."""
+    return row_name(row["trial"]) if "trial" in row else str(row["method"])
 
 
 HEAD = (*asked("pool", support="table"), *asked("method"))
@@ -85,6 +94,34 @@ def mean_and_spread(spread: dict) -> str:
 
 SPEED = Column(
     "valid scenes per CPU-second", lambda row: number(row["figures"]["valid_scenes_per_cpu_second"])
+)
+
+
+def per_valid_scene(row: Row, name: str, digits: int) -> str:
+    """A row's attempts or simulated steps for each scene that succeeded; a dash where none did."""
+    figures = row["figures"]
+    return number(figures[f"{name}_per_valid_scene"], digits) if figures["num_success"] else "-"
+
+
+def _within(place: int, times: float) -> Column:
+    def cell(row: Row) -> str:
+        # Results of older versions did not count them.
+        known = row["figures"].get("within")
+        return share_of(known[place], "share") if known else "-"
+
+    return Column(f"within {times:g} n", cell)
+
+
+EFFORT = (
+    *(_within(*each) for each in enumerate(WITHIN)),
+    Column("attempts per valid scene", lambda row: per_valid_scene(row, "attempts", 1)),
+    Column("simulated steps per valid scene", lambda row: per_valid_scene(row, "simulated_steps", 0)),
+)
+"""Success at some cost, and the cost of success."""
+EFFORT_NOTES = (
+    "within: finished successfully with at most so many attempts in all, n objects a scene",
+    "per valid scene: all attempts and steps of the row, rejected scenes included; speeds leave compilation "
+    "out",
 )
 
 

@@ -14,7 +14,7 @@ from flax import struct
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
 from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.placement.types import Episode, Transition
-from cluttergen_jax.proportions import spread_of, wilson
+from cluttergen_jax.proportions import proportion, spread_of, wilson
 from cluttergen_jax.types import Array, Verdict
 
 _WIDTHS = (16, 64, BLOCK_SIZE)
@@ -144,10 +144,12 @@ def figures_of(outcome: Outcome, has_last_check: bool = True) -> dict[str, Any]:
         "placed": float(placed.mean()),
         "placed_histogram": np.bincount(placed, minlength=num_slots + 1).tolist(),
         "attempts": int(counts.attempts.sum()),
+        "within": within(good, counts.attempts.sum(1), num_slots),
         "attempts_per_valid_scene": float(counts.attempts.sum() / max(valid, 1)),
         "attempts_histogram": _attempts_histogram(scenes.is_placed, counts.attempts),
         "simulated_steps": simulated,
         "simulated_steps_per_valid_scene": simulated / max(valid, 1),
+        "stack": spread_of(np.sum(np.asarray(scenes.level) > 0, axis=1)[good]),
         "stable_steps": spread_of(counts.steps[scenes.is_placed]),
         "rest_steps": spread_of(counts.rest_steps[scenes.is_placed]),
         "steps_by_attempt": steps_by_attempt(outcome.attempts),
@@ -159,6 +161,22 @@ def figures_of(outcome: Outcome, has_last_check: bool = True) -> dict[str, Any]:
         "valid_scenes_per_second": valid / outcome.seconds,
         "valid_scenes_per_cpu_second": valid / outcome.cpu_seconds if outcome.cpu_seconds else None,
     }
+
+
+WITHIN = (1.0, 1.5, 5.0)
+"""Attempts in all, in objects of a scene, within which scenes are counted as finished."""
+
+
+def within(is_good: np.ndarray, attempts: np.ndarray, num_objects: int) -> list[dict[str, float]]:
+    """Scenes that were finished with few attempts, rejected ones included.
+
+    Args:
+      is_good: bool[N], scenes that succeeded; attempts: i[N], of each scene in all.
+
+    Returns:
+      For each of `WITHIN`: `times`, `share` and its 95 % interval, `low95` and `high95`.
+    """
+    return [{"times": each, **proportion(is_good & (attempts <= each * num_objects))} for each in WITHIN]
 
 
 def steps_by_attempt(attempts: Attempts) -> list[dict[str, Any]]:
@@ -203,6 +221,7 @@ def arrays_of(outcome: Outcome) -> dict[str, np.ndarray]:
         "object_index": scenes.object_index,
         "is_placed": scenes.is_placed,
         "poses": scenes.poses,
+        "level": scenes.level,
         "is_success": scenes.is_success,
         "is_filled": scenes.is_filled,
         "attempt_scene": attempts.scene,

@@ -15,22 +15,27 @@ COLOURS = {
     "random": "#8a8f98",
     "clear": "#4d9078",
     "drop": "#2f5d62",
-    "spread": "#e377c2",
     "open_loop": "#c9a227",
     "short_memory": "#b5651d",
     "normal": "#7b5ea7",
     "beta": "#e07b39",
     "policy": "#c8102e",
-    "guided": "#1f77b4",
+    "spread": "#17a2a2",
+    "guided": "#1f3fb4",
 }
 """Of methods, the same in every plot."""
 
 LABELS = {"random": "random (RRS)", "beta": "beta (the paper's)"}
 
 
-def colour(method: str) -> str:
-    """The method's colour; black for one that has none."""
-    return COLOURS.get(method, "#111111")
+def colour(name: str) -> str:
+    """The colour of a row's method; black for one that has none."""
+    return COLOURS.get(_method_of(name), "#111111")
+
+
+def _method_of(name: str) -> str:
+    """Of what tables call a row (`trial.row_name`)."""
+    return name.partition(", ")[0]
 
 
 def label_of(method: str) -> str:
@@ -77,8 +82,8 @@ def add_legend(figure: Any) -> None:
     for axis in figure.axes:
         handles, labels = axis.get_legend_handles_labels()
         lines |= {label: handle for label, handle in zip(labels, handles, strict=True) if label not in lines}
-    ranks = [label_of(method) for method in COLOURS]
-    labels = sorted(lines, key=ranks.index)
+    ranks = {label_of(method): rank for rank, method in enumerate(COLOURS)}
+    labels = sorted(lines, key=lambda label: (ranks.get(_method_of(label), len(ranks)), label))
     figure.legend([lines[label] for label in labels], labels, fontsize=7, loc="outside right center")
 
 
@@ -101,9 +106,12 @@ def panels_of_pools(rows: Sequence[dict]) -> tuple[Any, list[tuple[Any, str, lis
     return figure, list(zip(axes, pools, of_pool, strict=True))
 
 
-def success_line(axis: Any, method: str, x: Sequence[float], figures: Sequence[dict]) -> None:
-    """A method's success with 95 % intervals."""
+def success_line(axis: Any, name: str, x: Sequence[float], figures: Sequence[dict]) -> None:
+    """A row's success with 95 % intervals, dashed where its rules are not its method's own."""
     y = np.array([each["success"] for each in figures])
     ends = np.array([[each["low95"], each["high95"]] for each in figures]).T
-    axis.errorbar(x, y, np.abs(ends - y), color=colour(method), label=label_of(method), marker=".")
+    style = "-" if name == _method_of(name) else "--"
+    axis.errorbar(
+        x, y, np.abs(ends - y), color=colour(name), label=label_of(name), marker=".", linestyle=style
+    )
     axis.set_ylim(-0.03, 1.03)

@@ -8,6 +8,7 @@ from typing import Any
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import sentence
+from cluttergen_jax.evaluation.rivals import OURS, TWIN, tally
 from cluttergen_jax.evaluation.store import FORMAT, json_bytes
 from cluttergen_jax.evaluation.suites import FORMER_NAMES, STUDIES, SUITES
 from cluttergen_jax.files import write_atomically
@@ -85,6 +86,12 @@ success means: *strict* is this project's `is_success` (nothing else is disturbe
 stands); *the paper's count* judges only the current object and puts the others back.
 """
 
+_STANDING = f"""## Who is as good as `{OURS}`
+
+Counted from the rows below: another row is as good where the 95 % intervals of success overlap, better or
+worse where they do not. `{TWIN}` is the same sampler without a network.
+"""
+
 
 def read_results(folder: Path) -> list[dict[str, Any]]:
     """The studies in a folder, in the order of their suites.
@@ -115,9 +122,20 @@ def suite_of(result: dict[str, Any]) -> str:
     return FORMER_NAMES.get(result["suite"], result["suite"])
 
 
+def standing_section(results: list[dict[str, Any]]) -> list[str]:
+    """Where other methods are as good as `guided`, study by study; nothing where it has no rows."""
+    lines = []
+    for result in results:
+        question = STUDIES[result["name"]].question
+        made = [row for row in result["records"] if "figures" in row]
+        counted = tally(made, question) if question else ""
+        lines += [f"- {result['name']}: {counted}."] if counted else []
+    return [_STANDING, "\n".join(lines) + "\n"] if lines else []
+
+
 def document(results: list[dict[str, Any]], notes: str = "", link: str = "results/") -> str:
     """The whole page; `notes`, Markdown, stand at its end."""
-    parts = [_INTRODUCTION]
+    parts = [_INTRODUCTION, *standing_section(results)]
     for suite in SUITES:
         of_suite = [result for result in results if suite_of(result) == suite]
         if of_suite:

@@ -11,12 +11,13 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.assets.pool import Pool, find_pool
+from cluttergen_jax.assets.pool import Pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.errors import ClutterGenError, ConfigError, PoolError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.trial import Trial, key_of
+from cluttergen_jax.evaluation.variant_pools import find_any_pool
 from cluttergen_jax.learning.methods import METHODS, checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
@@ -203,7 +204,7 @@ class Resolver:
 
     def __init__(self, checkpoints: Checkpoints, engine: str) -> None:
         self.checkpoints, self._engine = checkpoints, engine
-        self._pool = lru_cache(maxsize=None)(find_pool)
+        self._pool = lru_cache(maxsize=None)(find_any_pool)
         self._support = lru_cache(maxsize=None)(find_support)
         self._resolved: dict[Trial, ResolvedTrial] = {}
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
 from cluttergen_jax.evaluation.episodes import Outcome, arrays_of, attempts_of, figures_of, run_episodes
 from cluttergen_jax.evaluation.resolved import (
     Checkpoints,
@@ -25,9 +25,11 @@ from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import SwappablePhysics
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.protocol import Physics
+from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
+from cluttergen_jax.placement.ruin import footprint_area
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.progress import Progress, interruptible
 
@@ -108,7 +110,7 @@ class Runner:
         self.begin(trial.title)
         try:
             strict = self.run(resolved)
-            figures = figures_of(strict)
+            figures = figures_of(strict) | {"fill": self._fill(resolved)}
             if trial.paper_count:
                 loose = self.run(resolved, judge_neighbours=False)
                 figures["paper"] = figures_of(loose, has_last_check=False)
@@ -185,7 +187,9 @@ class Runner:
         """The trial's compiled world and rules, ready for what is compiled already."""
         trial, base = resolved.trial, self._base_setup(resolved)
         stability = StabilityConfig(
-            stop_when_decided=resolved.is_cut and not trial.whole_attempts, judge_neighbours=judge_neighbours
+            stop_when_decided=resolved.is_cut and not trial.whole_attempts,
+            judge_neighbours=judge_neighbours,
+            robust_tilt=ROBUST_TILT if trial.robust else 0.0,
         )
         with usable(resolved.checkpoint, trial):
             config = suited(base.rules.config, resolved.checkpoint)
@@ -203,6 +207,12 @@ class Runner:
     def world(self, resolved: ResolvedTrial) -> World:
         """The trial's compiled world."""
         return self._base_setup(resolved).world
+
+    def _fill(self, resolved: ResolvedTrial) -> float:
+        """Footprints of a scene's objects over the region's area, on average, before any change of it."""
+        areas = footprint_area(self._base_setup(resolved).rules.geometry)
+        width, depth = (2 * each for each in resolved.region.half_extents)
+        return float(np.mean(areas) * resolved.trial.num_objects / (width * depth))
 
     def _physics(self, world: World, stability: StabilityConfig) -> Physics:
         """The engine of a world. Worlds of equal sizes share what is compiled around a native one.
@@ -236,6 +246,7 @@ class Runner:
                 min_margin=trial.min_margin,
                 ruin_after=trial.ruin_after,
                 budget=trial.budget,
+                clutter=Clutter.of(trial.clutter) if trial.clutter else None,
             ),
         )
         if config not in self._setups:

@@ -10,6 +10,7 @@ from cluttergen_jax.evaluation.studies.acceptance import ACCEPTANCE
 from cluttergen_jax.evaluation.studies.attempts import ATTEMPTS
 from cluttergen_jax.evaluation.studies.closed_loop import CLOSED_LOOP
 from cluttergen_jax.evaluation.studies.density import CROWDS, DENSITY
+from cluttergen_jax.evaluation.studies.dial import DIAL
 from cluttergen_jax.evaluation.studies.diversity import DIVERSITY
 from cluttergen_jax.evaluation.studies.diversity_maps import DIVERSITY_MAPS
 from cluttergen_jax.evaluation.studies.fig1a import FIG1A
@@ -18,12 +19,14 @@ from cluttergen_jax.evaluation.studies.learning_curves import LEARNING_CURVES
 from cluttergen_jax.evaluation.studies.margin import MARGIN
 from cluttergen_jax.evaluation.studies.relations import RELATIONS
 from cluttergen_jax.evaluation.studies.robustness import ROBUSTNESS
+from cluttergen_jax.evaluation.studies.stability import STABILITY
 from cluttergen_jax.evaluation.studies.steps_by_attempt import STEPS_BY_ATTEMPT
 from cluttergen_jax.evaluation.studies.study import Scale, Study, of_methods
 from cluttergen_jax.evaluation.studies.survival import MARGIN_SURVIVAL, SURVIVAL
 from cluttergen_jax.evaluation.studies.table1 import IMPORTED, IMPORTED_GROUPS, TABLE1
 from cluttergen_jax.evaluation.studies.table2 import TABLE2
 from cluttergen_jax.evaluation.studies.time import TIME
+from cluttergen_jax.evaluation.studies.unseen import UNSEEN
 from cluttergen_jax.evaluation.trial import Trial
 
 # Times are measured in processes of their own, after everything else.
@@ -44,12 +47,15 @@ SUITES: dict[str, tuple[Study, ...]] = {
     "extended": (
         DENSITY,
         CROWDS,
+        UNSEEN,
         DIVERSITY,
         ACCEPTANCE,
         ROBUSTNESS,
         SURVIVAL,
         MARGIN,
         MARGIN_SURVIVAL,
+        STABILITY,
+        DIAL,
         TIME,
     ),
 }

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.learning.methods import TRUSTED_METHODS
 from cluttergen_jax.placement.changes import find_change
 
 MAX_TRIALS = 1_000_000
-_ADDED = ("min_margin", "order", "ruin_after", "budget")
+RUIN, RANDOM_ORDER, ROBUST = "ruin", "random order", "robust"
+"""Of rows whose rules are not their method's own."""
+_ADDED = ("min_margin", "order", "ruin_after", "budget", "robust", "clutter")
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,8 @@ class Trial:
       paper_count: run it a second time with the paper's looser count (only the current object is judged, the
         others are put back by hand, no last check).
       min_margin: metres of support margin asked of what is placed; 0 asks for nothing, as the paper does.
+      robust: ask that what stands also stands under a slight tilt with less friction.
+      clutter: what scenes should have on average, as text ("stack=3"); "" asks for nothing.
       order, ruin_after, budget: of a `PlacementConfig`; the paper's unless given.
     """
 
@@ -54,6 +60,8 @@ class Trial:
     order: str = "random"
     ruin_after: int = 0
     budget: int | None = None
+    robust: bool = False
+    clutter: str = ""
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials <= MAX_TRIALS:
@@ -88,10 +96,26 @@ class Trial:
         words += [f"seed {self.training_seed}"] if self.training_seed else []
         words += [self.change] if self.change != "none" else []
         words += [f"margin {1000 * self.min_margin:g} mm"] if self.min_margin else []
+        words += [ROBUST] if self.robust else []
+        words += [self.clutter] if self.clutter else []
         words += [self.order] if self.order != "random" else []
         words += [f"ruin after {self.ruin_after}"] if self.ruin_after else []
         words += [f"budget {self.budget}"] if self.budget else []
         return " ".join([*words, f"{self.num_objects} objects", f"{self.attempts} attempts"])
+
+
+def row_name(trial: Mapping[str, Any]) -> str:
+    """What tables call a row: its method, and what sets its rules apart from that method's own.
+
+    Args:
+      trial: fields of a `Trial`; those of results of older versions lack some.
+    """
+    method, is_ruined = str(trial["method"]), bool(trial.get("ruin_after", 0))
+    is_own = is_ruined == (method in TRUSTED_METHODS)
+    words = [] if is_own else [RUIN if is_ruined else RANDOM_ORDER]
+    words += [ROBUST] if trial.get("robust") else []
+    words += [trial["clutter"]] if trial.get("clutter") else []
+    return ", ".join([method, *words])
 
 
 def key_of(trial: Trial, sources: dict[str, Any]) -> str:

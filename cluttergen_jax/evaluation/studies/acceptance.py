@@ -12,9 +12,14 @@ from cluttergen_jax.evaluation.measures.acceptance import Bias, acceptance_bias
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies import diversity
 from cluttergen_jax.evaluation.studies.findings import Findings, each_standing, row_of
-from cluttergen_jax.evaluation.studies.study import Result, Study
+from cluttergen_jax.evaluation.studies.study import Result, Scale, Study
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.tables import Table
+
+
+def trials(scale: Scale) -> tuple[Trial, ...]:
+    """The scenes of `diversity`, by the paper's rules: every object proposed in its turn, none taken away."""
+    return diversity.papers_scenes(scale, 512, 16)
 
 
 def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
@@ -78,6 +83,4 @@ def _lift(row: Row) -> str:
     return f"{row['lift']:.2f} [{row['low95']:.2f}, {row['high95']:.2f}]"
 
 
-ACCEPTANCE = Study(
-    "acceptance", "What passes less often than it is proposed", 512, diversity.trials, tables, measure
-)
+ACCEPTANCE = Study("acceptance", "What passes less often than it is proposed", 512, trials, tables, measure)

@@ -1,21 +1,46 @@
-"""Success on ever smaller tables, and with ever more objects on one."""
+"""Success on ever smaller tables, with ever more objects on one, and by how full a table is."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
-from cluttergen_jax.evaluation.cells import SPEED, Column, Row, missing, number, share_of, table_of
+import numpy as np
+
+from cluttergen_jax.assets.pool import ALL, find_pool
+from cluttergen_jax.evaluation.cells import (
+    EFFORT,
+    EFFORT_NOTES,
+    SPEED,
+    Column,
+    Row,
+    asked,
+    missing,
+    name_of,
+    number,
+    share_of,
+    table_of,
+)
 from cluttergen_jax.evaluation.plots import add_legend, new_figure, prepare, save, success_line
+from cluttergen_jax.evaluation.rivals import OURS, success_notes
+from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, named_rows, with_seeds
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.methods import METHODS
-from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.tables import Table
 
 SIZES = ("0.60x0.70", "0.50x0.60", "0.40x0.50", "0.35x0.45", "0.30x0.40")
-_CROWDS = (10, 15, 20, 30)
-_CROWD_METHODS = (*BASELINES, "guided", "policy")
-"""Without the paper's heads and shorter memories, which the tables of `density` compare."""
+_NARROW = "0.22x0.30"
+FILLS = (0.5, 1.0, 1.5, 2.0)
+"""Footprints of a scene's objects over the region's area, of the rungs by fill."""
+_FILL_OBJECTS = 20
+_SIDES = (0.60, 0.70)
+"""Metres; tables of other areas are as long for their width."""
+FULLNESS = ("drop", "drop, ruin", "clear, ruin", "spread", "guided")
+"""Rows where it is about fullness: baselines with and without taking objects away, and who always does."""
+_CROWDS = {20: None, 30: None, 40: 10}
+"""Objects, and attempts of a scene for each of them where that is not what every row has."""
 _APART = 0.04
 
 
@@ -24,71 +49,126 @@ def table_sizes(*sizes: str) -> tuple[str, ...]:
     return tuple(f"table-{size}" for size in sizes)
 
 
+@lru_cache
+def filled_table(fill: float, pool: str = ALL, num_objects: int = _FILL_OBJECTS) -> str:
+    """The cuboid table that so many objects of a pool fill on average, its sides in whole centimetres.
+
+    Args:
+      fill: the sum of footprints (boxes seen from above) over the area of the top.
+    """
+    footprints = [4 * asset.half_extents[0] * asset.half_extents[1] for asset in find_pool(pool).objects]
+    area = num_objects * float(np.mean(footprints)) / fill
+    width = np.sqrt(area * _SIDES[0] / _SIDES[1])
+    # The other side makes up for what rounding the first one lost.
+    width = round(width, 2)
+    return table_sizes(f"{width:.2f}x{area / width:.2f}")[0]
+
+
 def trials(scale: Scale) -> tuple[Trial, ...]:
-    """All methods on tables of five sizes."""
-    pools, supports = scale.chosen("dining"), table_sizes(*SIZES)
-    return grid(scale.trial(1000, 8), pool=pools, support=supports, method=METHODS)
+    """All methods on tables of six sizes, then those that fill a table on tables filled by so much."""
+    base = scale.trial(256, 8)
+    names = (*METHODS, "drop, ruin", "clear, ruin")
+    ladder = grid(base, pool=scale.chosen("dining"), support=table_sizes(*SIZES, _NARROW))
+    filled = [
+        replace(base, pool=ALL, num_objects=_FILL_OBJECTS, support=filled_table(fill)) for fill in FILLS
+    ]
+    rows = (*named_rows(ladder, *names), *named_rows(filled, *FULLNESS))
+    return with_seeds(rows, OURS, scale.seeds)
 
 
 def crowds(scale: Scale) -> tuple[Trial, ...]:
-    """More and more objects on the paper's table."""
-    return grid(scale.trial(500, 4, pool="all"), num_objects=_CROWDS, method=_CROWD_METHODS)
+    """More and more objects on the paper's table; fewest of them also in random order, nothing taken away."""
+    base = scale.trial(256, 4, pool=ALL)
+    bases = [replace(base, num_objects=n, budget=times and times * n) for n, times in _CROWDS.items()]
+    plain = ("spread, random order", "guided, random order")
+    rows = (*named_rows(bases[:1], *FULLNESS, *plain), *named_rows(bases[1:], *FULLNESS))
+    return with_seeds(rows, OURS, scale.seeds)
 
 
 def tables(result: Result) -> list[Table]:
-    """Success and cost."""
+    """Success and cost, by rung."""
     made = [row for row in result["records"] if "figures" in row]
     lacking = [row for row in result["records"] if "figures" not in row]
     columns = (
-        Column("pool", lambda row: row["trial"]["pool"]),
-        Column("rung", lambda row: _rung(row["trial"])),
-        Column("method", lambda row: row["trial"]["method"]),
+        *asked("pool"),
+        Column("rung", _rung),
+        Column("fill", lambda row: number(row["figures"].get("fill"), 2)),
+        *asked("method"),
+        *_seeds(made),
         Column("success [95 %]", lambda row: share_of(row["figures"])),
-        Column("objects placed", lambda row: number(row["figures"]["placed"], 2)),
-        Column("attempts per valid scene", lambda row: _cost(row, "attempts", 1)),
-        Column("simulated steps per valid scene", lambda row: _cost(row, "simulated_steps", 0)),
+        *EFFORT,
         SPEED,
     )
     notes = (
-        "the same attempts for all (five an object), cut off as soon as they can no longer succeed; what "
-        "overhangs can fall",
-        "per valid scene: all attempts and steps of the row, rejected scenes included; speeds leave "
-        "compilation out",
+        "n: the objects of a scene; 5 n attempts a scene unless the rung says otherwise, cut off as soon as "
+        "they can no longer succeed; what overhangs can fall",
+        "fill: the sum of the objects' footprints (boxes from above) over the region's area, on average",
+        *EFFORT_NOTES,
+        *RULES,
+        *success_notes(made, _question),
         *dict.fromkeys(map(missing, lacking)),
     )
-    return [table_of(result["title"], columns, made, notes)]
+    return [table_of(result["title"] + margin_of(made), columns, made, notes)]
 
 
-def _cost(row: Row, name: str, digits: int) -> str:
-    figures = row["figures"]
-    return number(figures[f"{name}_per_valid_scene"], digits) if figures["num_success"] else "-"
+def _seeds(rows: list[Row]) -> tuple[Column, ...]:
+    """A column of training seeds where there is more than one."""
+    if not any(row["trial"]["training_seed"] for row in rows):
+        return ()
+    return (Column("training seed", lambda row: str(row["trial"]["training_seed"])),)
 
 
-def _rung(trial: dict) -> str:
-    """Where a trial stands: its table, or its number of objects."""
-    size = trial["support"].removeprefix("table-")
-    return f"{trial['num_objects']} objects" if size == "table" else f"{size} m"
+def _question(row: Row) -> str:
+    return f"{row['trial']['pool']}, {_rung(row)}"
+
+
+def _rung(row: Row) -> str:
+    """Where a row stands: its table, or its number of objects, or both."""
+    trial = row["trial"]
+    size, number_of = trial["support"].removeprefix("table-"), trial["num_objects"]
+    objects = f"{number_of} objects"
+    if trial.get("budget"):
+        objects += f", {trial['budget'] // number_of} n attempts"
+    if size == "table":
+        return objects
+    return f"{size} m" if trial["pool"] != ALL else f"{objects}, {size} m"
 
 
 def plot(rows: list[Row], stem: Path) -> list[str]:
     """Strict success, a line for each method."""
-    figure = new_figure(6.4, 3.0)
+    figure = new_figure(7.5, 3.4)
     axis = figure.subplots()
-    rungs = list(dict.fromkeys(_rung(row["trial"]) for row in rows))
-    methods = list(dict.fromkeys(row["trial"]["method"] for row in rows))
-    for turn, method in enumerate(methods):
-        chosen = [row for row in rows if row["trial"]["method"] == method]
+    rungs = list(dict.fromkeys(_rung(row) for row in rows))
+    # Of several training seeds, the first.
+    rows = [row for row in rows if not row["trial"]["training_seed"]]
+    names = list(dict.fromkeys(map(name_of, rows)))
+    for turn, name in enumerate(names):
+        chosen = [row for row in rows if name_of(row) == name]
         # Side by side, so that equal rates do not hide one another.
-        shift = _APART * (turn - (len(methods) - 1) / 2)
-        x = [rungs.index(_rung(row["trial"])) + shift for row in chosen]
-        success_line(axis, method, x, [row["figures"] for row in chosen])
+        shift = _APART * (turn - (len(names) - 1) / 2)
+        x = [rungs.index(_rung(row)) + shift for row in chosen]
+        success_line(axis, name, x, [row["figures"] for row in chosen])
     prepare(axis, "", "", "success")
-    axis.set_xticks(range(len(rungs)), rungs)
+    axis.set_xticks(range(len(rungs)), [rung.replace(", ", "\n") for rung in rungs], fontsize=6)
     add_legend(figure)
     return save(figure, stem)
 
 
 DENSITY = Study(
-    "density", "Tables of exactly the region's size, ten objects", 1000, trials, tables, plot=plot
+    "density",
+    "Tables of exactly the region's size: ten objects, then twenty of `all` by fill",
+    256,
+    trials,
+    tables,
+    plot=plot,
+    question=_question,
 )
-CROWDS = Study("crowds", "Objects of the pool `all` on 0.60 x 0.70 m", 500, crowds, tables, plot=plot)
+CROWDS = Study(
+    "crowds",
+    "Objects of the pool `all` on 0.60 x 0.70 m",
+    256,
+    crowds,
+    tables,
+    plot=plot,
+    question=_question,
+)

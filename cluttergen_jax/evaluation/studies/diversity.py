@@ -10,9 +10,11 @@ import numpy as np
 
 from cluttergen_jax.evaluation.cells import HEAD, Column, Row, number, table_of
 from cluttergen_jax.evaluation.measures import diversity as measures
+from cluttergen_jax.evaluation.rivals import by_question, ranking
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.density import SIZES, table_sizes
 from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
+from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, own_rules
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.methods import METHODS
@@ -24,10 +26,15 @@ _LEAST_SHARE = 0.25
 """A method that hardly ever succeeds would leave the others too few scenes to be compared."""
 
 
-def scenes_of(scale: Scale, full: int, quick: int) -> tuple[Trial, ...]:
-    """All methods on a table of the paper's region and on a tight one."""
+def papers_scenes(scale: Scale, full: int, quick: int) -> tuple[Trial, ...]:
+    """All methods on a table of the paper's region and on a tight one, by the paper's rules."""
     base, supports = scale.trial(full, quick), table_sizes(SIZES[0], SIZES[2])
     return grid(base, pool=scale.chosen("dining"), support=supports, method=METHODS)
+
+
+def scenes_of(scale: Scale, full: int, quick: int) -> tuple[Trial, ...]:
+    """The same, each method by its own rules."""
+    return tuple(map(own_rules, papers_scenes(scale, full, quick)))
 
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
@@ -74,6 +81,7 @@ def _figures(scenes: Successes, count: int) -> dict[str, Any]:
 
 def tables(result: Result) -> list[Table]:
     """A line for each method on each table."""
+    rows = result["measure"]["rows"]
     columns = (
         *HEAD,
         Column("scenes", lambda row: str(row["scenes"])),
@@ -87,8 +95,13 @@ def tables(result: Result) -> list[Table]:
         "nearest scene: distance to the most similar other scene; Vendi score: effective number of different "
         "scenes",
         "bounding box: the paper's measure, decided by outliers",
+        *RULES,
+        *(
+            f"Vendi score on {support}, highest first: {ranking(group, 'vendi', 1)}"
+            for support, group in by_question(rows, lambda row: row["support"]).items()
+        ),
     )
-    return [table_of(result["title"], columns, result["measure"]["rows"], notes)]
+    return [table_of(result["title"] + margin_of(rows), columns, rows, notes)]
 
 
 DIVERSITY = Study("diversity", "How different the scenes of a method are", 512, trials, tables, measure)

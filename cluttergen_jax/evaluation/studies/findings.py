@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from cluttergen_jax.evaluation.cells import Row
 from cluttergen_jax.evaluation.measures.arrangement import by_object
 from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.evaluation.trial import Trial, row_name
 from cluttergen_jax.placement.world import World
 
 _ENOUGH = 2
@@ -98,5 +98,5 @@ def each_standing(
 def row_of(trial: Trial, **figures: Any) -> Row:
     """A row of findings: what the trial asks, and what was found."""
     margin = {"min_margin": trial.min_margin} if trial.min_margin else {}
-    head = {"pool": trial.pool_name, "support": trial.support_name, "method": trial.method}
+    head = {"pool": trial.pool_name, "support": trial.support_name, "method": row_name(asdict(trial))}
     return head | margin | figures

@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from cluttergen_jax.assets.pool import EMBEDDED
-from cluttergen_jax.evaluation.cells import LOOSE, STRICT, Column, Row, figures_by, pooled, share, table_of
+from cluttergen_jax.evaluation.cells import (
+    LOOSE,
+    STRICT,
+    Column,
+    Row,
+    figures_by,
+    name_of,
+    pooled,
+    share,
+    table_of,
+)
+from cluttergen_jax.evaluation.rivals import success_notes
 from cluttergen_jax.evaluation.studies.contact_sheets import renders
+from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, named_rows
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.proportions import wilson
 from cluttergen_jax.tables import Table
 
 SUPPORTS = (
@@ -23,6 +37,9 @@ SUPPORTS = (
     "tray_table",
     "trestle_table",
 )
+ROWS = ("drop", "drop, ruin", "spread", "guided")
+"""Compared at equal support margins; `policy` has the paper's rules, beside the paper's figure."""
+ALL_TABLES = "all"
 PAPER = 0.70
 """The paper's success over ten furniture tables and all groups, 50 episodes each."""
 
@@ -31,23 +48,84 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
     """Every table with every pool; quick, each with one of them by turns."""
     pools = scale.chosen(*EMBEDDED)
     base = scale.trial(50, 2, change="all", paper_count=not scale.quick)
-    rows = grid(base, method=("policy", "drop"), pool=pools, support=SUPPORTS)
+    policies = grid(base, method=("policy",), pool=pools, support=SUPPORTS)
+    bases = grid(replace(base, paper_count=False), pool=pools, support=SUPPORTS)
+    ours = [row for name in ROWS for row in named_rows(bases, name)]
     return tuple(
         row
-        for row in rows
+        for row in (*policies, *ours)
         if not scale.quick or SUPPORTS.index(row.support) % len(pools) == pools.index(row.pool)
     )
 
 
 def tables(result: Result) -> list[Table]:
-    """Success by table and pool, a table for each method and count."""
+    """Success by table, all pools together; then by table and pool, a table for each method and count."""
+    names = dict.fromkeys(map(name_of, result["records"]))
+    of_name = {name: [row for row in result["records"] if name_of(row) == name] for name in names}
     found = []
-    for method in dict.fromkeys(row["trial"]["method"] for row in result["records"]):
-        rows = [row for row in result["records"] if row["trial"]["method"] == method]
-        found.append(_by_support(f"{result['title']} ({method}, strict)", rows, is_loose=False))
+    compared = {name: rows for name, rows in of_name.items() if name in ROWS}
+    if len(compared) > 1:
+        found.append(_side_by_side(result["title"], compared))
+    for name, rows in of_name.items():
+        margin = margin_of(rows)
+        found.append(_by_support(f"{result['title']} ({name}, strict{margin})", rows, is_loose=False))
         if any("paper" in row.get("figures", {}) for row in rows):
-            found.append(_by_support(f"{result['title']} ({method}, paper's count)", rows, is_loose=True))
+            title = f"{result['title']} ({name}, paper's count{margin})"
+            found.append(_by_support(title, rows, is_loose=True))
     return found
+
+
+def _side_by_side(title: str, of_name: dict[str, list[Row]]) -> Table:
+    """A line for each support, a column for each row's name, all pools together."""
+    every = [row for rows in of_name.values() for row in rows]
+    made = [row for row in every if "figures" in row]
+
+    def column(name: str) -> Column:
+        return Column(name, lambda line: _total(row for row in line["rows"] if name_of(row) == name))
+
+    supports = dict.fromkeys(row["trial"]["support"] for row in every)
+    lines = [
+        {"name": support, "rows": [row for row in every if row["trial"]["support"] == support]}
+        for support in supports
+    ]
+    columns = (Column("table", lambda line: line["name"]), *map(column, of_name))
+    # Pooled over pools first: a share of all of a table's scenes, or of all scenes.
+    pooled_rows = [
+        _pooled_row(name, support, [row for row in rows if support in (row["trial"]["support"], ALL_TABLES)])
+        for support in (ALL_TABLES, *supports)
+        for name, rows in of_name.items()
+    ]
+    notes = (STRICT, *RULES, *success_notes(pooled_rows, lambda row: row["support"]))
+    return table_of(
+        f"{title}, all pools{margin_of(made)}", columns, [*lines, {"name": ALL_TABLES, "rows": every}], notes
+    )
+
+
+def _pooled_row(name: str, support: str, rows: list[Row]) -> Row:
+    """Several rows as one; missing where none of them is made."""
+    made = [row["figures"] for row in rows if "figures" in row]
+    head: Row = {"method": name}
+    if not made:
+        return head | {"missing": "no rows"}
+    sums = {
+        each: sum(row[each] for row in made)
+        for each in ("num_success", "trials", "attempts", "simulated_steps")
+    }
+    low, high = wilson(sums["num_success"], sums["trials"])
+    valid = max(sums["num_success"], 1)
+    figures = sums | {
+        "success": sums["num_success"] / sums["trials"],
+        "low95": low,
+        "high95": high,
+        "attempts_per_valid_scene": sums["attempts"] / valid,
+        "simulated_steps_per_valid_scene": sums["simulated_steps"] / valid,
+    }
+    return head | {"support": support, "figures": figures}
+
+
+def _total(some: Iterable[Row]) -> str:
+    made = [row for row in some if "figures" in row]
+    return pooled(made, is_loose=False) if made else "-"
 
 
 def _by_support(title: str, rows: list[Row], is_loose: bool) -> Table:
@@ -99,4 +177,5 @@ FURNITURE = Study(
     tables,
     renders=renders,
     measured_as="renders",
+    question=lambda row: f"{row['trial']['pool']} on {row['trial']['support']}",
 )

@@ -16,6 +16,7 @@ from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies import robustness
 from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
+from cluttergen_jax.evaluation.studies.rules import RULES
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid, of_methods
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.baselines import BASELINES
@@ -40,7 +41,7 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
         figures = runner.row(trial)["figures"]
         success = {name: figures[name] for name in ("success", "low95", "high95")}
         measured = runner.measured(trial, "margins", partial(_margins, scenes, runner.num_threads))
-        measured |= runner.measured(trial, "tilt", partial(_tilt, scenes, runner.num_threads))
+        measured |= runner.measured(trial, "tilt", partial(tilt_figures, scenes, runner.num_threads))
         unsupported = figures["verdicts"].get(Verdict.UNSUPPORTED.label, 0) / figures["attempts"]
         rows.append(row_of(trial, **success, unsupported=unsupported, **measured))
     return Findings(rows)
@@ -57,7 +58,7 @@ def _margins(scenes: Successes, num_threads: int) -> dict[str, Any]:
     }
 
 
-def _tilt(scenes: Successes, num_threads: int) -> dict[str, Any]:
+def tilt_figures(scenes: Successes, num_threads: int) -> dict[str, Any]:
     models, config = SceneModels(scenes.world), TiltConfig()
     stands = tilt(models, scenes.poses, scenes.is_placed, config, num_threads)
     return {
@@ -96,7 +97,7 @@ def tables(result: Result) -> list[Table]:
         "stand tilted: share of scenes in which nothing moves over 5 mm or turns over 5 degrees within 2 s, "
         "in whichever of eight directions gravity is tilted; in brackets, of scenes and directions",
     )
-    return [table_of(result["title"], columns, rows, notes)]
+    return [table_of(result["title"], columns, rows, (*notes, *RULES))]
 
 
 def _least(row: Row) -> str:

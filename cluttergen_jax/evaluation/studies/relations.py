@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from cluttergen_jax.assets.pool import EMBEDDED
 from cluttergen_jax.evaluation.cells import Column, Row, asked, number, table_of
 from cluttergen_jax.evaluation.measures.relations import Relation, count_relations, relations
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.contact_sheets import SAMPLES, sheet
 from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
-from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, of_methods
+from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, named_rows
+from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid, of_methods
 from cluttergen_jax.evaluation.studies.table1 import first_seed
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.rendering.assets import render_scene
@@ -25,8 +28,13 @@ _EXAMPLES = 2
 
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
-    """Of table 1: our policy and chance."""
-    return of_methods(first_seed(scale), "policy", "random")
+    """Of table 1: our policy and chance. Beside them `guided` and `spread` by their own rules.
+
+    Nobody is asked for a support margin, as in table 1.
+    """
+    bases = grid(scale.trial(1000, 6), pool=scale.chosen(*EMBEDDED))
+    ours = [replace(each, min_margin=0.0) for each in named_rows(bases, "spread", "guided")]
+    return (*of_methods(first_seed(scale), "policy", "random"), *ours)
 
 
 def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
@@ -76,10 +84,10 @@ def _pictures(examples: Sequence[tuple[Trial, Successes, np.ndarray]], stem: Pat
                 caption = f"{names[i]} {kind.label} {names[j]} ({trial.pool_name}, {trial.method})"
                 found[caption] = (scenes, scene)
                 chosen += 1
-    return sheet([_draw(*place) for place in found.values()], list(found), stem)
+    return sheet([draw(*place) for place in found.values()], list(found), stem)
 
 
-def _draw(scenes: Successes, scene: int) -> np.ndarray:
+def draw(scenes: Successes, scene: int) -> np.ndarray:
     """uint8[H, W, 3]: one of the successful scenes, seen closely."""
     here = np.flatnonzero(scenes.is_placed[scene])
     objects, poses = [scenes.world.objects[k] for k in here], scenes.poses[scene, here]
@@ -97,8 +105,9 @@ def tables(result: Result) -> list[Table]:
         Column("scenes with one", lambda row: f"{row['scenes_with']} of {row['scenes']}"),
         Column("commonest", _commonest),
     )
-    note = "between objects, counted from contacts, in valid scenes"
-    return [table_of(result["title"], columns, result["measure"]["rows"], (note,))]
+    rows = result["measure"]["rows"]
+    notes = ("between objects, counted from contacts, in valid scenes", *RULES)
+    return [table_of(result["title"] + margin_of(rows), columns, rows, notes)]
 
 
 def _commonest(row: Row) -> str:

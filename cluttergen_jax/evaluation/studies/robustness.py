@@ -12,9 +12,11 @@ import numpy as np
 from cluttergen_jax.evaluation.cells import HEAD, Column, Row, number, share, table_of
 from cluttergen_jax.evaluation.measures.robustness import CREEP_SECONDS, creep, shake, survives
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
+from cluttergen_jax.evaluation.rivals import share_notes
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.diversity import scenes_of
 from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
+from cluttergen_jax.evaluation.studies.rules import RULES, margin_of
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.proportions import finite, proportion
@@ -86,9 +88,12 @@ def tables(result: Result) -> list[Table]:
         "directions, median [10 %, 90 %] of scenes",
     )
     second = "Share of scenes that stand 10 s under changed physics"
+    margin = margin_of(rows)
+    stood = [{**row, **row["creep"][1]} for row in rows if len(row.get("creep", ())) > 1]
+    compared = share_notes(stood, lambda row: f"stands {row['seconds']:g} s on {row['support']}")
     return [
-        table_of(result["title"], columns, rows, notes),
-        table_of(second, (*HEAD, *map(changed, made["changes"])), rows, notes[:1]),
+        table_of(result["title"] + margin, columns, rows, (*notes, *RULES, *compared)),
+        table_of(second + margin, (*HEAD, *map(changed, made["changes"])), rows, notes[:1]),
     ]
 
 

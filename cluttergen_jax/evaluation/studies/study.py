@@ -88,6 +88,8 @@ class Study:
       renders: what is drawn of the trials' scenes beside their rows.
       measured_as: under which name findings are kept; the study's if "".
       keeps_each: the measure keeps its findings trial by trial (`Runner.measured`), not all together.
+      question: what a row asks of all methods alike, where it is about success; a page then counts where
+        another method is as good as `guided`.
       depends_on: what else beside a trial decides the findings.
     """
 
@@ -101,4 +103,5 @@ class Study:
     renders: Measure | None = None
     measured_as: str = ""
     keeps_each: bool = False
+    question: Callable[[Row], str] | None = None
     depends_on: Callable[[Runner, Trial], Any] = lambda runner, trial: None

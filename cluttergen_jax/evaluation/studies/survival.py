@@ -14,10 +14,12 @@ from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.evaluation.cells import HEAD, Column, Row, number, share_of, table_of
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.measures.survival import PEERS, SURVIVAL_SECONDS, movement_elsewhere
+from cluttergen_jax.evaluation.rivals import share_notes
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies import margin, robustness
 from cluttergen_jax.evaluation.studies.diversity import TIGHT
 from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
+from cluttergen_jax.evaluation.studies.rules import RULES, margin_of
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.proportions import finite, proportion
@@ -35,7 +37,7 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
     notes: dict[str, None] = {}
     for trial, scenes in each_standing(runner, trials, rows):
         for engine in PEERS:
-            make = partial(_figures, scenes, engine, runner.num_threads)
+            make = partial(figures_in, scenes, engine, runner.num_threads)
             try:
                 stood = runner.measured(trial, f"survival in {engine}", make)
             except MissingExtraError as error:
@@ -45,7 +47,7 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
     return Findings(rows, notes=list(notes))
 
 
-def _figures(scenes: Successes, engine: str, num_threads: int) -> dict[str, Any]:
+def figures_in(scenes: Successes, engine: str, num_threads: int) -> dict[str, Any]:
     models = SceneModels(scenes.world)
     movement = movement_elsewhere(engine, models, scenes.poses, scenes.is_placed, num_threads=num_threads)
     return {
@@ -59,11 +61,9 @@ def _figures(scenes: Successes, engine: str, num_threads: int) -> dict[str, Any]
 def tables(result: Result) -> list[Table]:
     """A line for each method, table and engine."""
     rows = result["measure"]["rows"]
-    # Only studies that ask for margins name them.
-    asks = any("min_margin" in row for row in rows)
     columns = (
         *HEAD,
-        *((margin.ASKED,) if asks else ()),
+        *((margin.ASKED,) if asks_several(rows) else ()),
         Column("engine", lambda row: row["engine"]),
         Column("scenes", lambda row: str(row["scenes"])),
         Column("stands 10 s [95 %]", lambda row: share_of(row, "share")),
@@ -71,11 +71,17 @@ def tables(result: Result) -> list[Table]:
     )
     notes = (
         "stands: nothing moved over 5 mm or turned over 5 degrees",
-        "`policy` on 0.40 x 0.50 m: it puts centres of mass within 3 mm of the table's edge, and what "
-        "balances there tips in another engine; with a support margin asked for, more of its "
-        "scenes stand in both",
+        *RULES,
+        *share_notes(rows, lambda row: f"stands 10 s in {row.get('engine')} on {row['support']}"),
     )
-    return [table_of(result["title"], columns, rows, notes)]
+    # Of several margins, a column tells them apart.
+    margin_text = "" if asks_several(rows) else margin_of(rows)
+    return [table_of(result["title"] + margin_text, columns, rows, notes)]
+
+
+def asks_several(rows: Sequence[Row]) -> bool:
+    """Whether rows ask for different support margins."""
+    return len({row.get("min_margin", 0.0) for row in rows}) > 1
 
 
 SURVIVAL = Study(

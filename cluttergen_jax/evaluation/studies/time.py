@@ -13,8 +13,10 @@ from typing import Any
 
 from cluttergen_jax.evaluation.cells import Column, asked, number, table_of
 from cluttergen_jax.evaluation.resolved import MissingCheckpointError
+from cluttergen_jax.evaluation.rivals import by_question, ranking
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.findings import Findings, row_of
+from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, own_rules
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.methods import METHODS
@@ -22,8 +24,9 @@ from cluttergen_jax.tables import Table
 
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
-    """All methods, one after another."""
-    return grid(scale.trial(256, 8), pool=scale.chosen("dining"), method=METHODS)
+    """All methods by their own rules, one after another."""
+    rows = grid(scale.trial(256, 8), pool=scale.chosen("dining"), method=METHODS)
+    return tuple(map(own_rules, rows))
 
 
 def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
@@ -66,7 +69,14 @@ def tables(result: Result) -> list[Table]:
         "wall time of a process of its own, from its first import to its last scene; the last column leaves "
         "out imports, models and compilation; rejected work is included in both",
     )
-    return [table_of(result["title"], columns, result["measure"]["rows"], notes)]
+    rows = result["measure"]["rows"]
+    by_cores = by_question([row for row in rows if "cores" in row], lambda row: str(row["cores"]))
+    ranks = (
+        f"s per valid scene without start, cores {cores}, least first: "
+        f"{ranking(group, 'running_seconds_per_valid_scene', 4, falls=False)}"
+        for cores, group in by_cores.items()
+    )
+    return [table_of(result["title"] + margin_of(rows), columns, rows, (*notes, *RULES, *ranks))]
 
 
 TIME = Study("time", "Time per valid scene, end to end", 256, trials, tables, measure, measured_as="timing")

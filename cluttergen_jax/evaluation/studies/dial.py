@@ -1,0 +1,118 @@
+"""The dial: how many objects should rest on others, how many do, and what that costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from cluttergen_jax.evaluation.cells import (
+    EFFORT,
+    EFFORT_NOTES,
+    Column,
+    Row,
+    asked,
+    number,
+    share_of,
+    table_of,
+)
+from cluttergen_jax.evaluation.resolved import MissingCheckpointError
+from cluttergen_jax.evaluation.rivals import OURS, TWIN, success_notes
+from cluttergen_jax.evaluation.runner import Runner
+from cluttergen_jax.evaluation.studies.contact_sheets import sheet
+from cluttergen_jax.evaluation.studies.findings import Findings, successes_of
+from cluttergen_jax.evaluation.studies.relations import draw
+from cluttergen_jax.evaluation.studies.rules import margin_of, own_rules
+from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
+from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.rendering.gl import renderer_status
+from cluttergen_jax.tables import Table
+
+STACKS = range(6)
+"""Objects that should rest on others, of ten."""
+
+
+def trials(scale: Scale) -> tuple[Trial, ...]:
+    """Nothing asked for, then from none to half of the objects, by both methods that can be asked."""
+    rows = grid(
+        scale.trial(256, 4),
+        pool=scale.chosen("dining"),
+        method=(OURS, TWIN),
+        clutter=("", *(f"stack={each}" for each in STACKS)),
+    )
+    return tuple(map(own_rules, rows))
+
+
+def tables(result: Result) -> list[Table]:
+    """Asked and got."""
+    rows = [
+        {**row, "trial": {**row["trial"], "clutter": ""}, "asked": _asked(row)} for row in result["records"]
+    ]
+    made = [row for row in rows if "figures" in row]
+    columns = (
+        *asked("pool", "method"),
+        Column("objects on others, asked", lambda row: _text(row["asked"]), is_asked=True),
+        Column("got, mean of scenes", lambda row: number(row["figures"]["stack"]["mean"], 2)),
+        Column("standard deviation", lambda row: number(row["figures"]["stack"]["std"], 2)),
+        Column("error", _error),
+        Column("success [95 %]", lambda row: share_of(row["figures"])),
+        *EFFORT,
+    )
+    notes = (
+        "objects on others: those that rest on another object, counted from contacts, in valid scenes",
+        "error: of what was got, in parts of what was asked",
+        *EFFORT_NOTES,
+        *success_notes(made, lambda row: f"{row['trial']['pool']}, asked {_text(row['asked'])}"),
+    )
+    return [table_of(result["title"] + margin_of(made), columns, rows, notes)]
+
+
+def _asked(row: Row) -> float | None:
+    text = row["trial"]["clutter"]
+    return Clutter.of(text).stack if text else None
+
+
+def _text(stack: float | None) -> str:
+    return "nothing" if stack is None else f"{stack:g}"
+
+
+def _error(row: Row) -> str:
+    stack, got = row["asked"], row["figures"]["stack"]["mean"]
+    return f"{got / stack - 1:+.0%}" if stack and got is not None else "-"
+
+
+def renders(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
+    """A scene for each number of objects on others, from tidy to heap: one that has as many as were asked."""
+    can_draw, message = renderer_status()
+    if not can_draw:
+        return Findings(notes=[f"not drawn: {message}"])
+    images: list[np.ndarray] = []
+    captions: list[str] = []
+    for trial in (each for each in trials if each.clutter):
+        stack = Clutter.of(trial.clutter).stack or 0
+        try:
+            # Both methods follow the dial; the first one that is there is drawn.
+            scenes = successes_of(runner, trial)
+        except MissingCheckpointError:
+            continue
+        caption = f"asked {stack:g}"
+        if not len(scenes) or any(each.startswith(f"{caption}:") for each in captions):
+            continue
+        got = (scenes.arrays["level"][scenes.index] > 0).sum(1)
+        best = int(np.argmin(np.abs(got - stack)))
+        images.append(draw(scenes, best))
+        captions.append(f"{caption}: {got[best]} on others ({trial.pool_name}, {trial.method})")
+    return sheet(images, captions, stem)
+
+
+DIAL = Study(
+    "dial",
+    "Ten objects, so many of them on others",
+    256,
+    trials,
+    tables,
+    renders=renders,
+    measured_as="renders of the dial",
+)
