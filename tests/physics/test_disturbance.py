@@ -22,7 +22,7 @@ from tests.helpers import banks
 from tests.helpers.worlds import TOP, box, layout_of, scene, trio
 
 EDGE = 0.3
-ROBUST = StabilityConfig(robust_tilt=ROBUST_TILT)
+ROBUST = StabilityConfig(robust_tilt=math.radians(4))
 TALL, CUBE, LOWER = range(3)
 HEIGHT = {TALL: 0.1, CUBE: 0.03, LOWER: 0.03}
 
@@ -55,8 +55,8 @@ def settle(engine, focus, *scenes):
 
 
 def test_what_would_tip_by_hand_arithmetic_is_fragile(layout, engines):
-    # At height h, gravity tilted by 3 degrees moves the load by h tan(3): 5.2 mm for the tall box, 1.6 mm for a
-    # cube. A brief tilt by 4 degrees is to find just those that would fall.
+    # At height h, gravity tilted by 3 degrees moves the load by h tan(3): 5.2 mm for the tall box, 1.6 mm for
+    # a cube. A brief tilt by 4 degrees is to find just those that would fall.
     plain, robust = engines
     for index, margins in ((TALL, (0.002, 0.0047, 0.0063, 0.02)), (CUBE, (0.0005, 0.0014, 0.0019, 0.01))):
         load = HEIGHT[index] * math.tan(math.radians(3))

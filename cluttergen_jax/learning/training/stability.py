@@ -105,6 +105,12 @@ class Calibration:
     stood: tuple[float, ...]
     count: tuple[int, ...]
 
+    def __str__(self) -> str:
+        return (
+            f"{self.number:,} attempts, AUC {self.auc:.3f} ({self.auc_on:.3f} on objects); "
+            f"{self.trusted:.3f} trusted above 0.9, of these {self.precision:.3f} stood"
+        )
+
 
 def calibration(logits: np.ndarray, stood: np.ndarray, is_on: np.ndarray) -> Calibration:
     """How far the trust sigmoid(logits), f32[N], agrees with what stood, bool[N]."""
