@@ -130,10 +130,11 @@ class StabilityConfig:
       stand_full_steps: second stage of the last check, for the others.
       stand_full_shift, stand_full_turn: metres and radians allowed by the end of the second stage.
       robust_tilt: radians; above 0, what came to rest must also stand while gravity, tilted by so much, turns
-        once around (`physics.disturbance`); 0 asks for nothing. The others count only then:
+        once around (`physics.disturbance`) and contacts are as soft as MuJoCo's default; 0 asks for nothing.
+        The others count only then:
       robust_friction: factor of all friction coefficients meanwhile.
       robust_steps: steps of that turn.
-      robust_shift, robust_turn: metres and radians that any object may be from where it came to rest.
+      robust_shift, robust_turn: metres in plan and radians that any object may be from where it came to rest.
     """
 
     timestep: float = 1 / 240
@@ -160,8 +161,8 @@ class StabilityConfig:
     robust_tilt: float = 0.0
     robust_friction: float = 0.7
     robust_steps: int = 120
-    robust_shift: float = 0.0005
-    robust_turn: float = math.radians(0.5)
+    robust_shift: float = 0.002
+    robust_turn: float = math.radians(2)
 
     def __post_init__(self) -> None:
         others = ("per_axis", "stop_when_decided", "judge_neighbours", "robust_tilt")

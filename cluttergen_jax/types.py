@@ -50,7 +50,7 @@ _SENTENCES = {
     Verdict.NON_FINITE: "the simulation diverged",
     Verdict.CREPT: "the finished scene moved in the last check",
     Verdict.UNSUPPORTED: "came to rest with its centre of mass too near the edge of what carries it",
-    Verdict.FRAGILE: "would not stand under a slight tilt or less friction",
+    Verdict.FRAGILE: "would not stand under a slight tilt, less friction and softer contacts",
 }
 
 

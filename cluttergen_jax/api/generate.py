@@ -41,6 +41,7 @@ def generate(
     overhang: Overhang = "any",
     clutter: str | Mapping[str, float] | None = None,
     natural: bool = False,
+    tidy: bool = False,
     repeat: bool = False,
     start: str | None = None,
     keep_out: Sequence[Rectangle | str] = (),
@@ -79,17 +80,19 @@ def generate(
       budget: attempts of a scene in all; `max_attempts` for each object if not given.
       min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
         asks for nothing. If not given: 0.003.
-      robust: ask that an object also stands, with whatever it touches, while gravity tilts by 5 degrees and
-        friction is 0.7 times as much; native engine alone.
+      robust: ask that an object also stands, with whatever it touches, while gravity tilts by 5 degrees,
+        friction is 0.7 times as much and contacts are soft; native engine alone.
       setting: what holds of these where they are not given: "default", or "paper" for the paper's rules: a
         random order, nothing taken away, no margin.
       overhang: how much of an object may reach beyond the support's edge once it rests, seen from above:
         "any"; "half", a quarter of its footprint, half of where an even body tips; or "none".
-      clutter: what scenes should have, on average (method "spread"): stack, objects on others; depth, objects
-        below each, summed; contacts, pairs that touch; near, metres to the nearest other object, mean;
-        occlusion, mean share of an object that others hide. As text "stack=3,near=0.02"; in Python also a
-        mapping.
-      natural: prefer wide, flat things below and small ones on them (method "spread").
+      clutter: what scenes should have, on average (methods "guided", "spread"): stack, objects on others;
+        depth, objects below each, summed; contacts, pairs that touch; near, metres to the nearest other
+        object, mean; occlusion, mean share of an object that others hide. As text "stack=3,near=0.02"; in
+        Python also a mapping.
+      natural: prefer wide, flat things below and small ones on them (methods "guided", "spread").
+      tidy: keep room instead of spreading objects out: more objects fit, and scenes are more alike (methods
+        "guided", "spread").
       repeat: let objects stand there more than once.
       start: a scene to start from, BANK:INDEX; its objects stay and count as neighbours.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.

@@ -132,12 +132,16 @@ def suited(placement: PlacementConfig, checkpoint: Checkpoint | None) -> Placeme
 
 
 def check_steered(method: str, placement: PlacementConfig) -> None:
-    """Refuses `clutter` and `natural` with a method that draws from no weights.
+    """Refuses `clutter`, `natural` and `tidy` with a method that has no trusted candidates to choose from.
 
     Raises:
       ConfigError: it names the methods that do.
     """
-    is_steered = {"clutter": placement.clutter is not None, "natural": placement.natural}
+    is_steered = {
+        "clutter": placement.clutter is not None,
+        "natural": placement.natural,
+        "tidy": placement.tidy,
+    }
     given = [name for name, is_given in is_steered.items() if is_given]
     if given and method not in TRUSTED_METHODS:
         allowed = [name for name in TRUSTED_METHODS if name in METHODS]

@@ -16,6 +16,10 @@ _BAD = [
     int(mujoco.mjtWarning.mjWARN_BADQACC),
 ]
 
+SOFT_SOLREF = (0.02, 1.0)
+SOFT_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
+"""MuJoCo's defaults: contacts ten times as deep as `ContactConfig`'s."""
+
 _ROOMY = 4 << 20
 
 
@@ -71,9 +75,16 @@ class Simulations:
         self._raised[:num] = False
         return start
 
-    def scale_friction(self, factor: float) -> None:
-        """From now on all friction coefficients are the model's times `factor`."""
-        self._batch.expand("geom_friction")[:] = factor * self._batch.model.geom_friction
+    def loosen_contacts(self, friction: float) -> None:
+        """From now on friction is the model's times `friction`, and contacts are as soft as MuJoCo's default."""
+        self._batch.expand("geom_friction")[:] = friction * self._batch.model.geom_friction
+        self._batch.expand("geom_solref")[:] = SOFT_SOLREF
+        self._batch.expand("geom_solimp")[:] = SOFT_SOLIMP
+
+    def restore_contacts(self) -> None:
+        """From now on contacts are the model's own again."""
+        for name in ("geom_friction", "geom_solref", "geom_solimp"):
+            self._batch.expand(name)[:] = getattr(self._batch.model, name)
 
     def turn_gravity(self, direction: np.ndarray) -> None:
         """From now on gravity, as strong as the model's, points along the unit vector `direction`, f[3]."""

@@ -30,6 +30,9 @@ _MANY_ABOVE = 192
 _MANY = 0.3
 """Candidates over placed objects where some shall lie on others, and where more than `_MANY` of all shall."""
 
+_TIDY_FINALISTS = 96
+_HIGHEST_COST = 10.0
+
 
 @dataclass(frozen=True)
 class TrustedConfig:
@@ -91,6 +94,8 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
         thresholds = jnp.array(self.config.thresholds)
         asked = thresholds[jnp.minimum(episode.attempt, len(thresholds) - 1)]
         noise = jax.random.gumbel(key_choice, trust.shape)
+        if self.search.rules.config.tidy:
+            noise = -jnp.minimum(menu.found.cost, _HIGHEST_COST)
         if self.is_tilted:
             logits, asked = self.tilt(episode, menu, trust, asked)
             noise += logits
@@ -139,9 +144,9 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
         keys = jax.random.split(key, 3)
         scene = search.scene(episode, with_owner=True)
         drawn = [draw_candidates(keys[0], episode.region, config.num_uniform)]
-        if config.num_finalists:
+        if number := _TIDY_FINALISTS if search.rules.config.tidy else config.num_finalists:
             many = draw_candidates(keys[1], episode.region, search.config.num_candidates)
-            drawn.append(search.best(scene, many, config.num_finalists))
+            drawn.append(search.best(scene, many, number))
         if self.num_above:
             drawn.append(above_objects(keys[2], scene, search.rules, self.num_above))
         return self._look(scene, jax.tree.map(lambda *parts: jnp.concatenate(parts), *drawn))

@@ -178,7 +178,11 @@ def _made(recipe: dict[str, Any]) -> str:
         "support margin asked for, metres": placement.get("min_margin", 0),
         "robust": "asked for" if recipe.get("stability", {}).get("robust_tilt") else "not asked for",
         "overhang": placement.get("overhang", "any"),
-        **{f"{name} asked for": placement[name] for name in ("clutter", "natural") if name in placement},
+        **{
+            f"{name} asked for": placement[name]
+            for name in ("clutter", "natural", "tidy")
+            if name in placement
+        },
         "versions": ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items()),
     }
     return "\n".join(["## How it was made", "", *(f"- {name}: {value}" for name, value in rows.items())])
