@@ -1,4 +1,4 @@
-"""A slight disturbance of what came to rest: gravity tilts and turns once around, in soft and slippery contact.
+"""A slight disturbance of what came to rest: gravity tilts and turns once around, contacts give way and slip.
 
 What stands by a hair falls in the next simulator. It is found by one short simulation: the tilt's direction
 turns through all directions, so that whatever would tip over an edge is leant over that edge for a while. In

@@ -76,7 +76,7 @@ class Simulations:
         return start
 
     def loosen_contacts(self, friction: float) -> None:
-        """From now on friction is the model's times `friction`, and contacts are as soft as MuJoCo's default."""
+        """From now on friction is `friction` times as much, and contacts are as soft as MuJoCo's default."""
         self._batch.expand("geom_friction")[:] = friction * self._batch.model.geom_friction
         self._batch.expand("geom_solref")[:] = SOFT_SOLREF
         self._batch.expand("geom_solimp")[:] = SOFT_SOLIMP
