@@ -5,43 +5,33 @@ from pathlib import Path
 import jax
 import numpy as np
 
+import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support, list_supports
-from cluttergen_jax.placement.baselines import make_proposer
-from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.problem import ProblemConfig, make_problem
-from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.rendering.assets import object_sheet, render_scene
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 
 HERE = Path(__file__).parent / "images"
 POOLS = ("dining", "study", "office", "kitchen", "household")
 SCENES = (
-    ("dining", "table", 10, "drop"),
-    ("study", "drawer_desk", 10, "clear"),
-    ("kitchen", "trestle_table", 10, "clear"),
-    ("office", "l_desk", 10, "clear"),
-    ("household", "round_table", 10, "drop"),
-    ("all", "table-0.60x0.70", 20, "drop"),
+    ("dining", "table", 10, None),
+    ("study", "drawer_desk", 10, None),
+    ("kitchen", "trestle_table", 10, "stack=3"),
+    ("office", "l_desk", 10, None),
+    ("household", "round_table", 10, "stack=2"),
+    ("all", "table-0.60x0.70", 30, None),
 )
 
 
-def draw(pool: str, support: str, num_objects: int, method: str) -> np.ndarray:
-    """The first success of seed 0, drawn close."""
-    placement = PlacementConfig(num_objects=num_objects, history_stride=0)
-    problem = make_problem(ProblemConfig(pool=pool, support=support, placement=placement))
-    sampler = BlockSampler(problem.rules, make_proposer(method, problem.rules))
-    scenes = jax.device_get(jax.jit(sampler.sample)(jax.random.key(0), np.arange(8), np.ones(8, bool)))
+def draw(pool: str, support: str, num_objects: int, clutter: str | None) -> np.ndarray:
+    """The first success of seed 0 by the default method, drawn close."""
+    sample = cg.make_sampler(pool, support, num_objects, clutter=clutter)
+    keys = jax.random.split(jax.random.key(0), 8)
+    scenes = jax.device_get(jax.jit(jax.vmap(sample))(keys))
     place = int(np.flatnonzero(scenes.is_success)[0])
-    objects = [problem.world.objects[index] for index in scenes.object_index[place]]
+    scene = sample.scene(scenes, place)
     return render_scene(
-        objects,
-        scenes.poses[place],
-        problem.world.support,
-        close=True,
-        width=720,
-        height=540,
-        samples=64,
+        scene.objects, scene.poses, scene.support, close=True, width=720, height=540, samples=64
     )
 
 
@@ -52,7 +42,10 @@ def draw_support(name: str) -> np.ndarray:
 
 def main() -> None:
     """Draws every picture."""
-    captions = [f"{pool}: {n} objects on {support}, {method}" for pool, support, n, method in SCENES]
+    captions = [
+        ", ".join(filter(None, (f"{pool}: {n} objects on {support}", clutter)))
+        for pool, support, n, clutter in SCENES
+    ]
     save_png(contact_sheet([draw(*scene) for scene in SCENES], captions, columns=3), HERE / "scenes.png")
     for pool in POOLS:
         save_png(object_sheet(find_pool(pool).objects, columns=5), HERE / f"{pool}.png")

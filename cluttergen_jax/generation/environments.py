@@ -54,6 +54,7 @@ def make_env(
     min_margin: float | None = None,
     robust: bool = False,
     setting: str = "default",
+    overhang: str = "any",
     engine: str = "auto",
     num_threads: int = 0,
     **unknown: Never,
@@ -72,8 +73,8 @@ def make_env(
 
     Args:
       pool, support, num_objects, objects, exclude, repeat, region, keep_out, start, containment, order,
-        max_attempts, ruin_after, budget, min_margin, robust, setting, engine, num_threads: as in
-        `make_sampler`; the order is "random" and nothing is taken away unless it is asked for.
+        max_attempts, ruin_after, budget, min_margin, robust, setting, overhang, engine, num_threads:
+        as in `make_sampler`; the order is "random" and nothing is taken away unless it is asked for.
       observation: "flat" for one vector f32[D] (`generation.wrappers.FlatObservation` lists its parts), or
         "dict" for what `placement.observation.observe` describes.
       action: "pose" for those four numbers, or "surface" for f32[3], x, y and turn: the height is that at

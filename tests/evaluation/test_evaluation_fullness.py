@@ -206,6 +206,7 @@ def test_crowds_are_made_with_spread(runner, tmp_path):
     assert row[table.columns.index("within 5 n")].startswith("1.000")
 
 
+@pytest.mark.slow
 def test_robust_scenes_stand_beside_others(runner, tmp_path):
     same = {"num_objects": 2, "pool": "dining", "support": "table", "clutter": "", "order": "random"}
     result = made_by(runner, tmp_path, "stability", "spread", **same, ruin_after=0)

@@ -23,7 +23,6 @@ from cluttergen_jax.learning.training.run import Run, RunConfig
 from cluttergen_jax.learning.training.suite import POOLS, TABLE_ATTEMPTS, PlannedRun, plan
 from cluttergen_jax.learning.training.suite_run import config_of
 from cluttergen_jax.learning.training.train import TrainConfig, recipe_of
-from cluttergen_jax.placement.baselines import BASELINES
 from tests.helpers.problems import made_up_rules
 from tests.helpers.worlds import box
 
@@ -40,7 +39,7 @@ def test_tables_are_covered_and_the_first_seed_comes_first():
         PlannedRun(trial.pool, trial.method, trial.training_seed, trial.attempts).name
         for study in find_suite("paper", Scale(seeds=3))
         for trial in study.trials
-        if trial.method not in BASELINES
+        if trial.method in POLICIES
     }
     assert len(asked) > 3 * len(POOLS)
     assert asked <= set(names)
@@ -60,9 +59,9 @@ def test_extended_tables_are_covered_with_one_seed():
         for trial in study.trials
         if trial.method in POLICIES
     }
-    assert {"dining-beta-0", "all-policy-0"} <= asked == set(names)
+    assert {"dining-beta-0"} <= asked == set(names)
     commands = [config_of(TrainConfig(), run, Path("runs")) for run in runs]
-    assert {(args.pool, args.num_objects) for args in commands} == {("dining", 10), ("all", 20)}
+    assert {(args.pool, args.num_objects) for args in commands} == {("dining", 10)}
 
 
 def test_the_former_name_of_a_suite_is_understood():

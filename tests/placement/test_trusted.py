@@ -80,7 +80,8 @@ def test_the_threshold_falls_with_failures_and_then_stays():
 def test_equal_keys_draw_equal_poses():
     rules = rules_of()
     placer, episode = make_proposer("spread", rules), rules.begin(jax.random.key(0))
-    one, same, other = (placer(jax.random.key(seed), episode) for seed in (3, 3, 4))
+    propose = jax.jit(placer)
+    one, same, other = (propose(jax.random.key(seed), episode) for seed in (3, 3, 4))
     np.testing.assert_array_equal(one, same)
     assert not np.array_equal(one, other)
 
@@ -115,7 +116,7 @@ def test_bearers_are_known_by_name_level_margin_and_offset():
     above = T.inverse().apply(jnp.asarray(pose[:3]))[:2]
     far = jnp.where(above > 0, -1.0, 1.0) * episode.region.half_extents * 0.6
     placer = Spread(LowestFit(rules))
-    menu = placer.look(episode, Candidates(jnp.stack([above, far]), jnp.zeros(2)))
+    menu = jax.jit(placer.look)(episode, Candidates(jnp.stack([above, far]), jnp.zeros(2)))
     on, off = (jax.tree.map(lambda leaf, i=i: np.asarray(leaf[i]), menu.bearers) for i in (0, 1))
     assert bool(on.is_on)
     assert on.level == 1
@@ -132,10 +133,10 @@ def test_the_level_of_what_was_placed_counts_those_below():
     episode, pose = placed_first(rules)
     placer = Spread(LowestFit(rules))
     above = episode.region.T_world_region.inverse().apply(jnp.asarray(pose[:3]))[:2]
-    attempt = jax.jit(rules.attempt)
+    attempt, look = jax.jit(rules.attempt), jax.jit(placer.look)
     for seed in range(20):
         jitter = 0.01 * jax.random.normal(jax.random.key(seed), (2,))
-        menu = placer.look(episode, Candidates((above + jitter)[None], jnp.zeros(1)))
+        menu = look(episode, Candidates((above + jitter)[None], jnp.zeros(1)))
         after, transition = attempt(episode, menu.found.action[0])
         if int(transition.verdict) == Verdict.STABLE:
             break
@@ -149,7 +150,8 @@ def test_a_map_with_owners_is_the_map_to_a_micrometre():
     rules = rules_of()
     episode, _ = placed_first(rules)
     search = LowestFit(rules)
-    plain, owned = (search.scene(episode, with_owner=each).heights for each in (False, True))
+    see = jax.jit(lambda episode, with_owner: search.scene(episode, with_owner).heights, static_argnums=1)
+    plain, owned = (see(episode, each) for each in (False, True))
     np.testing.assert_allclose(plain.height, owned.height, atol=1e-6)
     is_object = np.asarray(owned.owner) == 0
     assert is_object.any()

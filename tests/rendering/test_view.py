@@ -69,7 +69,7 @@ def test_a_scene_that_ends_elsewhere_is_not_passed_off(bank, source, monkeypatch
 
 
 def test_new_scenes_are_sampled_by_any_method_and_differ_by_seed(source):
-    assert source.methods == ("random", "clear", "drop")
+    assert source.methods == ("random", "clear", "drop", "spread")
     first, same, other = (source.sample("random", seed) for seed in (5, 5, 6))
     np.testing.assert_array_equal(first.poses, same.poses)
     assert np.abs(first.poses - other.poses).max() > 0.01

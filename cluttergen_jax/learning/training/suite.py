@@ -16,7 +16,6 @@ ATTEMPTS_POOL = "dining"
 TABLE_ATTEMPTS = (1, 2, 3, 5, 10)
 DEFAULT_ATTEMPTS, DEFAULT_OBJECTS = 5, 10
 LADDER_POOLS = ("dining",)
-CROWD = 20
 
 
 @dataclass(frozen=True)
@@ -79,14 +78,11 @@ def _paper(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
 
 
 def _extended(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
-    """The ladder's variants, and crowds of all objects; one seed each."""
+    """The ladder's variants, one seed each."""
     if seed != SEEDS[0]:
         return []
     ladder = [pool for pool in pools if pool in LADDER_POOLS]
-    return [
-        *(PlannedRun(pool, variant, seed) for pool in ladder for variant in TABLE_VARIANTS),
-        PlannedRun("all", "policy", seed, num_objects=CROWD),
-    ]
+    return [PlannedRun(pool, variant, seed) for pool in ladder for variant in TABLE_VARIANTS]
 
 
 RUN_SUITES = {"paper": _paper, "extended": _extended, "honest": _extended}
