@@ -38,17 +38,3 @@ def choose_ruin(episode: Episode, geometry: Geometry, is_started: Array) -> Arra
     freed = jnp.cumsum(area[order])
     is_taken = freed - area[order] < wanted
     return jnp.zeros_like(is_mine).at[order].set(is_taken) & is_mine
-
-
-def carried_by(which: Array, leans_on: Array) -> Array:
-    """These objects and all that leans on them, directly or by way of others: bool[K].
-
-    Args:
-      which: bool[K]; leans_on: bool[K, K], row k: what object k leans on.
-    """
-
-    def spread(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        now, _ = state
-        return now | jnp.any(leans_on & now, axis=1), now
-
-    return jax.lax.while_loop(lambda state: jnp.any(state[0] != state[1]), spread, (which, which & False))[0]

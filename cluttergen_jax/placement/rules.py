@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.physics.protocol import Physics
-from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementConfig
+from cluttergen_jax.placement.bearing import borne, carried_by, nothing_borne, without
+from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.heightmap import Ground
 from cluttergen_jax.placement.overhang import most_beyond, shares_beyond
 from cluttergen_jax.placement.region import (
@@ -21,8 +22,8 @@ from cluttergen_jax.placement.region import (
     pose_of_action,
 )
 from cluttergen_jax.placement.reward import reward_of
-from cluttergen_jax.placement.ruin import carried_by, choose_ruin, footprint_area
-from cluttergen_jax.placement.types import Bearing, Counts, Episode, Geometry, History, Start, Transition
+from cluttergen_jax.placement.ruin import choose_ruin, footprint_area
+from cluttergen_jax.placement.types import Counts, Episode, Geometry, History, Start, Transition
 from cluttergen_jax.types import Array, Settling, Verdict
 
 _OWN_SHARE = 1 / 3
@@ -117,16 +118,7 @@ class Rules(struct.PyTreeNode, eq=False):
             is_success=jnp.bool_(False),
             verdict=jnp.int32(Verdict.NONE),
             drift=jnp.float32(0),
-            bearing=self._nothing_borne(),
-        )
-
-    def _nothing_borne(self) -> Bearing:
-        number = self.geometry.num_objects
-        # What stands there already is trusted as on a flat table.
-        return Bearing(
-            leans_on=jnp.zeros((number, number), bool),
-            level=jnp.zeros(number, jnp.int32),
-            margin=jnp.asarray(self.geometry.own_margin, jnp.float32),
+            bearing=nothing_borne(self.geometry),
         )
 
     @property
@@ -276,7 +268,7 @@ class Rules(struct.PyTreeNode, eq=False):
         """Stable: the settled poses of all stay and the next slot begins. Else: as it was before."""
         is_focus = jnp.arange(self.geometry.num_objects) == focus
         is_placed = episode.is_placed | is_focus
-        bearing = _borne(episode.bearing, is_focus, settling)
+        bearing = borne(episode.bearing, is_focus, settling)
         # Where neighbours are not judged, the paper's looser count puts them back by hand.
         moves = is_placed if self.physics.config.judge_neighbours else is_focus
         attempt = jnp.where(is_stable, 0, episode.attempt + 1)
@@ -341,7 +333,7 @@ class Rules(struct.PyTreeNode, eq=False):
         is_kept = (slots < episode.slot) & ~which[index]
         group = jnp.where(is_kept, 0, jnp.where(slots == episode.slot, 1, 2))
         order = jnp.argsort(jnp.where(episode.object_index < 0, 3, group), stable=True)
-        empty, bearing, counts = self._nothing_borne(), episode.bearing, episode.counts
+        counts = episode.counts
         return episode.replace(
             object_index=episode.object_index[order],
             slot=is_kept.sum().astype(jnp.int32),
@@ -354,11 +346,7 @@ class Rules(struct.PyTreeNode, eq=False):
                 steps=counts.steps[order],
                 rest_steps=jnp.where(is_kept, counts.rest_steps, 0)[order],
             ),
-            bearing=Bearing(
-                leans_on=bearing.leans_on & ~which[:, None] & ~which,
-                level=jnp.where(which, empty.level, bearing.level),
-                margin=jnp.where(which, empty.margin, bearing.margin),
-            ),
+            bearing=without(episode.bearing, which, self.geometry),
         )
 
     def _is_started(self, episode: Episode) -> Array:
@@ -378,20 +366,6 @@ class Rules(struct.PyTreeNode, eq=False):
             drift=jnp.max(standing.shift),
             counts=counts.replace(simulated_steps=counts.simulated_steps + standing.num_steps),
         )
-
-
-def _borne(bearing: Bearing, is_focus: Array, settling: Settling) -> Bearing:
-    """What carries what once the focus object, bool[K], has come to rest."""
-    highest = jnp.max(jnp.where(settling.bears, bearing.level, -1), initial=-1)
-    # Those that an attempt did not move have an infinite margin: nothing about them is new. A neighbour that
-    # it moved may have come to lean on the new object.
-    is_moved = ~jnp.isposinf(settling.margin) & ~is_focus
-    leans_on = bearing.leans_on | ((is_moved & settling.touches)[:, None] & is_focus)
-    return Bearing(
-        leans_on=jnp.where(is_focus[:, None], settling.touches, leans_on),
-        level=jnp.where(is_focus, highest + 1, bearing.level).astype(jnp.int32),
-        margin=jnp.where(is_moved | is_focus, jnp.maximum(settling.margin, -MAX_MARGIN), bearing.margin),
-    )
 
 
 def empty_start(num_objects: int) -> Start:

@@ -15,12 +15,13 @@ import pytest
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.baselines import make_proposer
+from cluttergen_jax.placement.bearing import carried_by
 from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementConfig, placement_record
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.problem import ProblemConfig, compose
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rollout.record import Recorder
-from cluttergen_jax.placement.ruin import carried_by, choose_ruin
+from cluttergen_jax.placement.ruin import choose_ruin
 from cluttergen_jax.placement.scenes import scene_of
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.types import Verdict
