@@ -58,6 +58,8 @@ def main(args: Sequence[str] | None = None) -> int:
         if is_completion:
             return run(parsed(all_commands(), "cluttergen", words))
         command = parsed(load(name), f"cluttergen {name}", words[1:])
+    except BrokenPipeError:
+        return _unread()
     except SystemExit as ended:
         # tyro ends the process where it has said what is wrong, or has explained a command.
         return int(ended.code or 0)
@@ -87,15 +89,19 @@ def run(command: Any) -> int:
         print(f"error: {with_flags(str(error), type(command))}", file=sys.stderr)
         return 2
     except BrokenPipeError:
-        # Whoever read the output has seen enough; nothing more may be written to it, not even at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        return _unread()
     except OSError as error:
         print(f"error: {_told(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("\nstopped; the same command takes it up again", file=sys.stderr)
         return INTERRUPTED
+
+
+def _unread() -> int:
+    """Whoever read the output has seen enough; nothing more may be written to it, not even at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
 
 
 def _check_backend() -> None:

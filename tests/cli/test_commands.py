@@ -1,6 +1,7 @@
 """The command line: quick to explain itself, every choice named, and a word for what was misspelt."""
 
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -54,6 +55,15 @@ def test_help_imports_nothing_heavy():
     assert found.pop("--help") == found.pop("--version") == found.pop("generat") == []
     assert set(found) == {f"{name} --help" for name in COMMANDS}
     assert {each for modules in found.values() for each in modules} <= {"tyro", "numpy"}
+
+
+def test_help_that_no_one_reads_ends_in_silence():
+    reader, writer = os.pipe()
+    os.close(reader)
+    words = [sys.executable, "-c", "from cluttergen_jax.cli.main import program; program(['train', '--help'])"]
+    done = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_list_imports_no_jax():
