@@ -247,6 +247,7 @@ class Runner:
                 ruin_after=trial.ruin_after,
                 budget=trial.budget,
                 clutter=Clutter.of(trial.clutter) if trial.clutter else None,
+                tidy=trial.tidy,
             ),
         )
         if config not in self._setups:

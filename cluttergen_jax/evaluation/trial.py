@@ -15,9 +15,9 @@ from cluttergen_jax.learning.methods import TRUSTED_METHODS
 from cluttergen_jax.placement.changes import find_change
 
 MAX_TRIALS = 1_000_000
-RUIN, RANDOM_ORDER, ROBUST = "ruin", "random order", "robust"
+RUIN, RANDOM_ORDER, TIDY, ROBUST = "ruin", "random order", "tidy", "robust"
 """Of rows whose rules are not their method's own."""
-_ADDED = ("min_margin", "order", "ruin_after", "budget", "robust", "clutter")
+_ADDED = ("min_margin", "order", "ruin_after", "budget", "robust", "clutter", "tidy")
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,7 @@ class Trial:
       min_margin: metres of support margin asked of what is placed; 0 asks for nothing, as the paper does.
       robust: ask that what stands also stands under a slight tilt with less friction.
       clutter: what scenes should have on average, as text ("stack=3"); "" asks for nothing.
+      tidy: take the best of the poses that are trusted, as `--tidy` does.
       order, ruin_after, budget: of a `PlacementConfig`; the paper's unless given.
     """
 
@@ -62,6 +63,7 @@ class Trial:
     budget: int | None = None
     robust: bool = False
     clutter: str = ""
+    tidy: bool = False
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials <= MAX_TRIALS:
@@ -96,6 +98,7 @@ class Trial:
         words += [f"seed {self.training_seed}"] if self.training_seed else []
         words += [self.change] if self.change != "none" else []
         words += [f"margin {1000 * self.min_margin:g} mm"] if self.min_margin else []
+        words += [TIDY] if self.tidy else []
         words += [ROBUST] if self.robust else []
         words += [self.clutter] if self.clutter else []
         words += [self.order] if self.order != "random" else []
@@ -113,6 +116,7 @@ def row_name(trial: Mapping[str, Any]) -> str:
     method, is_ruined = str(trial["method"]), bool(trial.get("ruin_after", 0))
     is_own = is_ruined == (method in TRUSTED_METHODS)
     words = [] if is_own else [RUIN if is_ruined else RANDOM_ORDER]
+    words += [TIDY] if trial.get("tidy") else []
     words += [ROBUST] if trial.get("robust") else []
     words += [trial["clutter"]] if trial.get("clutter") else []
     return ", ".join([method, *words])

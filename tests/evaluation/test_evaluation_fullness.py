@@ -87,7 +87,9 @@ def test_crowds_hold_equal_rows_with_and_without_taking_away():
         for number in (20, 30, 40)
     }
     assert of_number[30] == of_number[40] == set(density.FULLNESS)
-    assert of_number[20] == set(density.FULLNESS) | {"spread, random order", "guided, random order"}
+    assert of_number[20] == set(density.FULLNESS) | {
+        f"{method}, random order{tidy}" for method in ("spread", "guided") for tidy in ("", ", tidy")
+    }
     assert {t.budget for t in trials if t.num_objects == 40} == {400}
 
 
@@ -197,12 +199,13 @@ def made_by(runner, tmp_path, name, method, **changed):
 
 def test_crowds_are_made_with_spread(runner, tmp_path):
     asked = {"num_objects": 2, "budget": None, "pool": "dining", "order": "random", "ruin_after": 0}
+    asked |= {"tidy": True}
     result = made_by(runner, tmp_path, "crowds", "spread", **asked)
     assert len(result["records"]) == 1
     (table,) = tables_of(result)
     assert "support margin of 3 mm" in table.title
     (row,) = table.rows
-    assert row[table.columns.index("method")] == "spread, random order"
+    assert row[table.columns.index("method")] == "spread, random order, tidy"
     assert row[table.columns.index("within 5 n")].startswith("1.000")
 
 

@@ -80,7 +80,7 @@ def crowds(scale: Scale) -> tuple[Trial, ...]:
     """More and more objects on the paper's table; fewest of them also in random order, nothing taken away."""
     base = scale.trial(256, 4, pool=ALL)
     bases = [replace(base, num_objects=n, budget=times and times * n) for n, times in _CROWDS.items()]
-    plain = ("spread, random order", "guided, random order")
+    plain = [f"{name}, random order{tidy}" for name in ("spread", "guided") for tidy in ("", ", tidy")]
     rows = (*named_rows(bases[:1], *FULLNESS, *plain), *named_rows(bases[1:], *FULLNESS))
     return with_seeds(rows, OURS, scale.seeds)
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.cells import Row
-from cluttergen_jax.evaluation.trial import RANDOM_ORDER, ROBUST, RUIN, Trial
+from cluttergen_jax.evaluation.trial import RANDOM_ORDER, ROBUST, RUIN, TIDY, Trial
 from cluttergen_jax.learning.methods import rules_asked
 from cluttergen_jax.placement.config import RUIN_AFTER
 
@@ -34,12 +34,17 @@ def without_ruin(trial: Trial) -> Trial:
     return replace(trial, order="random", ruin_after=0)
 
 
+def when_tidy(trial: Trial) -> Trial:
+    """The trial with the best pose of those that are trusted, not any."""
+    return replace(trial, tidy=True)
+
+
 def when_robust(trial: Trial) -> Trial:
     """The trial with robust scenes asked for."""
     return replace(trial, robust=True)
 
 
-_CHANGED = {RUIN: with_ruin, RANDOM_ORDER: without_ruin, ROBUST: when_robust}
+_CHANGED = {RUIN: with_ruin, RANDOM_ORDER: without_ruin, TIDY: when_tidy, ROBUST: when_robust}
 
 
 def named_rows(bases: Iterable[Trial], *names: str) -> tuple[Trial, ...]:
@@ -47,7 +52,7 @@ def named_rows(bases: Iterable[Trial], *names: str) -> tuple[Trial, ...]:
 
     Args:
       names: METHOD by its own rules; after it, each behind a comma, "ruin" (`with_ruin`), "random order"
-        (`without_ruin`) and "robust" (`when_robust`).
+        (`without_ruin`), "tidy" (`when_tidy`) and "robust" (`when_robust`).
 
     Raises:
       ConfigError: there are no such rules.
@@ -85,8 +90,9 @@ def margin_of(rows: Iterable[Row]) -> str:
 
 
 RULES = (
-    "rules: `guided` and `spread` draw larger objects mostly first, and after three failed attempts in a row "
+    "rules: `guided` and `spread` draw larger objects mostly first, and after five failed attempts in a row "
     "take some objects away and place them again; the other methods place in random order and take nothing "
-    "away. `, ruin`: a baseline with that order and taking away; `, random order`: a method without both",
+    "away. `, ruin`: a baseline with that order and taking away; `, random order`: a method without both; `, tidy`: with the "
+    "best of the poses that it trusts instead of any of them (`--tidy`)",
 )
 """A note below tables with such rows."""
