@@ -45,7 +45,7 @@ _SENTENCES = {
     Verdict.DISPLACED: "a placed object was moved",
     Verdict.PENETRATING: "two bodies overlap",
     Verdict.FELL: "fell below the support's top",
-    Verdict.OUTSIDE: "came to rest outside the queried region",
+    Verdict.OUTSIDE: "came to rest outside the queried region, or too far beyond the support's edge",
     Verdict.OVERFLOW: "the simulator ran out of room for contacts",
     Verdict.NON_FINITE: "the simulation diverged",
     Verdict.CREPT: "the finished scene moved in the last check",

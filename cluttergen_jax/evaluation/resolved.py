@@ -14,6 +14,7 @@ from typing import Any
 from cluttergen_jax.assets.pool import Pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.config import ROBUST_TILT, StabilityConfig, stability_record
 from cluttergen_jax.errors import ClutterGenError, ConfigError, PoolError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.trial import Trial, key_of
@@ -230,6 +231,8 @@ class Resolver:
             "engine": self._engine,
             "versions": versions(),
         }
+        if trial.robust:
+            sources["robust"] = stability_record(StabilityConfig(robust_tilt=ROBUST_TILT))
         return ResolvedTrial(trial, pool, support, checkpoint, sources, key_of(trial, sources))
 
 

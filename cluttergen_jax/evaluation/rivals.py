@@ -16,7 +16,7 @@ OURS, TWIN = "guided", "spread"
 
 
 @dataclass(frozen=True)
-class Standing:
+class Ranking:
     """Where a method stands among the rows of one question.
 
     Attributes:
@@ -48,7 +48,7 @@ def _figures(row: Row) -> Row:
     return figures
 
 
-def standing(rows: Sequence[Row], figures: Callable[[Row], Row] = _figures) -> Standing | None:
+def standing(rows: Sequence[Row], figures: Callable[[Row], Row] = _figures) -> Ranking | None:
     """Where `guided` stands among rows of one question; None where it has no row with figures.
 
     Args:
@@ -64,7 +64,7 @@ def standing(rows: Sequence[Row], figures: Callable[[Row], Row] = _figures) -> S
     better = [name for name, each in others if each["low95"] > high]
     worse = [name for name, each in others if each["high95"] < low]
     equal = [name for name, _ in others if name not in better and name not in worse]
-    return Standing(own, *(tuple(dict.fromkeys(each)) for each in (better, equal, worse)))
+    return Ranking(own, *(tuple(dict.fromkeys(each)) for each in (better, equal, worse)))
 
 
 def by_question(rows: Iterable[Row], question: Callable[[Row], str]) -> dict[str, list[Row]]:

@@ -114,8 +114,13 @@ def row_name(trial: Mapping[str, Any]) -> str:
       trial: fields of a `Trial`; those of results of older versions lack some.
     """
     method, is_ruined = str(trial["method"]), bool(trial.get("ruin_after", 0))
-    is_own = is_ruined == (method in TRUSTED_METHODS)
-    words = [] if is_own else [RUIN if is_ruined else RANDOM_ORDER]
+    is_trusted, order = method in TRUSTED_METHODS, trial.get("order", "random")
+    own, other = ("weighted", "random") if is_trusted else ("random", "weighted")
+    if is_ruined != is_trusted and order == other:
+        words = [RUIN if is_ruined else RANDOM_ORDER]
+    else:
+        words = [f"order {order}"] if order != own else []
+        words += [f"ruin after {trial.get('ruin_after', 0)}"] if is_ruined != is_trusted else []
     words += [TIDY] if trial.get("tidy") else []
     words += [ROBUST] if trial.get("robust") else []
     words += [trial["clutter"]] if trial.get("clutter") else []

@@ -42,12 +42,12 @@ class Clutter:
           ConfigError: a name is unknown or comes twice, or a value is no number of its range.
         """
         if isinstance(given, Clutter):
-            return given
+            given = given.targets
         if isinstance(given, str):
             given = _parsed(given)
         if not isinstance(given, Mapping):
             raise ConfigError(f"clutter = {given!r}", "text or a mapping of names to numbers", _EXAMPLE)
-        if not given:
+        if not any(value is not None for value in given.values()):
             raise ConfigError("clutter that asks for nothing", f"one or more of {', '.join(NAMES)}", _EXAMPLE)
         for name in given:
             if name not in NAMES:
@@ -70,9 +70,8 @@ class Clutter:
         most = {"stack": num_objects - 1, "depth": pairs, "contacts": pairs}
         for name, value in self.targets.items():
             if value > most.get(name, math.inf):
-                raise ConfigError(
-                    f"clutter {name}={value:g} with {num_objects} objects", f"0 to {most[name]}", _EXAMPLE
-                )
+                given = f"clutter {name}={value:g} with {num_objects} objects"
+                raise ConfigError(given, f"0 to {most[name]}", f"clutter='{name}={most[name]}'")
 
     def __str__(self) -> str:
         return ",".join(f"{name}={value:g}" for name, value in self.targets.items())

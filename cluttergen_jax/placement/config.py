@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, get_args
 
 from cluttergen_jax.config import Containment, Order, Overhang, Reward
@@ -99,11 +99,12 @@ class PlacementConfig:
             raise ConfigError(
                 f"ruin_after = {self.ruin_after} with max_attempts = {self.max_attempts}",
                 f"0 to {self.max_attempts}",
-                f"{RUIN_AFTER}, or 0 to take nothing away",
+                f"{min(RUIN_AFTER, self.max_attempts)}, or 0 to take nothing away",
             )
-        if self.budget is not None and not self.num_objects <= self.budget <= MAX_BUDGET:
+        is_whole = isinstance(self.budget, Integral)
+        if self.budget is not None and not (is_whole and self.num_objects <= self.budget <= MAX_BUDGET):
             raise ConfigError(
-                f"budget = {self.budget} with num_objects = {self.num_objects}",
+                f"budget = {self.budget!r} with num_objects = {self.num_objects}",
                 f"{self.num_objects} to {MAX_BUDGET} attempts a scene",
                 f"{self.max_attempts * self.num_objects}, {self.max_attempts} an object",
             )
@@ -130,7 +131,6 @@ class PlacementConfig:
             )
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
-            self.clutter.check(self.num_objects)
 
     @property
     def max_scene_attempts(self) -> int:

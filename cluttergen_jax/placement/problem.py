@@ -115,6 +115,8 @@ def compose(
     """
     wanted = config.placement.num_objects
     check_number(wanted, len(objects), config.pool, config.repeat)
+    if (clutter := config.placement.clutter) is not None:
+        clutter.check(wanted + len(standing))
     if wanted > len(objects):
         objects = repeated(objects, wanted)
     region = config.region or support.region

@@ -60,7 +60,11 @@ def test_help_imports_nothing_heavy():
 def test_help_that_no_one_reads_ends_in_silence():
     reader, writer = os.pipe()
     os.close(reader)
-    words = [sys.executable, "-c", "from cluttergen_jax.cli.main import program; program(['train', '--help'])"]
+    words = [
+        sys.executable,
+        "-c",
+        "from cluttergen_jax.cli.main import program; program(['train', '--help'])",
+    ]
     done = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE, text=True)
     os.close(writer)
     assert (done.returncode, done.stderr) == (0, "")

@@ -15,7 +15,7 @@ from cluttergen_jax.learning.training import variants as module
 from cluttergen_jax.learning.training.variants import (
     HELD_OUT_FAMILIES,
     TRAINING_FAMILIES,
-    Variant,
+    ShapeVariant,
     list_variants,
     variants,
 )
@@ -61,7 +61,7 @@ def test_bodies_come_from_the_cache_unchanged(home, monkeypatch):
 
 def test_a_damaged_body_is_made_again(home):
     (before,) = variants(1, 0, PAIR, num_processes=1)
-    folder = home / Variant("cereal_box", 0).key
+    folder = home / ShapeVariant("cereal_box", 0).key
     np.save(folder / "cloud.npy", np.zeros((1024, 3), np.float32))
     (after,) = variants(1, 0, PAIR, num_processes=1)
     assert object_hash(after) == object_hash(before)
@@ -76,7 +76,7 @@ def test_a_body_that_fails_is_named_and_the_others_stay(home, monkeypatch):
     monkeypatch.setattr(module, "run_all", some)
     with pytest.raises(AssetError, match=r"fork-0: no convex part"):
         variants(2, 0, PAIR)
-    assert cache.load(Variant("cereal_box", 0).key, "cereal_box-0") is not None
+    assert cache.load(ShapeVariant("cereal_box", 0).key, "cereal_box-0") is not None
 
 
 def test_what_is_left_early_leaves_no_worker_and_no_half_body(home, monkeypatch):
@@ -92,7 +92,7 @@ def test_what_is_left_early_leaves_no_worker_and_no_half_body(home, monkeypatch)
         process.join(20)
         assert not process.is_alive()
     # What was finished is there, and it is whole.
-    assert cache.load(Variant("cereal_box", 0).key, "cereal_box-0") is not None
+    assert cache.load(ShapeVariant("cereal_box", 0).key, "cereal_box-0") is not None
 
 
 def test_wrong_wishes_are_refused():

@@ -14,7 +14,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.training.worlds import (
     FILL,
     FURNITURE,
-    Setting,
+    TrainingSetting,
     WorldMaker,
     draw_settings,
     mean_footprint,
@@ -62,7 +62,7 @@ def unpadded(world, radius):
 
 @pytest.mark.parametrize("support", ["table-0.30x0.36", "shelf_desk"])
 def test_worlds_of_one_setting_share_a_program_and_scenes_are_those_of_unpadded_ones(maker, support):
-    worlds = [maker.make(Setting(support, 3, 1.0), index) for index in range(len(SETS))]
+    worlds = [maker.make(TrainingSetting(support, 3, 1.0), index) for index in range(len(SETS))]
     assert shapes((worlds[0].rules, worlds[0].mapper)) == shapes((worlds[1].rules, worlds[1].mapper))
     rollout = Rollout()
     for world in worlds:
@@ -77,7 +77,7 @@ def test_worlds_of_one_setting_share_a_program_and_scenes_are_those_of_unpadded_
 
 
 def test_one_engine_holds_simulations_at_a_time(maker):
-    world = maker.make(Setting("table-0.30x0.36", 3, 1.0), 0)
+    world = maker.make(TrainingSetting("table-0.30x0.36", 3, 1.0), 0)
     world.start_engine(num_threads=1)
     held = weakref.ref(world.rules.physics.engine.simulations(2))
     assert held() is not None
@@ -87,7 +87,7 @@ def test_one_engine_holds_simulations_at_a_time(maker):
 
 def test_a_radius_widens_maps_only_where_the_support_goes_on(maker):
     for support, goes_on in (("table-0.30x0.36", False), ("shelf_desk", True)):
-        world = maker.make(Setting(support, 3, 1.0), 0)
+        world = maker.make(TrainingSetting(support, 3, 1.0), 0)
         geometry, region = world.rules.geometry, world.rules.region
         own = float(np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max())
         sides = [HeightMapper.of(geometry, region, radius) for radius in (None, own, own + 0.1)]
@@ -97,7 +97,7 @@ def test_a_radius_widens_maps_only_where_the_support_goes_on(maker):
 
 
 def test_padding_adds_nothing_that_was_not_there(maker):
-    world = maker.make(Setting("table-0.30x0.36", 3, 1.0), 1)
+    world = maker.make(TrainingSetting("table-0.30x0.36", 3, 1.0), 1)
     plain = geometry_of(world.world)
     longer = padded(plain, plain.is_column.shape[1] + 7, len(plain.surface) + 5)
     np.testing.assert_array_equal(longer.is_column.sum(1), plain.is_column.sum(1))
@@ -151,6 +151,6 @@ def test_sets_hold_different_objects_of_all_families():
 
 def test_worlds_of_too_few_objects_are_refused(maker):
     with pytest.raises(ConfigError, match="4 objects asked for"):
-        maker.make(Setting("table-0.30x0.36", 4, 1.0), 0)
+        maker.make(TrainingSetting("table-0.30x0.36", 4, 1.0), 0)
     with pytest.raises(ConfigError, match="sets of one size"):
         WorldMaker([maker.sets[0], maker.sets[1][:2]])

@@ -11,20 +11,22 @@ from scipy.spatial.transform import Rotation
 from shapely import affinity
 from shapely.geometry import box as rectangle
 
+from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.methods import Method, check_steered, sampler_of
 from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.boxes import Boxes, Views, gaps, hidden_shares, spacing_of
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import PlacementConfig, placement_record
-from cluttergen_jax.placement.problem import ProblemConfig
+from cluttergen_jax.placement.problem import ProblemConfig, compose
 from cluttergen_jax.placement.rollout import Rollout
 from cluttergen_jax.placement.search.features import FEATURES, Placing
-from cluttergen_jax.placement.search.tilting import tilted
+from cluttergen_jax.placement.search.tilting import shortfall, tilted
 from cluttergen_jax.placement.setup import make_setup
 from cluttergen_jax.scene.bank.table import CLUTTER, table_of, with_added
 from tests.helpers import banks
 from tests.helpers.problems import trio_problem
+from tests.helpers.worlds import trio
 
 NEAR_ENOUGH = 2e-3
 
@@ -60,10 +62,44 @@ def test_a_bad_target_is_refused(given, said):
 
 
 def test_more_than_the_objects_can_have_is_refused():
-    with pytest.raises(ConfigError, match="0 to 2"):
-        PlacementConfig(num_objects=3, clutter="stack=3")
+    with pytest.raises(ConfigError, match=r"0 to 2[^$]*stack=2"):
+        trio_problem(clutter="stack=3")
     with pytest.raises(ConfigError, match="none"):
         PlacementConfig(overhang="nothing")
+
+
+def test_what_stands_there_already_can_carry():
+    config = ProblemConfig(placement=PlacementConfig(num_objects=1, clutter="stack=1"))
+    with pytest.raises(ConfigError, match="0 to 0"):
+        compose(trio()[:1], cuboid_table(), config)
+    assert compose(trio()[:1], cuboid_table(), config, standing=trio()[1:]).rules.num_started == 2
+
+
+def test_a_made_target_is_checked_as_a_written_one():
+    for bad in (Clutter(), Clutter(stack=float("nan")), Clutter(near=7.0), {"stack": None}):
+        with pytest.raises(ConfigError):
+            PlacementConfig(clutter=bad)
+
+
+@pytest.mark.parametrize(
+    ("asked", "far"),
+    [([1.0, 0.5], [0.0, 0.0]), ([4.0, 0.5], [1.0, 0.0]), ([-1.0, 0.9], [1.0, 0.3])],
+)
+def test_shortfall_is_the_way_to_the_nearest_value(asked, far):
+    values = jnp.array([[0.0, 0.2], [3.0, 0.6], [9.0, 9.0]])
+    found = shortfall(jnp.array(asked), values, jnp.array([True, True, False]))
+    np.testing.assert_allclose(found, far, atol=1e-6)
+    assert jnp.isinf(shortfall(jnp.array(asked), values, jnp.zeros(3, bool))).all()
+
+
+def test_trust_is_lowered_only_for_what_brings_a_scene_nearer():
+    # With nothing placed no candidate can lie on an object, whatever is asked.
+    problem = trio_problem(clutter="stack=2", history_stride=0)
+    placer = make_proposer("spread", problem.rules)
+    episode = problem.rules.begin(jax.random.key(0))
+    found = placer.candidates(jax.random.key(1), episode)
+    _, asked = placer.tilt(episode, found, placer.trust(episode, found), jnp.float32(0.9))
+    assert asked == jnp.float32(0.9)
 
 
 def test_records_tell_what_was_asked_and_nothing_else():
@@ -177,7 +213,7 @@ def test_without_targets_the_draw_is_uniform_as_ever():
     spread = make_proposer("spread", rules)
     episode, key = rules.begin(jax.random.key(1)), jax.random.key(2)
     key_draw, key_choice = jax.random.split(key)
-    menu = spread.menu(key_draw, episode)
+    menu = spread.candidates(key_draw, episode)
     trust = np.where(menu.is_allowed, spread.trust(episode, menu), -1.0)
     noise = np.asarray(jax.random.gumbel(key_choice, trust.shape))
     place = int(np.argmax(np.where(trust >= 0.9, noise, -np.inf)))

@@ -29,16 +29,16 @@ def rules_of(pool="office+study", objects=(BOX, "ring_binder"), support="table-0
 class ByNumber(TrustedSearch, eq=False):
     """Trusts the candidates whose numbers are even; of the others number 1 the most."""
 
-    def trust(self, episode, menu):
-        number = jnp.arange(len(menu.is_allowed))
+    def trust(self, episode, candidates):
+        number = jnp.arange(len(candidates.is_allowed))
         return jnp.where(number % 2 == 0, 0.95, 0.5 / number.clip(1))
 
 
 class Nobody(TrustedSearch, eq=False):
     """Trusts no candidate enough; the fifth the most."""
 
-    def trust(self, episode, menu):
-        return jnp.where(jnp.arange(len(menu.is_allowed)) == 5, 0.4, 0.1)
+    def trust(self, episode, candidates):
+        return jnp.where(jnp.arange(len(candidates.is_allowed)) == 5, 0.4, 0.1)
 
 
 def chosen_numbers(kind, attempt=0, number=200):
@@ -48,8 +48,8 @@ def chosen_numbers(kind, attempt=0, number=200):
     episode = rules.begin(jax.random.key(0)).replace(attempt=jnp.int32(attempt))
 
     def draw(key):
-        menu = placer.menu(jax.random.split(key)[0], episode)
-        return jnp.argmin(jnp.abs(menu.found.action - placer(key, episode)).sum(1))
+        candidates = placer.candidates(jax.random.split(key)[0], episode)
+        return jnp.argmin(jnp.abs(candidates.found.action - placer(key, episode)).sum(1))
 
     return np.asarray(jax.jit(jax.vmap(draw))(jax.random.split(jax.random.key(1), number)))
 
@@ -67,8 +67,8 @@ def test_where_nobody_is_trusted_the_most_trusted_is_taken():
 
 def test_the_threshold_falls_with_failures_and_then_stays():
     class Half(ByNumber, eq=False):
-        def trust(self, episode, menu):
-            return jnp.full(len(menu.is_allowed), 0.7).at[0].set(0.85)
+        def trust(self, episode, candidates):
+            return jnp.full(len(candidates.is_allowed), 0.7).at[0].set(0.85)
 
     first, second, third, tenth = (set(chosen_numbers(Half, attempt)) for attempt in (0, 1, 2, 9))
     assert first == {0}
@@ -86,14 +86,14 @@ def test_equal_keys_draw_equal_poses():
     assert not np.array_equal(one, other)
 
 
-def test_the_menu_holds_uniform_ones_finalists_and_ones_above_objects():
+def test_the_candidates_are_uniform_ones_finalists_and_ones_above_objects():
     rules = rules_of()
     episode, _ = placed_first(rules)
     placer = Spread(LowestFit(rules), TrustedConfig(num_uniform=30, num_finalists=4, num_above=64))
-    menu = jax.jit(placer.menu)(jax.random.key(0), episode)
-    assert menu.found.candidates.xy.shape == (98, 2)
+    candidates = jax.jit(placer.candidates)(jax.random.key(0), episode)
+    assert candidates.found.candidates.xy.shape == (98, 2)
     # Those above an object meet it far more often than those drawn over the whole table.
-    is_on = np.asarray(menu.bearers.is_on)
+    is_on = np.asarray(candidates.bearers.is_on)
     assert is_on[34:].mean() > 0.4 > is_on[:30].mean()
 
 
@@ -116,8 +116,8 @@ def test_bearers_are_known_by_name_level_margin_and_offset():
     above = T.inverse().apply(jnp.asarray(pose[:3]))[:2]
     far = jnp.where(above > 0, -1.0, 1.0) * episode.region.half_extents * 0.6
     placer = Spread(LowestFit(rules))
-    menu = jax.jit(placer.look)(episode, Candidates(jnp.stack([above, far]), jnp.zeros(2)))
-    on, off = (jax.tree.map(lambda leaf, i=i: np.asarray(leaf[i]), menu.bearers) for i in (0, 1))
+    looked = jax.jit(placer.look)(episode, Candidates(jnp.stack([above, far]), jnp.zeros(2)))
+    on, off = (jax.tree.map(lambda leaf, i=i: np.asarray(leaf[i]), looked.bearers) for i in (0, 1))
     assert bool(on.is_on)
     assert on.level == 1
     assert on.margin == pytest.approx(float(episode.bearing.margin[0]), abs=1e-6)
@@ -136,8 +136,8 @@ def test_the_level_of_what_was_placed_counts_those_below():
     attempt, look = jax.jit(rules.attempt), jax.jit(placer.look)
     for seed in range(20):
         jitter = 0.01 * jax.random.normal(jax.random.key(seed), (2,))
-        menu = look(episode, Candidates((above + jitter)[None], jnp.zeros(1)))
-        after, transition = attempt(episode, menu.found.action[0])
+        candidates = look(episode, Candidates((above + jitter)[None], jnp.zeros(1)))
+        after, transition = attempt(episode, candidates.found.action[0])
         if int(transition.verdict) == Verdict.STABLE:
             break
     assert int(transition.verdict) == Verdict.STABLE

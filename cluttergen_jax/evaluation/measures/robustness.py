@@ -18,6 +18,7 @@ from cluttergen_jax.evaluation.measures.simulate import (
     movement,
     shift_and_turn,
 )
+from cluttergen_jax.physics.simulations import SOFT_SOLIMP, SOFT_SOLREF
 
 CREEP_SECONDS = (1.0, 10.0, 60.0)
 _LOOK_EVERY, _LOOK_EVERY_TILTED = 4, 12
@@ -292,8 +293,8 @@ class RobustConfig:
     degrees: float = 3.0
     num_directions: int = 4
     friction: float = 0.7
-    solref: tuple[float, float] = (0.02, 1.0)
-    solimp: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)
+    solref: tuple[float, float] = SOFT_SOLREF
+    solimp: tuple[float, float, float, float, float] = SOFT_SOLIMP
     seconds: float = 2.0
 
 

@@ -104,7 +104,7 @@ def _side_by_side(title: str, of_name: dict[str, list[Row]]) -> Table:
 def _pooled_row(name: str, support: str, rows: list[Row]) -> Row:
     """Several rows as one; missing where none of them is made."""
     made = [row["figures"] for row in rows if "figures" in row]
-    head: Row = {"method": name}
+    head: Row = {"method": name, "support": support}
     if not made:
         return head | {"missing": "no rows"}
     sums = {
@@ -120,7 +120,7 @@ def _pooled_row(name: str, support: str, rows: list[Row]) -> Row:
         "attempts_per_valid_scene": sums["attempts"] / valid,
         "simulated_steps_per_valid_scene": sums["simulated_steps"] / valid,
     }
-    return head | {"support": support, "figures": figures}
+    return head | {"figures": figures}
 
 
 def _total(some: Iterable[Row]) -> str:
@@ -177,5 +177,8 @@ FURNITURE = Study(
     tables,
     renders=renders,
     measured_as="renders",
-    question=lambda row: f"{row['trial']['pool']} on {row['trial']['support']}",
+    question=lambda row: (
+        f"{row['trial']['pool']} on {row['trial']['support']}, "
+        f"{1e3 * row['trial'].get('min_margin', 0.0):g} mm"
+    ),
 )

@@ -92,7 +92,7 @@ def margin_of(rows: Iterable[Row]) -> str:
 RULES = (
     "rules: `guided` and `spread` draw larger objects mostly first, and after five failed attempts in a row "
     "take some objects away and place them again; the other methods place in random order and take nothing "
-    "away. `, ruin`: a baseline with that order and taking away; `, random order`: a method without both; `, tidy`: with the "
-    "best of the poses that it trusts instead of any of them (`--tidy`)",
+    "away. `, ruin`: a baseline with that order and taking away; `, random order`: a method without both; "
+    "`, tidy`: with the best of the poses that it trusts instead of any of them (`--tidy`)",
 )
 """A note below tables with such rows."""

@@ -115,7 +115,7 @@ def tables(result: Result) -> list[Table]:
         EFFORT_NOTES[1],
         *RULES,
         *share_notes(
-            [{**row, **row[ROBUST]} for row in made],
+            [{**row, **row[ROBUST]} for row in made if STACKED not in row["method"]],
             lambda row: f"{ROBUST}, {row['pool']}, {row['objects']} objects",
         ),
     )

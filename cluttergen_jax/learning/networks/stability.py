@@ -10,7 +10,7 @@ from flax import struct
 
 from cluttergen_jax.placement.baselines.lowest import costs_of_staying
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.trusted import Menu
+from cluttergen_jax.placement.search.trusted import CandidateSet
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -30,7 +30,7 @@ class StabilityNetConfig:
     depth: int = 2
 
 
-class Outlook(struct.PyTreeNode):
+class StabilityPrediction(struct.PyTreeNode):
     """What the network expects of N candidates.
 
     Attributes:
@@ -54,21 +54,26 @@ class StabilityNet(nn.Module):
     config: StabilityNetConfig = StabilityNetConfig()
 
     @nn.compact
-    def __call__(self, features: Array) -> Outlook:
+    def __call__(self, features: Array) -> StabilityPrediction:
         """Args: features: f32[..., NUM_FEATURES]."""
         hidden = features
         for _ in range(self.config.depth):
             hidden = nn.relu(nn.Dense(self.config.width)(hidden))
         heads = nn.Dense(5)(hidden)
-        return Outlook(*(heads[..., index] for index in range(5)))
+        return StabilityPrediction(*(heads[..., index] for index in range(5)))
 
 
-def features_of(rules: Rules, episode: Episode, menu: Menu) -> Array:
-    """f32[N, NUM_FEATURES]: what is known of each candidate; lengths in decimetres, so that they are about 1.
+def features_of(rules: Rules, episode: Episode, candidates: CandidateSet) -> Array:
+    """f32[N, NUM_FEATURES]: what is known of each candidate, scaled so that it is about 1.
 
-    Nothing in it says which object it is, or of which pool.
+    Of the candidate: lift and rest (decimetres), support, gap (centimetres), blocked and hanging shares,
+    crowding, the cost of staying and its logarithm; whether it would lie on an object, how many are below
+    (thirds), and the margin and the offset of the centre of mass over what would carry it (5 cm). Of the
+    object: half extents (decimetres), centre of mass and own margin (5 cm), the slope at which it tips; then
+    the objects placed (twenties), the region's height (30 cm) and the logarithm of the object's share of the
+    region. Nothing says which object it is, or of which pool.
     """
-    scores, fit, borne = menu.found.scores, menu.found.scores.fit, menu.bearers
+    scores, fit, bearers = candidates.found.scores, candidates.found.scores.fit, candidates.bearers
     geometry, focus = rules.geometry, rules.focus(episode)
     cost = sum(costs_of_staying(scores))
     of_candidates = jnp.stack(
@@ -82,10 +87,10 @@ def features_of(rules: Rules, episode: Episode, menu: Menu) -> Array:
             10 * jnp.clip(fit.rest, _DEEPEST, _HIGHEST),
             jnp.clip(cost, 0.0, 2.0),
             jnp.log(jnp.clip(cost, 1e-3, 10.0)) / 4,
-            borne.is_on.astype(jnp.float32),
-            borne.level / 3,
-            20 * jnp.clip(borne.margin, -0.05, 0.1),
-            20 * borne.offset,
+            bearers.is_on.astype(jnp.float32),
+            bearers.level / 3,
+            20 * jnp.clip(bearers.margin, -0.05, 0.1),
+            20 * bearers.offset,
         ],
         axis=1,
     )

@@ -21,7 +21,7 @@ from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.learning.ppo.checkpoint import read_policy
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.trusted import Menu, TrustedConfig, TrustedSearch
+from cluttergen_jax.placement.search.trusted import CandidateSet, TrustedConfig, TrustedSearch
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -41,11 +41,11 @@ class Guided(TrustedSearch, eq=False):
     network: StabilityNetConfig = struct.field(pytree_node=False, default=StabilityNetConfig())
     is_robust: bool = struct.field(pytree_node=False, default=False)
 
-    def trust(self, episode: Episode, menu: Menu) -> Array:
+    def trust(self, episode: Episode, candidates: CandidateSet) -> Array:
         """See `TrustedSearch`."""
-        features = features_of(self.search.rules, episode, menu)
-        outlook: Any = StabilityNet(self.network).apply(self.params, features)
-        return jax.nn.sigmoid(outlook.is_robust if self.is_robust else outlook.stands)
+        features = features_of(self.search.rules, episode, candidates)
+        predicted: Any = StabilityNet(self.network).apply(self.params, features)
+        return jax.nn.sigmoid(predicted.is_robust if self.is_robust else predicted.stands)
 
 
 def blank_params(network: StabilityNetConfig) -> Any:

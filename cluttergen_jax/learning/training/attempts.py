@@ -13,7 +13,7 @@ from cluttergen_jax.learning.policies.guided import Guided
 from cluttergen_jax.placement.region import action_scale
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.fit import Candidates
-from cluttergen_jax.placement.search.trusted import Menu
+from cluttergen_jax.placement.search.trusted import CandidateSet
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.types import Array, Verdict
 
@@ -52,11 +52,11 @@ class Explorer(Guided, eq=False):
 
     exploration: Any = 0.3
 
-    def trust(self, episode: Episode, menu: Menu) -> Array:
+    def trust(self, episode: Episode, candidates: CandidateSet) -> Array:
         """See `TrustedSearch`: the network's trust, or one in everything."""
         key = jax.random.fold_in(episode.key, 3)
         tries_any = jax.random.uniform(key) < self.exploration
-        return jnp.where(tries_any, 1.0, Guided.trust(self, episode, menu))
+        return jnp.where(tries_any, 1.0, Guided.trust(self, episode, candidates))
 
 
 def begin(explorer: Explorer, key: Array, number: int) -> Episode:
@@ -90,7 +90,7 @@ def example_of(explorer: Guided, before: Episode, transition: Transition) -> Exa
     lower, size = action_scale(before.region, rules.height_range(before))
     xy = (lower + transition.action[:3] * size)[:2]
     candidates = Candidates(xy[None], 2 * jnp.pi * transition.action[3:])
-    menu = explorer.look(before, candidates)
+    tried = explorer.look(before, candidates)
     focus = transition.object_index
     released = settling.trajectory[0, :2]
     is_at_rest = settling.is_quiet
@@ -98,12 +98,12 @@ def example_of(explorer: Guided, before: Episode, transition: Transition) -> Exa
     is_fragile = transition.verdict == Verdict.FRAGILE
     stands = is_stable | (is_fragile & rules.is_supported(before, focus, settling))
     return Examples(
-        features=features_of(rules, before, menu)[0],
+        features=features_of(rules, before, tried)[0],
         stands=stands,
         is_robust=is_stable,
         knows_robust=jnp.bool_(rules.physics.config.robust_tilt > 0) | ~stands,
         disturbs=transition.verdict == Verdict.DISPLACED,
         shift=jnp.minimum(jnp.linalg.norm(settling.poses[focus, :2] - released), _FAR),
         margin=jnp.where(is_at_rest, jnp.clip(settling.margin[focus], -_FAR, _FAR), 0.0),
-        is_on=menu.bearers.is_on[0],
+        is_on=tried.bearers.is_on[0],
     )

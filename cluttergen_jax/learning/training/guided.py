@@ -29,12 +29,12 @@ from cluttergen_jax.learning.training.stability import (
     calibration,
     draw_calibration,
     fit,
-    outlook_of,
+    predictions_of,
 )
 from cluttergen_jax.learning.training.variants import HELD_OUT_FAMILIES, TRAINING_FAMILIES, variants
 from cluttergen_jax.learning.training.worlds import (
     SET_SIZE,
-    Setting,
+    TrainingSetting,
     TrainingWorld,
     WorldMaker,
     draw_settings,
@@ -43,10 +43,11 @@ from cluttergen_jax.learning.training.worlds import (
 )
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig, placement_record
+from cluttergen_jax.placement.setup import check_range
 from cluttergen_jax.progress import Progress
 
 PLACEMENT = PlacementConfig(order="weighted", ruin_after=3, min_margin=MIN_MARGIN, history_stride=0)
-"""What is asked of the episodes: what `generate` asks, but that scenes are taken apart sooner, to see more of them."""
+"""What is asked of the episodes: as of `generate`, but scenes are taken apart sooner, to see more of them."""
 _TEST_SHARE = 4
 """The test on held-out families is so many times shorter than a round."""
 HELD_OUT_SEED = 1000
@@ -107,8 +108,11 @@ def train_guided(
       ConfigError: too few attempts, or the folder holds a run with another config.
       KeyboardInterrupt: on Ctrl-C; what was seen in the settings that are done is kept.
     """
+    check_range("seed", seed, 0, 2**32 - 1, 0)
     config = GuidedConfig(seed=seed)
     if num_attempts is not None:
+        least = config.num_rounds * config.num_settings * config.num_episodes
+        check_range("num_attempts", num_attempts, least, 10**9, 96_000)
         config = replace(config, num_attempts=num_attempts // config.num_rounds)
     folder = Path(out or f"runs/guided-{seed}")
     show(f"run        {folder}")
@@ -209,10 +213,10 @@ class GuidedTraining:
 
     def _save(self, params: Any, examples: list[Examples], tested: Examples) -> None:
         config, folder = self.config, self.folder / "policy"
-        outlook = outlook_of(config.network, params, tested)
-        found = calibration(outlook.stands, tested.stands, tested.is_on)
+        predicted = predictions_of(config.network, params, tested)
+        found = calibration(predicted.stands, tested.stands, tested.is_on)
         known = tested.knows_robust
-        robust = calibration(outlook.is_robust[known], tested.is_robust[known], tested.is_on[known])
+        robust = calibration(predicted.is_robust[known], tested.is_robust[known], tested.is_on[known])
         self._show(f"held out   {found}")
         self._show(f"robust     {robust}")
         record = {
@@ -240,7 +244,7 @@ class _Crowds:
         self.config, self._families, self._num_rounds, self._seed = config, families, num_rounds, seed
 
     @cached_property
-    def _made(self) -> tuple[WorldMaker, list[Setting]]:
+    def _made(self) -> tuple[WorldMaker, list[TrainingSetting]]:
         """Made when the first world is asked for: a run that has seen all needs none."""
         names, number, first_seed = self._families
         objects = variants(number, first_seed, names)
@@ -251,7 +255,7 @@ class _Crowds:
 
     def number_of(self, number: int, index: int) -> int:
         """Of a setting in a round, among all; the seed makes it another for other objects."""
-        return 1000 * self._seed + number * self.config.num_settings + index
+        return (1000 * self._seed + number * self.config.num_settings + index) % 2**32
 
     def world(self, number: int, index: int) -> TrainingWorld:
         """The world of setting `index` in round `number`, its engine started."""

@@ -16,9 +16,9 @@ import optax
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.networks.stability import (
     NUM_FEATURES,
-    Outlook,
     StabilityNet,
     StabilityNetConfig,
+    StabilityPrediction,
 )
 from cluttergen_jax.learning.training.attempts import Examples
 from cluttergen_jax.types import Array
@@ -70,15 +70,15 @@ def fit(network: StabilityNetConfig, config: FitConfig, examples: Examples, seed
 
 
 def _loss(params: Any, network: StabilityNetConfig, batch: Examples) -> Array:
-    outlook: Any = StabilityNet(network).apply(params, batch.features)
+    predicted: Any = StabilityNet(network).apply(params, batch.features)
     cross_entropy = optax.sigmoid_binary_cross_entropy
-    is_robust = cross_entropy(outlook.is_robust, batch.is_robust * 1.0) * batch.knows_robust
+    is_robust = cross_entropy(predicted.is_robust, batch.is_robust * 1.0) * batch.knows_robust
     return (
-        cross_entropy(outlook.stands, batch.stands * 1.0).mean()
+        cross_entropy(predicted.stands, batch.stands * 1.0).mean()
         + is_robust.mean()
-        + _AUXILIARY * cross_entropy(outlook.disturbs, batch.disturbs * 1.0).mean()
-        + _AUXILIARY * optax.huber_loss(outlook.shift, 10 * batch.shift).mean()
-        + _AUXILIARY * optax.huber_loss(outlook.margin, 20 * batch.margin).mean()
+        + _AUXILIARY * cross_entropy(predicted.disturbs, batch.disturbs * 1.0).mean()
+        + _AUXILIARY * optax.huber_loss(predicted.shift, 10 * batch.shift).mean()
+        + _AUXILIARY * optax.huber_loss(predicted.margin, 20 * batch.margin).mean()
     )
 
 
@@ -143,7 +143,7 @@ def _auc(score: np.ndarray, label: np.ndarray) -> float:
     return float((rankdata(score)[label].sum() - yes * (yes + 1) / 2) / (yes * no))
 
 
-def outlook_of(network: StabilityNetConfig, params: Any, examples: Examples) -> Outlook:
+def predictions_of(network: StabilityNetConfig, params: Any, examples: Examples) -> StabilityPrediction:
     """What the network expects of examples: NumPy arrays."""
     return jax.device_get(jax.jit(StabilityNet(network).apply)(params, examples.features))
 

@@ -37,7 +37,7 @@ TRAINING_FAMILIES = tuple(family for family in FAMILIES if family not in HELD_OU
 
 
 @dataclass(frozen=True)
-class Variant:
+class ShapeVariant:
     """One shape of the modeller: a family and the seed of its proportions.
 
     Attributes:
@@ -58,7 +58,7 @@ class Variant:
         return cache.shape_key(self.family, self.seed, BodyConfig())
 
 
-def list_variants(number: int, seed: int, families: Sequence[str]) -> tuple[Variant, ...]:
+def list_variants(number: int, seed: int, families: Sequence[str]) -> tuple[ShapeVariant, ...]:
     """The first `number` variants: every family with seed `seed`, every family with `seed + 1`, and so on.
 
     Raises:
@@ -69,7 +69,7 @@ def list_variants(number: int, seed: int, families: Sequence[str]) -> tuple[Vari
     if unknown := [family for family in families if family not in FAMILIES]:
         raise PoolError(f"no family named {unknown[0]!r}", ", ".join(sorted(FAMILIES)), "one of these names")
     rounds = -(-number // len(families))
-    every = [Variant(family, seed + turn) for turn in range(rounds) for family in families]
+    every = [ShapeVariant(family, seed + turn) for turn in range(rounds) for family in families]
     return tuple(every[:number])
 
 
@@ -102,7 +102,7 @@ def variants(
     return assets
 
 
-def _make(missing: Sequence[Variant], num_processes: int) -> None:
+def _make(missing: Sequence[ShapeVariant], num_processes: int) -> None:
     if not missing:
         return
     failures = []
@@ -115,7 +115,7 @@ def _make(missing: Sequence[Variant], num_processes: int) -> None:
         raise AssetError("; ".join(sorted(failures)))
 
 
-def _make_one(variant: Variant) -> str:
+def _make_one(variant: ShapeVariant) -> str:
     """Makes a body and caches it. The empty string, or why it could not be made."""
     try:
         with silent_log():

@@ -36,7 +36,7 @@ _MOST_DRAWS = 1000
 
 
 @dataclass(frozen=True)
-class Setting:
+class TrainingSetting:
     """Where how many objects are placed; the region is the support's own.
 
     Attributes:
@@ -60,7 +60,7 @@ class TrainingWorld:
       mapper: of its height maps, for `Search(rules, mapper=mapper)`; of one size in each setting.
     """
 
-    setting: Setting
+    setting: TrainingSetting
     world: World
     rules: Rules
     mapper: HeightMapper
@@ -117,7 +117,7 @@ class WorldMaker:
         self.num_runs = max(sum(num_runs_of(self._columns[asset]) for asset in each) for each in self.sets)
 
     def make(
-        self, setting: Setting, set_index: int, stability: StabilityConfig | None = None
+        self, setting: TrainingSetting, set_index: int, stability: StabilityConfig | None = None
     ) -> TrainingWorld:
         """The world of one of the sets in a setting; `start_engine` before it is run.
 
@@ -195,7 +195,7 @@ def mean_footprint(objects: Sequence[ObjectAsset]) -> float:
     return float(np.mean([4 * asset.half_extents[0] * asset.half_extents[1] for asset in objects]))
 
 
-def draw_settings(rng: np.random.Generator, number: int, footprint: float) -> list[Setting]:
+def draw_settings(rng: np.random.Generator, number: int, footprint: float) -> list[TrainingSetting]:
     """Settings whose fill is uniform in `FILL`: one in each of `number` equal steps of it.
 
     Each piece of `FURNITURE` is there once, in at most half of them; the others are cuboid tables.
@@ -218,7 +218,7 @@ def draw_settings(rng: np.random.Generator, number: int, footprint: float) -> li
     return settings + [_cuboid_setting(rng, fill, footprint) for fill in left]
 
 
-def _cuboid_setting(rng: np.random.Generator, fill: float, footprint: float) -> Setting:
+def _cuboid_setting(rng: np.random.Generator, fill: float, footprint: float) -> TrainingSetting:
     """The first drawn table that such a number of objects fills."""
     for _ in range(_MOST_DRAWS):
         width, depth = rng.uniform(*_SIDES, size=2)
@@ -231,10 +231,10 @@ def _cuboid_setting(rng: np.random.Generator, fill: float, footprint: float) -> 
     )
 
 
-def _setting(support: str, fill: float, footprint: float) -> Setting | None:
+def _setting(support: str, fill: float, footprint: float) -> TrainingSetting | None:
     """The support filled so far, or None where that takes too few or too many objects."""
     area = 4 * float(np.prod(find_support(support).region.half_extents))
     num_objects = round(fill * area / footprint)
     if not FEWEST_OBJECTS <= num_objects <= MAX_SLOTS:
         return None
-    return Setting(support, num_objects, num_objects * footprint / area)
+    return TrainingSetting(support, num_objects, num_objects * footprint / area)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from cluttergen_jax.placement.baselines.lowest import LowestFit, costs_of_staying
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.trusted import Menu, TrustedSearch
+from cluttergen_jax.placement.search.trusted import CandidateSet, TrustedSearch
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -22,7 +22,7 @@ class Spread(TrustedSearch, eq=False):
         """For one world, with `drop`'s finalists."""
         return Spread(LowestFit(rules))
 
-    def trust(self, episode: Episode, menu: Menu) -> Array:
+    def trust(self, episode: Episode, candidates: CandidateSet) -> Array:
         """See `TrustedSearch`."""
-        gap, tipping = costs_of_staying(menu.found.scores)
+        gap, tipping = costs_of_staying(candidates.found.scores)
         return jnp.exp(-(gap + tipping))

@@ -24,7 +24,7 @@ class Placing(struct.PyTreeNode):
     """A scene and N candidates for its current object. K objects.
 
     Attributes:
-      episode: one that knows what carries what.
+      episode: before the attempt.
       placed: the boxes of all objects.
       proposed: those of the current object at the candidates.
       bearers: what would carry it there.
@@ -89,12 +89,10 @@ def _depth(at: Placing) -> Array:
 
 
 def _levels(at: Placing) -> Array:
-    assert at.episode.bearing is not None
     return jnp.where(at.episode.is_placed, at.episode.bearing.level, 0)
 
 
 def _num_touching(at: Placing) -> Array:
-    assert at.episode.bearing is not None
     return num_touching(at.episode.bearing.leans_on, at.episode.is_placed).astype(jnp.float32)
 
 

@@ -56,8 +56,8 @@ def tilted(logits: Array, values: Array, asked: Array, is_allowed: Array) -> Arr
     return jnp.where(any_allowed, logits + features @ slope, logits)
 
 
-def is_within(asked: Array, values: Array, is_allowed: Array) -> Array:
-    """bool: each of f32[F] lies between the least and the greatest of f32[N, F] among those allowed."""
+def shortfall(asked: Array, values: Array, is_allowed: Array) -> Array:
+    """f32[F]: how far each of f32[F] is from the range of f32[N, F] among those allowed; inf if none is."""
     low = jnp.min(jnp.where(is_allowed[:, None], values, jnp.inf), axis=0)
     high = jnp.max(jnp.where(is_allowed[:, None], values, -jnp.inf), axis=0)
-    return jnp.all((low <= asked) & (asked <= high))
+    return jnp.maximum(jnp.maximum(low - asked, asked - high), 0.0)

@@ -13,7 +13,6 @@ from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.bearers import Bearers, bearers
 from cluttergen_jax.placement.search.features import Placing, owed_and_added
 from cluttergen_jax.placement.search.fit import Candidates
-from cluttergen_jax.placement.search.natural import natural_logits
 from cluttergen_jax.placement.search.search import (
     FORBIDDEN,
     Search,
@@ -21,8 +20,8 @@ from cluttergen_jax.placement.search.search import (
     TopCandidates,
     draw_candidates,
 )
-from cluttergen_jax.placement.search.tilting import is_within, tilted
-from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.placement.search.tilting import shortfall, tilted
+from cluttergen_jax.placement.types import Episode, Geometry
 from cluttergen_jax.types import Array
 
 _ABOVE = 96
@@ -31,6 +30,11 @@ _MANY = 0.3
 """Candidates over placed objects where some shall lie on others, and where more than `_MANY` of all shall."""
 
 _TIDY_FINALISTS = 96
+_CLOSER = 1e-6
+
+_AREA_POWER = 2.0
+_BASE_POWER = 1.0
+_LEAST_BASE = 0.02
 _HIGHEST_COST = 10.0
 
 
@@ -44,7 +48,7 @@ class TrustedConfig:
       num_above: over a placed object drawn for each.
       thresholds: the trust asked for at an object's first attempt, its second, and so on; the last one holds
         for all further ones. Where no candidate has it, the most trusted one is taken.
-      least_trust: the trust asked for where no candidate with more comes as far as `Clutter` asks.
+      least_trust: the trust asked for where a candidate with no more comes nearer to what `Clutter` asks.
     """
 
     num_uniform: int = 80
@@ -54,7 +58,7 @@ class TrustedConfig:
     least_trust: float = 0.3
 
 
-class Menu(struct.PyTreeNode):
+class CandidateSet(struct.PyTreeNode):
     """N candidates for one attempt, wholly looked at.
 
     Attributes:
@@ -82,25 +86,27 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
     search: Search
     config: TrustedConfig = struct.field(pytree_node=False, default=TrustedConfig())
 
-    def trust(self, episode: Episode, menu: Menu) -> Array:
+    def trust(self, episode: Episode, candidates: CandidateSet) -> Array:
         """f32[N], 0 to 1: how likely each candidate is to stand and to disturb nothing."""
         raise NotImplementedError
 
     def __call__(self, key: Array, episode: Episode) -> Array:
         """See `placement.rules.Proposer`."""
         key_draw, key_choice = jax.random.split(key)
-        menu = self.menu(key_draw, episode)
-        trust = jnp.where(menu.is_allowed, self.trust(episode, menu), -1.0)
+        candidates = self.candidates(key_draw, episode)
+        trust = jnp.where(candidates.is_allowed, self.trust(episode, candidates), -1.0)
         thresholds = jnp.array(self.config.thresholds)
         asked = thresholds[jnp.minimum(episode.attempt, len(thresholds) - 1)]
         noise = jax.random.gumbel(key_choice, trust.shape)
         if self.search.rules.config.tidy:
-            noise = -jnp.minimum(menu.found.cost, _HIGHEST_COST)
+            noise = -jnp.minimum(candidates.found.cost, _HIGHEST_COST)
         if self.is_tilted:
-            logits, asked = self.tilt(episode, menu, trust, asked)
+            logits, asked = self.tilt(episode, candidates, trust, asked)
             noise += logits
         # Whoever is trusted comes before all others, and among the others the most trusted.
-        return menu.found.action[jnp.argmax(jnp.where(trust >= asked, 2.0 + noise - jnp.min(noise), trust))]
+        return candidates.found.action[
+            jnp.argmax(jnp.where(trust >= asked, 2.0 + noise - jnp.min(noise), trust))
+        ]
 
     @property
     def is_tilted(self) -> bool:
@@ -108,24 +114,28 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
         asked = self.search.rules.config
         return asked.clutter is not None or asked.natural
 
-    def tilt(self, episode: Episode, menu: Menu, trust: Array, asked: Array) -> tuple[Array, Array]:
+    def tilt(
+        self, episode: Episode, candidates: CandidateSet, trust: Array, asked: Array
+    ) -> tuple[Array, Array]:
         """f32[N]: logits of the draw among the trusted candidates; f32: the trust that is asked for.
 
         Each scene is steered by itself: at every attempt the expected change of each asked feature is what is
-        still owed of it, shared by the objects left to place. Where no candidate trusted as asked, f32, comes
-        so far, `least_trust` holds.
+        still owed of it, shared by the objects left to place. Where a candidate that is trusted less comes
+        nearer to that than any that is trusted as asked, f32, `least_trust` holds.
         """
         rules = self.search.rules
-        focus, found = rules.focus(episode), menu.found
+        focus, found = rules.focus(episode), candidates.found
         logits = jnp.zeros(trust.shape)
         if rules.config.natural:
-            logits = natural_logits(rules.geometry, focus, menu.bearers)
+            logits = natural_logits(rules.geometry, focus, candidates.bearers)
         if rules.config.clutter is None:
             return logits, asked
         rest = found.scores.fit.rest
-        at = Placing.of(episode, rules.geometry, focus, found.candidates, rest, menu.bearers)
+        at = Placing.of(episode, rules.geometry, focus, found.candidates, rest, candidates.bearers)
         owed, added = owed_and_added(rules.config.clutter, at)
-        asked = jnp.where(is_within(owed, added, trust >= asked), asked, self.config.least_trust)
+        least = self.config.least_trust
+        is_nearer = shortfall(owed, added, trust >= least) < shortfall(owed, added, trust >= asked) - _CLOSER
+        asked = jnp.where(jnp.any(is_nearer), jnp.minimum(asked, least), asked)
         return tilted(logits, added, owed, trust >= asked), asked
 
     @property
@@ -138,7 +148,7 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
         number = _MANY_ABOVE if most > _MANY * asked.num_objects else _ABOVE if most else 0
         return max(self.config.num_above, number)
 
-    def menu(self, key: Array, episode: Episode) -> Menu:
+    def candidates(self, key: Array, episode: Episode) -> CandidateSet:
         """The candidates for the episode's next attempt."""
         search, config = self.search, self.config
         keys = jax.random.split(key, 3)
@@ -151,14 +161,14 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
             drawn.append(above_objects(keys[2], scene, search.rules, self.num_above))
         return self._look(scene, jax.tree.map(lambda *parts: jnp.concatenate(parts), *drawn))
 
-    def look(self, episode: Episode, candidates: Candidates) -> Menu:
+    def look(self, episode: Episode, candidates: Candidates) -> CandidateSet:
         """Given candidates for the episode's next attempt."""
         return self._look(self.search.scene(episode, with_owner=True), candidates)
 
-    def _look(self, scene: SearchScene, candidates: Candidates) -> Menu:
+    def _look(self, scene: SearchScene, candidates: Candidates) -> CandidateSet:
         search = self.search
         found = search.closely(scene, candidates)
-        return Menu(
+        return CandidateSet(
             found=found,
             bearers=bearers(scene, search.rules.geometry, candidates, found.scores.fit.rest),
             is_allowed=found.cost < FORBIDDEN / 2,
@@ -166,7 +176,7 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
 
 
 def above_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> Candidates:
-    """Candidates over placed objects, uniform over the box of one drawn by its footprint; region frame.
+    """Candidates around placed objects, uniform over the square of one drawn by footprint; region frame.
 
     With nothing placed they are over the region's centre.
     """
@@ -178,10 +188,23 @@ def above_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> 
     T_region_world = episode.region.T_world_region.inverse()
     turn, shift = T_region_world.rotation().as_matrix()[:2, :2], T_region_world.translation()[:2]
     center = episode.poses[which, :2] @ turn.T + shift
-    # Boxes are turned about z and sometimes tipped: a disc as wide as the box is near enough.
+    # Boxes are turned about z and sometimes tipped: a square with the box's diagonal is near enough.
     reach = jnp.linalg.norm(half[which, :2], axis=1) / jnp.sqrt(2.0)
     xy = center + reach[:, None] * jax.random.uniform(key_at, (number, 2), minval=-1.0)
     xy = jnp.where(jnp.any(episode.is_placed), xy, 0.0)
     limit = episode.region.half_extents
     yaw = jax.random.uniform(key_yaw, (number,), maxval=2 * jnp.pi)
     return Candidates(jnp.clip(xy, -limit, limit), yaw)
+
+
+def natural_logits(geometry: Geometry, focus: Array, bearers: Bearers) -> Array:
+    """f32[N]: log weights of candidates, 0 on the support alone and at most 0 elsewhere.
+
+    The weight of what lies on objects is min(1, A / a)^2 s, with a the footprint of the current object's box,
+    A that of the largest object that would carry it, and s the share of its base that would touch.
+    """
+    area = footprint_area(geometry)
+    widest = jnp.max(jnp.where(bearers.touched, area, 0.0), axis=1)
+    width = jnp.minimum(jnp.log(jnp.maximum(widest, 1e-8) / area[focus]), 0.0)
+    base = jnp.log(jnp.clip(bearers.base, _LEAST_BASE, 1.0))
+    return jnp.where(bearers.is_on, _AREA_POWER * width + _BASE_POWER * base, 0.0)

@@ -1,0 +1,64 @@
+"""How many saved scenes of a bank stand in the MuJoCo of this interpreter, whatever its version is.
+
+It imports nothing of cluttergen_jax, which needs a recent MuJoCo: an environment with `mujoco` alone will do.
+What counts as standing is what `cluttergen verify` asks for. `--libccd` takes the older of MuJoCo's two
+detectors of convex collisions (`<flag nativeccd="disable"/>`).
+
+    python -m venv other && other/bin/pip install mujoco==3.10.0
+    other/bin/python benchmarks/other_mujoco.py BANK ...
+"""
+
+from __future__ import annotations
+
+import argparse
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+_SECONDS, _STRIDE = 10.0, 12
+_MAX_SHIFT, _MAX_TURN = 0.005, np.radians(5.0)
+
+
+def stands(path: Path, is_libccd: bool) -> bool:
+    """Whether no object of a scene file moves by more than 5 mm or 5 degrees within 10 s, all awake."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    if is_libccd:
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("scene").id)
+    data.qvel[:] = 0
+    start = data.qpos.reshape(-1, 7).copy()
+    for _ in range(round(_SECONDS / model.opt.timestep / _STRIDE)):
+        mujoco.mj_step(model, data, _STRIDE)
+        poses = data.qpos.reshape(-1, 7)
+        shift = np.linalg.norm(poses[:, :3] - start[:, :3], axis=1)
+        # Twice the angle between unit quaternions, of which q and -q are one.
+        turn = 2 * np.arccos(np.clip(np.abs((poses[:, 3:] * start[:, 3:]).sum(1)), 0.0, 1.0))
+        if not ((shift <= _MAX_SHIFT) & (turn <= _MAX_TURN)).all():
+            return False
+    return True
+
+
+def main() -> None:
+    """Prints a line for each bank."""
+    as_written = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=as_written)
+    parser.add_argument("banks", nargs="+", type=Path, help="folders that `cluttergen generate` wrote")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--libccd", action="store_true")
+    given = parser.parse_args()
+    check = partial(stands, is_libccd=given.libccd)
+    for bank in given.banks:
+        files = sorted((bank / "scenes").glob("*.xml"))
+        with ThreadPoolExecutor(given.threads) as threads:
+            number = sum(threads.map(check, files))
+        print(f"{bank}: {number} of {len(files)} scenes stand 10 s in MuJoCo {mujoco.__version__}")
+
+
+if __name__ == "__main__":
+    main()
