@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks import bullet, contact, engines, last_check
+from benchmarks import bullet, contact, engines, last_check, other_mujoco
 from benchmarks.bodies import apple, box
 from benchmarks.contact_drops import drops
 from benchmarks.contact_scenes import small_scenes
@@ -152,3 +152,13 @@ def test_engines_run(pool):
     assert contenders["native, 1 thread"].success == 1.0
     assert all(each.turns[0].attempts > 0 for each in contenders.values())
     assert "| native, 1 thread |" in engines.body_of(contenders, [], args)
+
+
+@pytest.mark.parametrize("is_libccd", [False, True])
+@pytest.mark.parametrize(("turn", "expected"), [("1 0 0 0", True), ("0.95 0.31 0 0", False)])
+def test_a_saved_scene_stands_or_falls_in_any_mujoco(turn, expected, is_libccd, tmp_path):
+    (tmp_path / "scene.xml").write_text(f"""<mujoco><worldbody><geom type="plane" size="1 1 1"/>
+      <body name="box" pos="0 0 0.05" quat="{turn}">
+      <freejoint/><geom type="box" size="0.02 0.02 0.05"/></body>
+      </worldbody><keyframe><key name="scene" qpos="0 0 0.05 {turn}"/></keyframe></mujoco>""")
+    assert other_mujoco.stands(tmp_path / "scene.xml", is_libccd) is expected
