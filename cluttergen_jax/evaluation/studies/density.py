@@ -135,13 +135,14 @@ def _rung(row: Row) -> str:
 
 
 def plot(rows: list[Row], stem: Path) -> list[str]:
-    """Strict success, a line for each method."""
+    """Strict success, a line for each method; those that stand on one rung alone are in the table only."""
     figure = new_figure(7.5, 3.4)
     axis = figure.subplots()
     rungs = list(dict.fromkeys(_rung(row) for row in rows))
     # Of several training seeds, the first.
     rows = [row for row in rows if not row["trial"]["training_seed"]]
-    names = list(dict.fromkeys(map(name_of, rows)))
+    rungs_of = {name: {_rung(row) for row in rows if name_of(row) == name} for name in map(name_of, rows)}
+    names = [name for name, own in rungs_of.items() if len(own) > 1 or len(rungs) == 1]
     for turn, name in enumerate(names):
         chosen = [row for row in rows if name_of(row) == name]
         # Side by side, so that equal rates do not hide one another.
