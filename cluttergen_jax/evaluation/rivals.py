@@ -48,7 +48,7 @@ def _figures(row: Row) -> Row:
     return figures
 
 
-def standing(rows: Sequence[Row], figures: Callable[[Row], Row] = _figures) -> Ranking | None:
+def ranking_of(rows: Sequence[Row], figures: Callable[[Row], Row] = _figures) -> Ranking | None:
     """Where `guided` stands among rows of one question; None where it has no row with figures.
 
     Args:
@@ -79,7 +79,7 @@ def success_notes(rows: Iterable[Row], question: Callable[[Row], str]) -> list[s
     """For each question, who succeeds as often as `guided`, and what it costs beside `spread`."""
     notes = []
     for asked, group in by_question(rows, question).items():
-        found = standing(group)
+        found = ranking_of(group)
         if found is not None:
             said = found.sentence(asked, lambda row: share_of(row["figures"]))
             notes.append(said + _cost(found.own, group))
@@ -90,7 +90,7 @@ def share_notes(rows: Iterable[Row], question: Callable[[Row], str], name: str =
     """Likewise of findings, rows with a share and its interval of their own."""
     notes = []
     for asked, group in by_question(rows, question).items():
-        found = standing(group, lambda row: row)
+        found = ranking_of(group, lambda row: row)
         if found is not None:
             notes.append(found.sentence(asked, lambda row: share_of(row, name)))
     return notes
@@ -98,7 +98,7 @@ def share_notes(rows: Iterable[Row], question: Callable[[Row], str], name: str =
 
 def tally(rows: Sequence[Row], question: Callable[[Row], str]) -> str:
     """How often other rows are as good as `guided`, or better; "" where it has no row."""
-    found = [each for group in by_question(rows, question).values() if (each := standing(group))]
+    found = [each for group in by_question(rows, question).values() if (each := ranking_of(group))]
     if not found:
         return ""
     alone = sum(not each.better and not each.equal for each in found)

@@ -25,8 +25,6 @@ from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import SwappablePhysics
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.protocol import Physics
-from cluttergen_jax.placement.clutter import Clutter
-from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
 from cluttergen_jax.placement.ruin import footprint_area
@@ -239,16 +237,7 @@ class Runner:
             change=trial.change,
             engine=self.engine,
             num_threads=self.num_threads,
-            placement=PlacementConfig(
-                num_objects=trial.num_objects,
-                max_attempts=trial.attempts,
-                order=trial.order,
-                min_margin=trial.min_margin,
-                ruin_after=trial.ruin_after,
-                budget=trial.budget,
-                clutter=Clutter.of(trial.clutter) if trial.clutter else None,
-                tidy=trial.tidy,
-            ),
+            placement=trial.placement,
         )
         if config not in self._setups:
             self._setups[config] = compose(resolved.pool.objects, resolved.support, config)

@@ -13,6 +13,8 @@ from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.methods import TRUSTED_METHODS
 from cluttergen_jax.placement.changes import find_change
+from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.placement.config import PlacementConfig
 
 MAX_TRIALS = 1_000_000
 RUIN, RANDOM_ORDER, TIDY, ROBUST = "ruin", "random order", "tidy", "robust"
@@ -38,7 +40,7 @@ class Trial:
       paper_count: run it a second time with the paper's looser count (only the current object is judged, the
         others are put back by hand, no last check).
       min_margin: metres of support margin asked of what is placed; 0 asks for nothing, as the paper does.
-      robust: ask that what stands also stands under a slight tilt with less friction.
+      robust: ask that what stands also stands under a slight tilt with less friction and softer contacts.
       clutter: what scenes should have on average, as text ("stack=3"); "" asks for nothing.
       tidy: take the best of the poses that are trusted, as `--tidy` does.
       order, ruin_after, budget: of a `PlacementConfig`; the paper's unless given.
@@ -71,6 +73,25 @@ class Trial:
         if not 0 <= self.seed < 2**32:
             raise ConfigError(f"seed = {self.seed}", "0 to 4294967295")
         find_change(self.change)
+        _ = self.placement
+
+    @property
+    def placement(self) -> PlacementConfig:
+        """The rules of its scenes.
+
+        Raises:
+          ConfigError: there are no such rules.
+        """
+        return PlacementConfig(
+            num_objects=self.num_objects,
+            max_attempts=self.attempts,
+            order=self.order,
+            min_margin=self.min_margin,
+            ruin_after=self.ruin_after,
+            budget=self.budget,
+            clutter=Clutter.of(self.clutter) if self.clutter else None,
+            tidy=self.tidy,
+        )
 
     @property
     def num_episodes(self) -> int:

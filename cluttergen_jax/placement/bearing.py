@@ -51,8 +51,8 @@ def carried_by(which: Array, leans_on: Array) -> Array:
       which: bool[K]; leans_on: bool[K, K], row k: what object k leans on.
     """
 
-    def spread(state: tuple[Array, Array]) -> tuple[Array, Array]:
+    def widen(state: tuple[Array, Array]) -> tuple[Array, Array]:
         now, _ = state
         return now | jnp.any(leans_on & now, axis=1), now
 
-    return jax.lax.while_loop(lambda state: jnp.any(state[0] != state[1]), spread, (which, which & False))[0]
+    return jax.lax.while_loop(lambda state: jnp.any(state[0] != state[1]), widen, (which, which & False))[0]

@@ -10,7 +10,7 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import variant_pools
 from cluttergen_jax.evaluation.report import tables_of
-from cluttergen_jax.evaluation.rivals import standing, success_notes, tally
+from cluttergen_jax.evaluation.rivals import ranking_of, success_notes, tally
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.running import run_study
 from cluttergen_jax.evaluation.store import Store
@@ -156,7 +156,7 @@ def rows_of(**successes):
 
 def test_rivals_are_read_from_the_rows():
     rows = rows_of(guided=80, spread=79, drop=20, drop_ruin=99)
-    found = standing(rows)
+    found = ranking_of(rows)
     assert (found.better, found.equal, found.worse) == (("drop, ruin",), ("spread",), ("drop",))
     (note,) = success_notes(rows, lambda row: "two objects")
     assert "as good (intervals overlap): `spread`" in note
@@ -167,7 +167,7 @@ def test_rivals_are_read_from_the_rows():
     assert told.endswith("as good: `spread` in 1; better: `drop, ruin` in 1")
     # Nothing is said of a method that has no row.
     assert tally(rows[1:], lambda row: "two objects") == ""
-    assert standing(rows[1:]) is None
+    assert ranking_of(rows[1:]) is None
     assert success_notes(rows[1:], lambda row: "two objects") == []
 
 

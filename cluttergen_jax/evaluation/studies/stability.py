@@ -106,7 +106,8 @@ def tables(result: Result) -> list[Table]:
     )
     config = RobustConfig()
     notes = (
-        f"`, {ROBUST}`: what is placed must also stand under a slight tilt with less friction (`--robust`)",
+        f"`, {ROBUST}`: what is placed must also stand under a slight tilt with less "
+        "friction and softer contacts (`--robust`)",
         "stand tilted: share of scenes in which nothing moves over 5 mm or turns over 5 degrees within 2 s, "
         "whichever of eight directions gravity is tilted in",
         f"{ROBUST}: nothing moves over 5 mm in plan or turns over 5 degrees with gravity tilted by "

@@ -104,9 +104,8 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
             logits, asked = self.tilt(episode, candidates, trust, asked)
             noise += logits
         # Whoever is trusted comes before all others, and among the others the most trusted.
-        return candidates.found.action[
-            jnp.argmax(jnp.where(trust >= asked, 2.0 + noise - jnp.min(noise), trust))
-        ]
+        rank = jnp.where(trust >= asked, 2.0 + noise - jnp.min(noise), trust)
+        return candidates.found.action[jnp.argmax(rank)]
 
     @property
     def is_tilted(self) -> bool:

@@ -34,10 +34,9 @@ _COLUMNS = {
     "steps": "slot by slot, steps of all these attempts",
     "rest_steps": "slot by slot, steps of the attempt that succeeded",
     "simulated_steps": "steps simulated for the scene",
-    "levels": "slot by slot, how many objects are below it, one upon the other, -1 where not placed; null "
-    "where the method does not ask what carries what",
-    "num_on": "objects that rest on another; null likewise",
-    "num_touching": "pairs of objects that touch; null likewise",
+    "levels": "slot by slot, how many objects are below it, one upon the other, -1 where not placed",
+    "num_on": "objects that rest on another",
+    "num_touching": "pairs of objects that touch",
     "near": "metres, the mean over the objects of the gap in plan to the nearest other one, as boxes",
     "occlusion": "the mean share of an object that others hide from eight cameras 30 degrees up, as boxes",
     "residual_speed": "after `cluttergen certify`: m/s, the fastest object 0.25 s after the scene is let go",

@@ -56,8 +56,8 @@ CLUTTER = pa.schema(
         ("occlusion", pa.float32()),
     ]
 )
-"""How cluttered a scene is, of what is placed: null in banks of older versions, the first three also where
-the method does not ask what carries what. `levels` has an entry per slot, -1 where nothing is placed."""
+"""How cluttered a scene is, of what is placed: null in banks of older versions.
+`levels` has an entry per slot, -1 where nothing is placed."""
 
 CERTIFICATE = pa.schema(
     [
