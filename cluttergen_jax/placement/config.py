@@ -61,7 +61,7 @@ class PlacementConfig:
       overhang: how much of an object may reach beyond the support's edge once it rests, seen from above:
         "any"; "half", a quarter of its footprint, half of where an even body tips; or "none".
       clutter: what the trusted methods should bring about (`Clutter`, or what `Clutter.of` takes).
-      natural: the trusted methods prefer flat, wide bearers (`placement.search.natural`).
+      natural: the trusted methods prefer flat, wide bearers (`placement.search.trusted`).
       tidy: of the candidates that they trust the trusted methods take the one that costs the least room, by
         the cost of `drop`, instead of drawing uniformly.
     """
