@@ -209,10 +209,15 @@ def test_crowds_are_made_with_spread(runner, tmp_path):
     assert row[table.columns.index("within 5 n")].startswith("1.000")
 
 
+def test_crowded_rows_of_robust_scenes_have_a_quarter_of_the_trials():
+    (planned,) = find_suite("extended", Scale(), ("stability",))
+    assert {(trial.num_objects, trial.trials) for trial in planned.trials} == {(10, 256), (30, 64)}
+
+
 @pytest.mark.slow
 def test_robust_scenes_stand_beside_others(runner, tmp_path):
     same = {"num_objects": 2, "pool": "dining", "support": "table", "clutter": "", "order": "random"}
-    result = made_by(runner, tmp_path, "stability", "spread", **same, ruin_after=0)
+    result = made_by(runner, tmp_path, "stability", "spread", **same, ruin_after=0, trials=4)
     rows = result["measure"]["rows"]
     assert [row["method"] for row in rows] == ["spread, random order", "spread, random order, robust"]
     assert all(0 <= row["robust"]["share"] <= 1 for row in rows)

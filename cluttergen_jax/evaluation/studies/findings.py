@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,11 @@ class Successes:
 
     def __len__(self) -> int:
         return len(self.index)
+
+    def first(self, number: int | None) -> Successes:
+        """The first so many of them; all for None. `arrays` stay whole."""
+        cut = {name: getattr(self, name)[:number] for name in ("index", "poses", "is_placed")}
+        return replace(self, **cut)
 
 
 def successes_of(runner: Runner, trial: Trial) -> Successes:
