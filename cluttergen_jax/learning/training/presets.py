@@ -54,12 +54,15 @@ def gpu() -> Settings:
 
 
 def paper() -> Settings:
-    """The paper's hyper-parameters (its table of constants)."""
+    """The paper as printed (its table of constants), with the rollout of its code, which it does not state.
+
+    Rewards are learned from in thousands: their unit is nothing but the critic's.
+    """
     return Settings(
         ppo=PPOConfig(
-            num_envs=100,
-            num_steps=10,
-            num_minibatches=1,
+            num_envs=16,
+            num_steps=200,
+            minibatch_size=1000,
             num_epochs=5,
             learning_rate=1e-4,
             anneals=False,
@@ -67,10 +70,13 @@ def paper() -> Settings:
             gae_lambda=0.95,
             entropy_cost=0.01,
             value_cost=0.5,
+            reward_scale=1e-3,
             num_attempts=2_500_000,
         ),
         network=NetworkConfig(
+            head="beta_free",
             scene_encoder="pointnet2",
+            encoder_frozen=True,
             object_points=1024,
             object_features=1024,
             scene_points=20_480,
@@ -83,11 +89,40 @@ def paper() -> Settings:
     )
 
 
-PRESETS = {"cpu": cpu, "gpu": gpu, "paper": paper}
+def paper_code() -> Settings:
+    """What the paper's published code does in place of that, as far as this project can.
+
+    Its verdict, its reward in its own unit, clipped values, ten epochs, a falling learning rate; its encoder
+    groups all points at every level, which makes it a PointNet.
+    """
+    printed = paper()
+    return replace(
+        printed,
+        ppo=replace(printed.ppo, num_epochs=10, anneals=True, value_clip=0.2, reward_scale=1.0),
+        network=replace(printed.network, scene_encoder="pointnet"),
+        placement=replace(printed.placement, reward="code"),
+        stability=replace(printed.stability, per_axis=True, judge_neighbours=False),
+    )
+
+
+def paper_cpu() -> Settings:
+    """`paper` as two cores can bear it: a PointNet on clouds of 512 points, every 12th row of the history."""
+    printed = paper()
+    clouds = {"object_points": 256, "scene_points": 512, "object_features": 256, "scene_features": 256}
+    return replace(
+        printed,
+        ppo=replace(printed.ppo, num_envs=128, num_steps=25),
+        network=replace(printed.network, scene_encoder="pointnet", **clouds),
+        placement=replace(printed.placement, history_stride=12),
+    )
+
+
+PRESETS = {"cpu": cpu, "gpu": gpu, "paper": paper, "paper_code": paper_code, "paper_cpu": paper_cpu}
 
 _CHANGES: dict[str, dict[str, Any]] = {
     "policy": {},
     "beta": {"head": "beta"},
+    "beta_free": {"head": "beta_free", "height_precision": 0.0},
     "normal": {"head": "normal"},
     "open_loop": {"history_width": 0},
     "short_memory": {"history_length": 1},
@@ -128,17 +163,23 @@ def fitted(network: NetworkConfig, folder: Path) -> NetworkConfig:
 
 
 def choose_encoder(
-    network: NetworkConfig, encoder: str | None, weights: str | None, is_frozen: bool
+    network: NetworkConfig, encoder: str | None, weights: str | None, is_frozen: bool | None
 ) -> NetworkConfig:
-    """The config with what the command line says of encoders.
+    """The config with what the command line says of encoders; what is None stays as it is.
 
     Raises:
       ConfigError: a frozen encoder has no weights.
       PoolError: there are no weights where they should be.
     """
-    if encoder is None and weights is None and not is_frozen:
-        return network
-    if is_frozen and weights is None:
-        raise ConfigError("`encoder_frozen` without weights", hint="`encoder_weights` of cluttergen pretrain")
+    is_frozen = network.encoder_frozen if is_frozen is None else is_frozen
     network = replace(network, scene_encoder=encoder or network.scene_encoder, encoder_frozen=is_frozen)
-    return network if weights is None else fitted(network, Path(weights))
+    if weights is not None:
+        return fitted(network, Path(weights))
+    if is_frozen:
+        raise ConfigError(
+            f"a frozen encoder {network.scene_encoder!r} without `encoder_weights`",
+            "the folder of weights that it is to keep",
+            f"`cluttergen pretrain --encoder {network.scene_encoder} --points {network.object_points} "
+            "--out encoder`, then `--encoder-weights encoder`; or `--no-encoder-frozen`, to train it along",
+        )
+    return network
