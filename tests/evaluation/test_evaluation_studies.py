@@ -214,6 +214,21 @@ def test_the_papers_figures_stand_beside_ours():
     assert shown == {change: f"{value:.3f}" for change, value in table2.PAPER.items()}
 
 
+def test_values_read_off_the_papers_pictures_stand_below_ours():
+    rows = {}
+    for name in ("fig1a", "steps_by_attempt"):
+        (study,) = find_suite("paper", Scale(), (name,))
+        made = figures(3, [1, 1, 1, 3])
+        made["paper"] = figures(4, [1, 1, 0, 4])
+        asked = [{"trial": dataclasses.asdict(t), "figures": made} for t in study.trials]
+        (table,) = tables_of(json.loads(json.dumps(result_of(study, asked))))
+        rows[name] = {row[:2]: row[2:] for row in table.rows}
+    assert rows["fig1a"]["the paper's", "ClutterGen"] == ("0.990", "1.000", "1.000")
+    assert rows["steps_by_attempt"]["kitchen", "ClutterGen, the paper"] == ("-", "106", "85", "49", "48", "60")
+    # A row without a memory that falls says that the fall is selection.
+    assert any("kitchen 202 to 99" in note and "selection" in note for note in table.notes)
+
+
 def test_results_page_agrees_with_its_json():
     results, notes = read_results(DOCS / "results"), (DOCS / "missed.md").read_text(encoding="utf-8")
     # New studies have no result until they are made.
