@@ -31,7 +31,7 @@ def train(
     reward: Reward | None = None,
     encoder: Encoder | None = None,
     encoder_weights: str | Path | None = None,
-    encoder_frozen: bool | None = None,
+    encoder_frozen: bool = False,
     out: str | Path | None = None,
     engine: Engine = "auto",
     eval_every: int = 0,
@@ -55,7 +55,8 @@ def train(
         "rotation", "shrinkage", "expansion" or "all".
       max_attempts: per object, 1 to 10.
       preset: "cpu", "gpu", "paper" (as printed), "paper_code" (as its published code has it) or "paper_cpu"
-        (as printed, with smaller clouds); the paper's three want `encoder_weights`.
+        (as printed, with smaller clouds); the paper's three want `encoder_weights`, or `encoder` for one that
+        is trained along.
       variant: "guided" (no policy: one network for every pool, which takes `num_attempts`, `seed` and `out`
         alone), "policy" (the full method), "open_loop", "short_memory", "normal", "beta" or "beta_free".
       num_attempts: environment steps of the run; the preset's if not given.
@@ -64,7 +65,7 @@ def train(
       reward: "paper", "code" or "compressed"; the preset's if not given.
       encoder: of the scene: "set", "pointnet" or "pointnet2"; the preset's if not given.
       encoder_weights: folder of pretrained weights that the point encoders begin with (`pretrain`).
-      encoder_frozen: leave these weights as they are; the preset's if not given.
+      encoder_frozen: leave these weights as they are, as the paper's presets do unasked.
       out: the run's folder, runs/POOL-VARIANT-SEED (runs/guided-SEED) if not given; of a suite, the folder
         of all its runs.
       engine: "auto", "native", "warp" or "jax".
@@ -130,7 +131,7 @@ def train_suite(
     reward: Reward | None = None,
     encoder: Encoder | None = None,
     encoder_weights: str | Path | None = None,
-    encoder_frozen: bool | None = None,
+    encoder_frozen: bool = False,
     out: str | Path | None = None,
     engine: Engine = "auto",
     eval_every: int = 0,

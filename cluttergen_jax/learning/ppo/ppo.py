@@ -38,6 +38,8 @@ class PPOConfig:
         it move freely.
       reward_scale: of rewards before anything else. Advantages are normalised, so that only the critic sees
         it: with rewards in the hundreds its gradient would leave the actor's nothing of the common norm.
+      reward_limit: scaled rewards are cut off at plus and minus this, if given: one that is far out would leave the
+        others of its minibatch no advantage.
       max_gradient_norm: gradients are scaled down to it.
       num_attempts: environment steps of the whole run.
     """
@@ -56,6 +58,7 @@ class PPOConfig:
     entropy_cost: float = 0.01
     value_clip: float = 0.0
     reward_scale: float = 1.0
+    reward_limit: float | None = None
     max_gradient_norm: float = 0.5
     num_attempts: int = 100_000
 
@@ -184,8 +187,7 @@ class PPO:
         figures = {name: jnp.mean(values.reshape(-1)) for name, values in losses.items()}
         variance = jnp.maximum(jnp.var(target), 1e-8)
         figures["explained_variance"] = 1 - jnp.var(target - batch.value) / variance
-        reward = jnp.mean(batch.reward) / self.config.reward_scale
-        figures |= {"reward": reward, "episodes": jnp.sum(batch.done)}
+        figures |= {"reward": jnp.mean(batch.reward), "episodes": jnp.sum(batch.done)}
         figures |= {f"env/{name}": jnp.mean(value) for name, value in env.metrics.items()}
         is_finite = all_finite((batch, last_seen, last_value, losses, params))
         return TrainState(params, optimizer, env, key, state.num_updates + 1), figures, is_finite
@@ -198,7 +200,8 @@ class PPO:
             dist, value = self.apply(params, seen)
             action = dist.sample(key)
             after = each(self.env.step, self.mesh)(env, action)
-            reward = self.config.reward_scale * after.reward
+            reward, limit = self.config.reward_scale * after.reward, self.config.reward_limit
+            reward = reward if limit is None else jnp.clip(reward, -limit, limit)
             return after, Transition(seen, action, dist.log_prob(action), value, reward, after.done)
 
         return jax.lax.scan(step, env, jax.random.split(key, self.config.num_steps))

@@ -163,23 +163,28 @@ def fitted(network: NetworkConfig, folder: Path) -> NetworkConfig:
 
 
 def choose_encoder(
-    network: NetworkConfig, encoder: str | None, weights: str | None, is_frozen: bool | None
+    network: NetworkConfig, encoder: str | None, weights: str | None, is_frozen: bool
 ) -> NetworkConfig:
-    """The config with what the command line says of encoders; what is None stays as it is.
+    """The config with what the command line says of encoders.
+
+    Args:
+      encoder: None stays as it is; one that is named without weights is trained along, unless `is_frozen`.
 
     Raises:
       ConfigError: a frozen encoder has no weights.
       PoolError: there are no weights where they should be.
     """
-    is_frozen = network.encoder_frozen if is_frozen is None else is_frozen
+    is_frozen = is_frozen or (network.encoder_frozen and (encoder is None or weights is not None))
     network = replace(network, scene_encoder=encoder or network.scene_encoder, encoder_frozen=is_frozen)
     if weights is not None:
         return fitted(network, Path(weights))
     if is_frozen:
+        kind = network.scene_encoder
         raise ConfigError(
-            f"a frozen encoder {network.scene_encoder!r} without `encoder_weights`",
-            "the folder of weights that it is to keep",
-            f"`cluttergen pretrain --encoder {network.scene_encoder} --points {network.object_points} "
-            "--out encoder`, then `--encoder-weights encoder`; or `--no-encoder-frozen`, to train it along",
+            f"an encoder {kind!r} that keeps its weights, and no `encoder_weights`",
+            "the folder of a pretrained one",
+            f"`cluttergen pretrain --encoder {kind} --features {network.object_features} --object-points "
+            f"{network.object_points} --out encoder` and `--encoder-weights encoder`; or `--encoder {kind}`, which is "
+            "trained along",
         )
     return network

@@ -43,7 +43,7 @@ class TrainConfig:
     reward: str | None = None
     encoder: str | None = None
     encoder_weights: str | None = None
-    encoder_frozen: bool | None = None
+    encoder_frozen: bool = False
     out: str | None = None
     engine: str = "auto"
     eval_every: int = 0
