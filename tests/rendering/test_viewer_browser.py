@@ -47,16 +47,16 @@ class Scenes:
         self.recorder = Recorder(sampler, problem.world, width=1)
         self.failing = next(seed for seed in range(50) if self.recorder.record(seed, 0).failures)
 
-    def recorded(self, number):
-        return self.recorder.record(self.failing + number, 0, f"scene {number}")
+    def recorded(self, number, num_proposals=0):
+        return self.recorder.record(self.failing + number, 0, f"scene {number}", num_proposals)
 
     still = recorded
 
     def notice(self, method=None):
         return ""
 
-    def sample(self, method, seed):
-        return self.recorder.record(1000 + seed, 0, f"{method}, seed {seed}")
+    def sample(self, method, seed, num_proposals=0):
+        return self.recorder.record(1000 + seed, 0, f"{method}, seed {seed}", num_proposals)
 
 
 @pytest.fixture(scope="module")
