@@ -17,8 +17,12 @@ def test_the_papers_numbers(preset):
     settings = make_settings(preset, "policy")
     ppo, network = settings.ppo, settings.network
     assert (ppo.batch_size, ppo.steps_of_minibatch, ppo.num_attempts) == (3200, 1000, 2_500_000)
-    assert (ppo.discount, ppo.gae_lambda, ppo.learning_rate, ppo.clip) == (0.99, 0.95, 1e-4, 0.2)
-    assert (ppo.entropy_cost, ppo.value_cost, ppo.max_gradient_norm) == (0.01, 0.5, 0.5)
+    assert (ppo.discount, ppo.gae_lambda, ppo.clip) == (0.99, 0.95, 0.2)
+    assert (ppo.value_cost, ppo.max_gradient_norm) == (0.5, 0.5)
+    # What two cores can bear differs in what keeps it from learning, too.
+    is_printed = preset != "paper_cpu"
+    assert (ppo.learning_rate, ppo.entropy_cost) == ((1e-4, 0.01) if is_printed else (1e-3, 0.0))
+    assert ppo.anneals == (preset != "paper")
     assert (network.head, network.height_precision, network.num_layers, network.width) == ("beta_free", 0, 5, 256)
     assert network.encoder_frozen
     assert network.reads_clouds
