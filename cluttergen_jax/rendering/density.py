@@ -86,7 +86,9 @@ def _attempt_at(recording: Replay, object_index: int | None) -> Attempt:
         object_index = attempts[-1].object_index
     turn = () if object_index is None else recording.last_turn(object_index)
     if not turn:
-        raise ConfigError(f"{recording.title}: no attempt at object {object_index}", "a recording with attempts")
+        raise ConfigError(
+            f"{recording.title}: no attempt at object {object_index}", "a recording with attempts"
+        )
     return turn[0]
 
 

@@ -135,7 +135,7 @@ class SceneRenderer:
         return flat * [1, -1] + np.array([self.config.width, self.config.height]) / 2
 
     def unproject(self, depth: np.ndarray) -> np.ndarray:
-        """f64[height, width, 3]: world points of the pixels' middles at `measure`'s depths; the inverse of `project`."""
+        """f64[height, width, 3]: world points of the pixels' middles at the depths of `measure`."""
         height, width = depth.shape
         x, y = np.meshgrid(np.arange(width) + 0.5 - width / 2, height / 2 - np.arange(height) - 0.5)
         # Nothing is seen at an infinite depth.

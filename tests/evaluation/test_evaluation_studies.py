@@ -224,7 +224,14 @@ def test_values_read_off_the_papers_pictures_stand_below_ours():
         (table,) = tables_of(json.loads(json.dumps(result_of(study, asked))))
         rows[name] = {row[:2]: row[2:] for row in table.rows}
     assert rows["fig1a"]["the paper's", "ClutterGen"] == ("0.990", "1.000", "1.000")
-    assert rows["steps_by_attempt"]["kitchen", "ClutterGen, the paper"] == ("-", "106", "85", "49", "48", "60")
+    assert rows["steps_by_attempt"]["kitchen", "ClutterGen, the paper"] == (
+        "-",
+        "106",
+        "85",
+        "49",
+        "48",
+        "60",
+    )
     # A row without a memory that falls says that the fall is selection.
     assert any("kitchen 202 to 99" in note and "selection" in note for note in table.notes)
 

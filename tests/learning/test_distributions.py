@@ -46,7 +46,9 @@ def test_samples_follow_the_distribution(head):
         low, high = one.cdf(np.array([2 * EDGE, 1 - 2 * EDGE]))
         inside = draws[(draws[:, axis] > 2 * EDGE) & (draws[:, axis] < 1 - 2 * EDGE), axis]
         assert len(inside) / len(draws) == pytest.approx(high - low, abs=0.015)
-        within = scipy.stats.kstest(inside, lambda x, one=one, low=low, high=high: (one.cdf(x) - low) / (high - low))
+        within = scipy.stats.kstest(
+            inside, lambda x, one=one, low=low, high=high: (one.cdf(x) - low) / (high - low)
+        )
         assert within.pvalue > 1e-4
 
 

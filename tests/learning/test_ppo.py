@@ -66,7 +66,9 @@ def test_minibatches_of_one_size_leave_a_smaller_last_one():
 
 def test_minibatches_of_one_size_are_those_of_a_number_where_both_divide():
     asked = {"num_envs": 8, "num_steps": 4, "num_epochs": 2}
-    by_number, by_size = (learner(Bandit(), **asked, **each) for each in ({"num_minibatches": 4}, {"minibatch_size": 8}))
+    by_number, by_size = (
+        learner(Bandit(), **asked, **each) for each in ({"num_minibatches": 4}, {"minibatch_size": 8})
+    )
     start = by_number.start(jax.random.key(0), Tiny().init(jax.random.key(1), jnp.zeros((1, 2))))
     same_bits(jax.jit(by_number.update)(start)[0].params, jax.jit(by_size.update)(start)[0].params)
 

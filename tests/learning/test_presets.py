@@ -23,7 +23,12 @@ def test_the_papers_numbers(preset):
     is_printed = preset != "paper_cpu"
     assert (ppo.learning_rate, ppo.entropy_cost) == ((1e-4, 0.01) if is_printed else (1e-3, 0.0))
     assert ppo.anneals == (preset != "paper")
-    assert (network.head, network.height_precision, network.num_layers, network.width) == ("beta_free", 0, 5, 256)
+    assert (network.head, network.height_precision, network.num_layers, network.width) == (
+        "beta_free",
+        0,
+        5,
+        256,
+    )
     assert network.encoder_frozen
     assert network.reads_clouds
     assert (settings.placement.order, settings.placement.max_attempts) == ("random", 5)

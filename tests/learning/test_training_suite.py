@@ -59,7 +59,7 @@ def test_extended_tables_are_covered_with_one_seed():
         for trial in study.trials
         if trial.method in POLICIES
     }
-    assert {"dining-beta-0"} <= asked == set(names)
+    assert {"dining-beta_free-0"} <= asked == set(names)
     commands = [config_of(TrainConfig(), run, Path("runs")) for run in runs]
     assert {(args.pool, args.num_objects) for args in commands} == {("dining", 10)}
 

@@ -75,8 +75,10 @@ def test_unprojected_pixels_are_where_their_points_were():
 def test_the_figure_colours_the_table_there_and_nothing_else():
     right, left = (density_figure(proposed(x, 0.1), picture=PICTURE).astype(int) for x in (0.9, 0.1))
     # Violet on a brown table takes red away.
-    where = {name: np.argwhere(change > 25) for name, change in
-             (("right", (left - right)[..., 0]), ("left", (right - left)[..., 0]))}
+    where = {
+        name: np.argwhere(change > 25)
+        for name, change in (("right", (left - right)[..., 0]), ("left", (right - left)[..., 0]))
+    }
     assert min(map(len, where.values())) > 20
     assert where["right"][:, 1].mean() > where["left"][:, 1].mean() + 20
     # Elsewhere the two pictures are one.

@@ -16,7 +16,7 @@ from cluttergen_jax.evaluation.plots import colour, grid, label_of, save
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
 from cluttergen_jax.evaluation.studies.study import Result, Study
-from cluttergen_jax.evaluation.studies.table1 import one_pool
+from cluttergen_jax.evaluation.studies.table1 import CLUTTERGEN, one_pool
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.proportions import finite
 from cluttergen_jax.tables import Table
@@ -98,7 +98,7 @@ DIVERSITY_MAPS = Study(
     "diversity_maps",
     "Where each object lies: Beta beside Normal",
     1000,
-    lambda scale: one_pool(scale, "normal", "beta", "policy"),
+    lambda scale: one_pool(scale, "normal", CLUTTERGEN, "policy"),
     tables,
     measure,
 )

@@ -8,7 +8,7 @@ from pathlib import Path
 from cluttergen_jax.evaluation.cells import LOOSE, Column, Row, asked, share, table_of
 from cluttergen_jax.evaluation.plots import add_legend, colour, label_of, panels_of_pools, prepare, save
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, of_methods
-from cluttergen_jax.evaluation.studies.table1 import first_seed
+from cluttergen_jax.evaluation.studies.table1 import CLUTTERGEN, first_seed
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.tables import Table
 
@@ -22,7 +22,7 @@ _STYLES = {"ClutterGen": "--", "RRS": ":"}
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
     """Of table 1: chance, the paper's method and ours."""
-    return of_methods(first_seed(scale), "random", "beta", "policy")
+    return of_methods(first_seed(scale), "random", CLUTTERGEN, "policy")
 
 
 def at_least(histogram: Sequence[int]) -> list[float]:
@@ -47,8 +47,8 @@ def tables(result: Result) -> list[Table]:
         LOOSE,
         "an episode of n objects is the beginning of one of ten: orders are uniform, and no method is told "
         "how many are to come",
-        "the dotted lines of the plot are strict but for the last check; the paper's values were read off its "
-        "picture, which does not say of which group they are",
+        "the dotted lines of the plot are strict but for the last check; the paper's values were read off "
+        "its picture, which does not say of which group they are",
     )
     columns = (*asked("pool", "method"), *map(column, range(1, most + 1)))
     theirs = [
@@ -75,10 +75,10 @@ def plot(rows: list[Row], stem: Path) -> list[str]:
                 label = label_of(method) if style == "-" else None
                 x = range(1, len(shares) + 1)
                 axis.plot(x, shares, style, color=colour(method), label=label, marker=".")
-        for name, shares in PAPER.items():
+        for name, theirs in PAPER.items():
             label = f"{name}, the paper"
-            x = range(1, len(shares) + 1)
-            axis.plot(x, shares, _STYLES[name], color="#777777", linewidth=1.0, label=label)
+            x = range(1, len(theirs) + 1)
+            axis.plot(x, theirs, _STYLES[name], color="#777777", linewidth=1.0, label=label)
         prepare(axis, pool, "objects", "success (dotted: strict)")
         axis.set_ylim(-0.03, 1.03)
     add_legend(figure)

@@ -40,8 +40,8 @@ def tables(result: Result) -> list[Table]:
     notes = (
         LOOSE,
         "objects that stood in the end and took at least three attempts; mean ± standard deviation",
-        "the paper's values were read off its picture; it takes their fall for a sign that its policy learns from "
-        "failures within an episode",
+        "the paper's values were read off its picture; it takes their fall for a sign that its policy learns "
+        "from failures within an episode",
         *_selection(result["records"]),
     )
     pools = dict.fromkeys(row["trial"]["pool"] for row in result["records"])
@@ -64,8 +64,8 @@ def _selection(rows: list[Row]) -> list[str]:
     if not falls:
         return []
     return [
-        f"`random`, which remembers nothing, falls in the same way ({', '.join(falls)}): what stands in the end had "
-        "a last attempt that went well, so the fall is selection, and no sign of learning"
+        f"`random`, which remembers nothing, falls in the same way ({', '.join(falls)}): what stands in the "
+        "end had a last attempt that went well, so the fall is selection, and no sign of learning"
     ]
 
 
@@ -98,8 +98,14 @@ def plot(rows: list[Row], stem: Path) -> list[str]:
                 axis.errorbar(x, y, error, marker=".", linewidth=1.0, **style)
         if pool in PAPER:
             theirs = PAPER[pool]
-            x = range(1, len(theirs) + 1)
-            axis.plot(x, theirs, "--", color="#777777", linewidth=1.0, label="ClutterGen, the paper")
+            axis.plot(
+                range(1, len(theirs) + 1),
+                theirs,
+                "--",
+                color="#777777",
+                linewidth=1.0,
+                label="ClutterGen, the paper",
+            )
         prepare(axis, pool, "attempt", "steps")
         axis.set_xticks(range(1, DEFAULT_ATTEMPTS + 1))
         axis.set_ylim(0, 250)

@@ -85,9 +85,7 @@ def replay_context_of(bank: Bank) -> ReplayContext:
     return ReplayContext(setup, {} if trained is None else {method: trained})
 
 
-def replay(
-    bank: Bank, context: ReplayContext, index: int, stored: Replay, num_proposals: int = 0
-) -> Replay:
+def replay(bank: Bank, context: ReplayContext, index: int, stored: Replay, num_proposals: int = 0) -> Replay:
     """Scene number `index` of a bank with its attempts, made once more; see `Recorder.record`.
 
     Raises:

@@ -22,8 +22,8 @@ class NetworkConfig:
     """Sizes of the network that proposes poses.
 
     Attributes:
-      head: "beta_free" (the paper's, as its code has it), "beta" (with one mode inside the region), "normal" or
-        "mixture" (of Betas, over the cells of a grid of heights).
+      head: "beta_free" (the paper's, as its code has it), "beta" (with one mode inside the region), "normal"
+        or "mixture" (of Betas, over the cells of a grid of heights).
       num_cells, num_turns: of the mixture: cells along each side of the queried region, ranges of turns.
       turn_symmetry: of objects, as a mixture sees them: 2 if half a turn is to make no difference (a range of
         turns is also its opposite), 1 if it is (a pan's handle lies on one side).
@@ -77,7 +77,9 @@ class NetworkConfig:
         if self.head not in (*HEADS, MIXTURE):
             raise ConfigError(f"head {self.head!r}", ", ".join((*HEADS, MIXTURE)), "head beta")
         if self.head == "beta_free" and self.height_precision:
-            raise ConfigError(f"height_precision = {self.height_precision} with head beta_free", "0", "head beta")
+            raise ConfigError(
+                f"height_precision = {self.height_precision} with head beta_free", "0", "head beta"
+            )
         if self.scene_encoder not in SCENE_ENCODERS:
             raise ConfigError(f"scene_encoder {self.scene_encoder!r}", ", ".join(SCENE_ENCODERS))
         for name in _POSITIVE:

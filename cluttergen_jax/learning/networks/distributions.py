@@ -23,8 +23,8 @@ EDGE = 1e-5
 
 
 _LOG_SHAPE = (-1.2, 10.0)
-"""Bounds of the logarithms of alpha and beta where these are free: a U of which a fiftieth lies within EDGE of
-each end, and modes as narrow as a four-hundredth of the interval."""
+"""Bounds of the logarithms of alpha and beta where these are free: a U of which a fiftieth lies within EDGE
+of each end, and modes as narrow as a four-hundredth of the interval."""
 _LOG_PRECISION = (-3.0, 12.0)
 """Bounds of the second raw output: no narrower than about a thousandth of the interval."""
 
@@ -60,8 +60,8 @@ class Beta(struct.PyTreeNode):
     def from_raw(raw: Array) -> Beta:
         """With one mode inside the interval and density zero at its edges, of raw outputs f32[..., A, 2].
 
-        alpha and beta are 1 + m c and 1 + (1 - m) c, where m, the mode, is the sigmoid of the first raw output
-        and c, the concentration, the exponential of the second. Raw zeros give 1.5 and 1.5.
+        alpha and beta are 1 + m c and 1 + (1 - m) c, where m, the mode, is the sigmoid of the first raw
+        output and c, the concentration, the exponential of the second. Raw zeros give 1.5 and 1.5.
         """
         mode, concentration = jax.nn.sigmoid(raw[..., 0]), jnp.exp(jnp.clip(raw[..., 1], *_LOG_PRECISION))
         return Beta(1 + mode * concentration, 1 + (1 - mode) * concentration)

@@ -17,7 +17,6 @@ from cluttergen_jax.learning.ppo.sharding import each, spread
 from cluttergen_jax.placement.brax_env import Env, State
 from cluttergen_jax.types import Array
 
-
 _MAY_BE_ZERO = ("entropy_cost", "value_cost", "discount", "gae_lambda", "value_clip")
 
 
@@ -38,8 +37,8 @@ class PPOConfig:
         it move freely.
       reward_scale: of rewards before anything else. Advantages are normalised, so that only the critic sees
         it: with rewards in the hundreds its gradient would leave the actor's nothing of the common norm.
-      reward_limit: scaled rewards are cut off at plus and minus this, if given: one that is far out would leave the
-        others of its minibatch no advantage.
+      reward_limit: scaled rewards are cut off at plus and minus this, if given: one that is far out would
+        leave the others of its minibatch no advantage.
       max_gradient_norm: gradients are scaled down to it.
       num_attempts: environment steps of the whole run.
     """

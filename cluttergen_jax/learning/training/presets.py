@@ -56,8 +56,9 @@ def gpu() -> Settings:
 def paper() -> Settings:
     """The paper as printed (its table of constants), with the rollout of its code, which it does not state.
 
-    Rewards are learned from in thousands, and penalties of more than ten successes are cut off: of an object that
-    is let go inside another the printed sum of accelerations knows no bound, and nothing is learned beside it.
+    Rewards are learned from in thousands, and penalties of more than ten successes are cut off: of an object
+    that is let go inside another the printed sum of accelerations knows no bound, and nothing is learned
+    beside it.
     """
     return Settings(
         ppo=PPOConfig(
@@ -100,7 +101,9 @@ def paper_code() -> Settings:
     printed = paper()
     return replace(
         printed,
-        ppo=replace(printed.ppo, num_epochs=10, anneals=True, value_clip=0.2, reward_scale=1.0, reward_limit=None),
+        ppo=replace(
+            printed.ppo, num_epochs=10, anneals=True, value_clip=0.2, reward_scale=1.0, reward_limit=None
+        ),
         network=replace(printed.network, scene_encoder="pointnet"),
         placement=replace(printed.placement, reward="code"),
         stability=replace(printed.stability, per_axis=True, judge_neighbours=False),
@@ -108,19 +111,25 @@ def paper_code() -> Settings:
 
 
 def paper_cpu() -> Settings:
-    """`paper` as two cores can bear it, and as it learns: docs/missed.md and benchmarks/README.md say from what.
+    """`paper` as two cores can bear it, and without what keeps it from learning.
 
-    A PointNet on clouds of 512 points, every 12th row of the history, many environments; no entropy bonus, which
-    would hold x, y and turn uniform for ever, and a learning rate that falls from 1e-3 to 0.
+    A PointNet on clouds of 512 points, every 12th row of the history, many environments; no entropy bonus,
+    which would hold x, y and turn uniform for ever, and a learning rate that falls from 1e-3 to 0.
     """
     printed = paper()
-    clouds = {"object_points": 256, "scene_points": 512, "object_features": 256, "scene_features": 256}
     return replace(
         printed,
         ppo=replace(
             printed.ppo, num_envs=128, num_steps=25, learning_rate=1e-3, anneals=True, entropy_cost=0.0
         ),
-        network=replace(printed.network, scene_encoder="pointnet", **clouds),
+        network=replace(
+            printed.network,
+            scene_encoder="pointnet",
+            object_points=256,
+            object_features=256,
+            scene_points=512,
+            scene_features=256,
+        ),
         placement=replace(printed.placement, history_stride=12),
     )
 
@@ -192,7 +201,7 @@ def choose_encoder(
             f"an encoder {kind!r} that keeps its weights, and no `encoder_weights`",
             "the folder of a pretrained one",
             f"`cluttergen pretrain --encoder {kind} --features {network.object_features} --object-points "
-            f"{network.object_points} --out encoder` and `--encoder-weights encoder`; or `--encoder {kind}`, which is "
-            "trained along",
+            f"{network.object_points} --out encoder` and `--encoder-weights encoder`; or `--encoder {kind}`, "
+            "which is trained along",
         )
     return network

@@ -17,7 +17,7 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.errors import ClutterGenError, ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import check_folder, has_state, read_record
 from cluttergen_jax.learning.training.metrics_log import read_rows
-from cluttergen_jax.learning.training.presets import paper
+from cluttergen_jax.learning.training.presets import make_settings, paper
 from cluttergen_jax.learning.training.suite import POOLS, SEEDS, PlannedRun, plan
 from cluttergen_jax.learning.training.train import TrainConfig, recipe_of, run_training
 from cluttergen_jax.progress import time_text
@@ -106,9 +106,13 @@ def run_suite(
 
 
 def config_of(base: TrainConfig, run: PlannedRun, root: Path) -> TrainConfig:
-    """What one run of a suite is given."""
+    """What one run of a suite is given; weights of a point encoder are for those that see point clouds."""
+    preset = run.preset(base.preset)
+    sees_clouds = make_settings(preset, run.variant).network.reads_clouds
     return dataclasses.replace(
         base,
+        preset=preset,
+        encoder_weights=base.encoder_weights if sees_clouds or base.encoder else None,
         pool=run.pool,
         variant=run.variant,
         seed=run.seed,
