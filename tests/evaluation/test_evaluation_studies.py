@@ -105,7 +105,7 @@ def test_imported_groups_are_a_study_of_their_own_where_they_are_at_hand():
 
 
 def test_imported_groups_stand_beside_the_papers_figures():
-    assert table1.papers("policy", "paper_dining") == table1.papers("beta", "dining") == (0.912, 89)
+    assert table1.papers("policy", "paper_dining") == table1.papers("beta_free", "dining") == (0.912, 89)
     assert table1.papers("drop", "dining") is table1.papers("policy", "mine") is None
 
 
@@ -210,7 +210,7 @@ def test_the_papers_figures_stand_beside_ours():
     rows = [{"trial": dataclasses.asdict(t), "missing": "none"} for t in study.trials]
     (table,) = tables_of(result_of(study, rows))
     column = table.columns.index("paper: success")
-    shown = {row[2]: row[column] for row in table.rows if row[1] == "beta"}
+    shown = {row[2]: row[column] for row in table.rows if row[1] == "beta_free"}
     assert shown == {change: f"{value:.3f}" for change, value in table2.PAPER.items()}
 
 

@@ -40,8 +40,8 @@ IMPORTED = "paper_"
 
 CLUTTERGEN = "beta_free"
 """The paper's own method."""
-TWINS = {"beta": CLUTTERGEN, "policy": CLUTTERGEN}
-"""Methods that stand where the paper has its own, with other heads."""
+TWINS = dict.fromkeys((CLUTTERGEN, "beta", "policy"), CLUTTERGEN)
+"""Methods that stand where the paper has its own: with its head, and with others."""
 
 OBJECTS = 10
 """Of every scene."""

@@ -38,7 +38,7 @@ class PlannedRun:
     num_objects: int = DEFAULT_OBJECTS
 
     def preset(self, asked: Preset) -> Preset:
-        """What it is trained by where a preset is asked for of a whole suite."""
+        """What it is trained by where a preset is asked for a whole suite."""
         is_papers = asked.startswith("paper")
         if self.variant in PAPERS_VARIANTS:
             return asked if is_papers else PAPERS_PRESET
