@@ -151,7 +151,7 @@ def test_the_papers_runs_begin_with_an_encoder_of_their_own(tmp_path, monkeypatc
         trained = []
         train_suite("paper", suite_only="dining-*-0", out=tmp_path / "runs", show=lambda text: None, **kind)
         given = {Path(config.out).name: (config.preset, config.encoder_weights) for config in trained}
-        weights = None if "encoder" in kind else folder
+        weights = None if "encoder" in kind else str(tmp_path / "runs" / "encoder-pointnet")
         assert given["dining-beta_free-0"] == given["dining-open_loop-0"] == ("paper_cpu", weights)
         assert given["dining-policy-0"] == ("cpu", None)
     assert made == [("pointnet", 256, tmp_path / "runs" / "encoder-pointnet")]
