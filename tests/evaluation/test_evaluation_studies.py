@@ -170,7 +170,7 @@ STRICT, LOOSE, AT_LEAST = "0.500 [0.188, 0.812]", "0.667 [0.300, 0.903]", ["0.83
         ("table1", 5, [STRICT, LOOSE, "201.5 ± 3.0", "engine, assets, height"]),
         ("fig1a", 5, AT_LEAST),
         ("steps_by_attempt", 5, ["7", "201.5 ± 3.0", "99.0 ± 3.0", "-"]),
-        ("attempts", 5, [STRICT, LOOSE, "201.5 ± 3.0"]),
+        ("attempts", 6, [STRICT, LOOSE, "201.5 ± 3.0"]),
         ("table2", 6, [STRICT, LOOSE]),
         ("furniture", 10, ["0.500", STRICT]),
         ("density", 6, [STRICT, "0.75", "12.5", "4,321", "1.2"]),
@@ -212,6 +212,22 @@ def test_the_papers_figures_stand_beside_ours():
     column = table.columns.index("paper: success")
     shown = {row[2]: row[column] for row in table.rows if row[1] == "beta_free"}
     assert shown == {change: f"{value:.3f}" for change, value in table2.PAPER.items()}
+
+
+def test_tables_of_the_authors_sizes_stand_beside_ours():
+    """Each with every pool, by the paper's method as well, under a name of their own."""
+    (study,) = find_suite("paper", Scale(), ("table_tops",))
+    tops = {trial.support for trial in study.trials}
+    assert len(tops) == 11
+    assert "table-1.06x0.80" in tops
+    policies = [trial for trial in study.trials if trial.paper_count]
+    assert {trial.method for trial in policies} == {"beta_free", "policy"}
+    assert len(policies) == 2 * 11 * 5
+    made = figures(3, [1, 1, 1, 3])
+    rows = [{"trial": dataclasses.asdict(t), "figures": made | {"paper": made}} for t in study.trials]
+    shown = tables_of(json.loads(json.dumps(result_of(study, rows))))
+    assert any("the box about the top" in note for table in shown for note in table.notes)
+    assert not any("this project's" in note for table in shown for note in table.notes)
 
 
 def test_values_read_off_the_papers_pictures_stand_below_ours():

@@ -106,8 +106,8 @@ def tables(result: Result) -> list[Table]:
     notes = (
         "bounding box: the paper's measure, decided by outliers; evenness: entropy over 5 cm cells, 1 for an "
         "even spread; the picture shows at most 500 scenes",
-        f"along the edges: within a tenth of the region's side from an edge, {1 - (1 - 2 * EDGE_BAND) ** 2:.2f} "
-        "for an even spread",
+        "along the edges: within a tenth of the region's side from an edge, "
+        f"{1 - (1 - 2 * EDGE_BAND) ** 2:.2f} for an even spread",
         "clusters: groups of 5 cm cells that the object is in more than three times too often, and how often "
         "it lies in one of them",
     )

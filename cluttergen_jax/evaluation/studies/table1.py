@@ -99,12 +99,6 @@ def first_seed(scale: Scale) -> tuple[Trial, ...]:
     return tuple(trial for trial in trials(scale) if trial.training_seed == 0)
 
 
-def one_pool(scale: Scale, *methods: str) -> tuple[Trial, ...]:
-    """Those of some methods on `household`, or on the first pool that was asked for."""
-    pool = scale.chosen("household")[0]
-    return tuple(each for each in first_seed(scale) if each.pool == pool and each.method in methods)
-
-
 def tables(result: Result) -> list[Table]:
     """Success and stable steps by pool and method, training seeds taken together."""
     groups: dict[tuple[str, str], list[Row]] = {}

@@ -17,7 +17,7 @@ PAPERS_PRESET: Preset = "paper_cpu"
 """What they are trained by unless another of the paper's presets is asked for."""
 SEEDS = (0, 1, 2)
 ATTEMPTS_POOL = "dining"
-TABLE_ATTEMPTS = (1, 2, 3, 5, 10)
+TABLE_ATTEMPTS = (1, 2, 3, 4, 5, 10)
 DEFAULT_ATTEMPTS, DEFAULT_OBJECTS = 5, 10
 LADDER_POOLS = ("dining",)
 
