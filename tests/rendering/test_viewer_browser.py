@@ -201,6 +201,20 @@ def test_hulls_clouds_and_region_appear_and_go(page):
     assert (shown.hulls, shown.region, shown.scene_cloud, shown.object_cloud) == (False, True, False, False)
 
 
+def test_heat_of_proposals_appears_when_it_is_asked_for(page):
+    page.until(lambda: page.session.number == 0)
+    assert all(attempt.proposals is None for attempt in page.session.recording.attempts)
+    plain = page.picture()
+    page.tick("Where it may be proposed")
+    page.until(lambda: page.session.recording.attempts[0].proposals is not None)
+    heated = page.changes(plain)
+    # Light blue to violet.
+    cool = [(each[..., 2].astype(int) > each[..., 0].astype(int) + 40).sum() for each in (plain, heated)]
+    assert cool[1] > cool[0] + 200
+    page.tick("Where it may be proposed")
+    page.changes(heated)
+
+
 def test_failed_attempts_are_shown_in_red(page):
     page.until(lambda: page.session.number == 0)
     plain = page.picture()

@@ -164,11 +164,6 @@ class Session:
     # How it is done.
 
     @property
-    def _has_proposals(self) -> bool:
-        attempts = self.recording.attempts if self.recording else ()
-        return any(attempt.proposals is not None for attempt in attempts)
-
-    @property
     def _num_proposals(self) -> int:
         """To be drawn at each attempt: none where nobody looks at them."""
         return _PROPOSALS if self.nodes.shown.density else 0
@@ -189,7 +184,8 @@ class Session:
             return
         try:
             recording = make()
-            if recording.attempts or then is None:
+            is_whole = recording.attempts and (not self._num_proposals or _has_proposals(recording))
+            if is_whole or then is None:
                 self._set(request, recording, "")
                 return
             self._set(
@@ -297,7 +293,7 @@ class Session:
     def _setter(self, name: str, box: Any) -> Callable[[Any], None]:
         def update(_: Any) -> None:
             setattr(self.nodes.shown, name, box.value)
-            if name == "density" and box.value and not self._has_proposals:
+            if name == "density" and box.value and not _has_proposals(self.recording):
                 self._ask_again()
             self._redraw()
 
@@ -326,6 +322,10 @@ class Session:
         if event.client is not None:
             self._playing.clear()
             self._redraw()
+
+
+def _has_proposals(recording: Replay | None) -> bool:
+    return recording is not None and any(attempt.proposals is not None for attempt in recording.attempts)
 
 
 def _file_name(title: str) -> str:
