@@ -26,6 +26,8 @@ _GHOST = (RED[0] / 255, RED[1] / 255, RED[2] / 255, 0.45)
 _BLUE, _ORANGE = (40, 110, 220), (245, 130, 20)
 _LIFT = 0.0015
 """Metres by which lines and points lie above the top, so that they are seen."""
+_DOT = 0.3
+"""Of the distance between points of heat: larger ones, which face the camera, would reach into the objects."""
 
 
 @dataclass
@@ -178,7 +180,7 @@ class SceneNodes:
         points, colours, size = heat_points(recording, attempt)
         points[:, 2] += _LIFT
         return self.server.scene.add_point_cloud(
-            f"/heat/{number}", points, colours, point_size=size, point_shape="circle", visible=False
+            f"/heat/{number}", points, colours, point_size=_DOT * size, point_shape="circle", visible=False
         )
 
     def _add_region(self, recording: Replay) -> None:
