@@ -8,6 +8,7 @@ A row that has been trained is kept in `--out` and not trained again; Ctrl-C and
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 
 from benchmarks.section import prose, report, table
 from benchmarks.trained import WINDOW
+from cluttergen_jax.config import Preset
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.learning.training.train import TrainConfig, run_training
@@ -27,7 +29,7 @@ class Row:
 
     Attributes:
       name: its folder's. title: what is changed, for people.
-      variant: what it starts from. network, ppo: fields that are changed.
+      variant, preset: what it starts from. network, ppo, placement: fields that are changed.
     """
 
     name: str
@@ -35,6 +37,8 @@ class Row:
     variant: str = "policy"
     network: dict[str, Any] = field(default_factory=dict)
     ppo: dict[str, Any] = field(default_factory=dict)
+    placement: dict[str, Any] = field(default_factory=dict)
+    preset: Preset = "cpu"
 
 
 ROWS = (
@@ -62,13 +66,15 @@ ROWS = (
 )
 
 
-def train(row: Row, out: Path, pool: str, num_attempts: int, seed: int) -> None:
+def train(row: Row, out: Path, pool: str, num_attempts: int, seed: int, encoder: str | None) -> None:
     """Trains and evaluates one row, or takes it up again."""
     config = TrainConfig(
         pool=pool,
+        preset=row.preset,
         variant=row.variant,
         num_attempts=num_attempts,
         seed=seed,
+        encoder_weights=encoder if row.preset != "cpu" else None,
         out=str(out / row.name),
     )
     settings = config.settings()
@@ -76,8 +82,11 @@ def train(row: Row, out: Path, pool: str, num_attempts: int, seed: int) -> None:
         settings,
         network=replace(settings.network, **row.network),
         ppo=replace(settings.ppo, **row.ppo),
+        placement=replace(settings.placement, **row.placement),
     )
-    run_training(config, settings)
+    run_training(
+        replace(config, encoder_weights=None) if "scene_encoder" in row.network else config, settings
+    )
 
 
 def cells(row: Row, out: Path) -> list[str]:
@@ -91,28 +100,32 @@ def cells(row: Row, out: Path) -> list[str]:
     return [row.title, *means, interval, f"{rows[-1]['entropy']:.1f}"]
 
 
-def main() -> None:
-    """Trains what is missing and writes the section."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("runs/ablation"))
-    parser.add_argument("--pool", default="kitchen", help="by default the one that is hardest to fill")
+def compare(
+    rows: Sequence[Row], name: str, title: str, pool: str, about: str | None, needs_encoder: bool = False
+) -> None:
+    """Trains what is missing of the rows and writes a section: the program that the command line runs."""
+    parser = argparse.ArgumentParser(description=about)
+    parser.add_argument("--out", type=Path, default=Path("runs") / name)
+    parser.add_argument("--pool", default=pool)
     parser.add_argument("--num-attempts", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--encoder-weights", required=needs_encoder, help="of `cluttergen pretrain`")
     parser.add_argument("--write", action="store_true", help="put the section into benchmarks/README.md")
     args = parser.parse_args()
-    for row in ROWS:
+    for row in rows:
         if not (args.out / row.name / "policy" / "record.json").exists():
-            train(row, args.out, args.pool, args.num_attempts, args.seed)
+            train(row, args.out, args.pool, args.num_attempts, args.seed, args.encoder_weights)
     body = prose(
         f"""Ten objects of {args.pool} on the paper's table, {args.num_attempts:,} attempts each, seed
-        {args.seed}; one thing differs from the first row in each but the last. While training: mean success
-        over the {WINDOW} updates before a quarter, half and all of the attempts. Whole check: of 256 fresh
-        episodes, actions sampled, with the 95 % interval."""
+        {args.seed}; one thing differs from the first row in each unless it says otherwise. While training:
+        mean success over the {WINDOW} updates before a quarter, half and all of the attempts. Whole check: of
+        256 fresh episodes, actions sampled, with the 95 % interval."""
     )
     header = ["", "a quarter", "half", "all", "whole check", "entropy (nats)"]
-    lines = table(header, [cells(row, args.out) for row in ROWS])
-    report("ablation", f"## What helps the policy\n\n{body}\n\n{lines}", write=args.write)
+    lines = table(header, [cells(row, args.out) for row in rows])
+    report(name, f"## {title}\n\n{body}\n\n{lines}", write=args.write)
 
 
 if __name__ == "__main__":
-    main()
+    # The pool that is hardest to fill.
+    compare(ROWS, "ablation", "What helps the policy", "kitchen", __doc__)

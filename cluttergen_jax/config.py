@@ -19,18 +19,19 @@ Method = Literal[
     "guided",
     "policy",
     "beta",
+    "beta_free",
     "normal",
     "open_loop",
     "short_memory",
 ]
-Variant = Literal["guided", "policy", "beta", "normal", "open_loop", "short_memory"]
+Variant = Literal["guided", "policy", "beta", "beta_free", "normal", "open_loop", "short_memory"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 """`guided` is no policy: its network learns by supervision what will stand, for every pool.
 
 `policy` is the full method with the preset's head (a mixture; in `paper` a Beta a coordinate); `beta` and
 `normal` are the full method with the paper's heads; `open_loop` and `short_memory` look back on nothing and
 on one attempt."""
-Preset = Literal["cpu", "gpu", "paper"]
+Preset = Literal["cpu", "gpu", "paper", "paper_code", "paper_cpu"]
 Engine = Literal["auto", "native", "warp", "jax"]
 Order = Literal["random", "fixed", "largest", "weighted"]
 Setting = Literal["default", "paper"]

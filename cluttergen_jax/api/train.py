@@ -54,16 +54,18 @@ def train(
       change: how the queried region is changed at random in every episode: "none", "translation",
         "rotation", "shrinkage", "expansion" or "all".
       max_attempts: per object, 1 to 10.
-      preset: "cpu", "gpu" or "paper".
+      preset: "cpu", "gpu", "paper" (as printed), "paper_code" (as its published code has it) or "paper_cpu"
+        (as printed, with smaller clouds); the paper's three want `encoder_weights`, or `encoder` for one that
+        is trained along.
       variant: "guided" (no policy: one network for every pool, which takes `num_attempts`, `seed` and `out`
-        alone), "policy" (the full method), "open_loop", "short_memory", "normal" or "beta".
+        alone), "policy" (the full method), "open_loop", "short_memory", "normal", "beta" or "beta_free".
       num_attempts: environment steps of the run; the preset's if not given.
       num_envs: environments side by side; the preset's if not given.
       seed: of weights, episodes and actions, 0 to 4294967295.
       reward: "paper", "code" or "compressed"; the preset's if not given.
       encoder: of the scene: "set", "pointnet" or "pointnet2"; the preset's if not given.
       encoder_weights: folder of pretrained weights that the point encoders begin with (`pretrain`).
-      encoder_frozen: leave these weights as they are.
+      encoder_frozen: leave these weights as they are, as the paper's presets do unasked.
       out: the run's folder, runs/POOL-VARIANT-SEED (runs/guided-SEED) if not given; of a suite, the folder
         of all its runs.
       engine: "auto", "native", "warp" or "jax".

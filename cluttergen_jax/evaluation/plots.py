@@ -19,13 +19,14 @@ COLOURS = {
     "short_memory": "#b5651d",
     "normal": "#7b5ea7",
     "beta": "#e07b39",
+    "beta_free": "#e07b39",
     "policy": "#c8102e",
     "spread": "#17a2a2",
     "guided": "#1f3fb4",
 }
 """Of methods, the same in every plot."""
 
-LABELS = {"random": "random (RRS)", "beta": "beta (the paper's)"}
+LABELS = {"random": "random (RRS)", "beta_free": "beta_free (the paper's)"}
 
 
 def colour(name: str) -> str:

@@ -22,7 +22,12 @@ from cluttergen_jax.evaluation.variant_pools import find_any_pool
 from cluttergen_jax.learning.methods import METHODS, checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
-from cluttergen_jax.learning.training.suite import DEFAULT_ATTEMPTS, DEFAULT_OBJECTS
+from cluttergen_jax.learning.training.suite import (
+    DEFAULT_ATTEMPTS,
+    DEFAULT_OBJECTS,
+    PAPERS_PRESET,
+    PAPERS_VARIANTS,
+)
 from cluttergen_jax.placement.baselines import BASELINES
 
 
@@ -148,6 +153,8 @@ def train_command(trial: Trial) -> str:
         words.append(f"--seed {trial.training_seed}")
     if is_for_any:
         return " ".join(words)
+    if trial.method in PAPERS_VARIANTS:
+        words.append(f"--preset {PAPERS_PRESET} --encoder-weights encoder")
     if trial.num_objects < DEFAULT_OBJECTS:
         # Who was trained with more objects fills smaller scenes too; but a pool may have no more.
         words.append(f"--num-objects {trial.num_objects}")
@@ -191,9 +198,20 @@ class ResolvedTrial:
         if self.checkpoint is None:
             return None
         record = self.checkpoint.record
-        known = {name: record[name] for name in ("variant", "preset", "seed", "attempts") if name in record}
-        head = record["network"].get("head")
-        return known | {"max_attempts": record["placement"]["max_attempts"], "head": head}
+        known: dict[str, Any] = {
+            name: record[name] for name in ("variant", "preset", "seed", "attempts") if name in record
+        }
+        network, placement, ppo = (record.get(name, {}) for name in ("network", "placement", "ppo"))
+        known |= {"max_attempts": placement["max_attempts"], "head": network.get("head")}
+        if not ppo:
+            return known
+        encoder = network["scene_encoder"]
+        return known | {
+            "reward": placement["reward"],
+            "encoder": encoder if encoder == "set" else f"{encoder} of {network['scene_points']:,} points",
+            "height_precision": network["height_precision"],
+            **{name: ppo[name] for name in ("discount", "entropy_cost", "learning_rate")},
+        }
 
 
 class Resolver:

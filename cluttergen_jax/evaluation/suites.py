@@ -14,7 +14,7 @@ from cluttergen_jax.evaluation.studies.dial import DIAL
 from cluttergen_jax.evaluation.studies.diversity import DIVERSITY
 from cluttergen_jax.evaluation.studies.diversity_maps import DIVERSITY_MAPS
 from cluttergen_jax.evaluation.studies.fig1a import FIG1A
-from cluttergen_jax.evaluation.studies.furniture import FURNITURE
+from cluttergen_jax.evaluation.studies.furniture import FURNITURE, TABLE_TOPS
 from cluttergen_jax.evaluation.studies.learning_curves import LEARNING_CURVES
 from cluttergen_jax.evaluation.studies.margin import MARGIN
 from cluttergen_jax.evaluation.studies.relations import RELATIONS
@@ -42,6 +42,7 @@ SUITES: dict[str, tuple[Study, ...]] = {
         ATTEMPTS,
         TABLE2,
         FURNITURE,
+        TABLE_TOPS,
         RELATIONS,
     ),
     "extended": (

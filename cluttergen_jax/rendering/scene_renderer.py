@@ -134,6 +134,15 @@ class SceneRenderer:
         flat = seen[:, :2] / seen[:, 2:] * self.focal
         return flat * [1, -1] + np.array([self.config.width, self.config.height]) / 2
 
+    def unproject(self, depth: np.ndarray) -> np.ndarray:
+        """f64[height, width, 3]: world points of the pixels' middles at the depths of `measure`."""
+        height, width = depth.shape
+        x, y = np.meshgrid(np.arange(width) + 0.5 - width / 2, height / 2 - np.arange(height) - 0.5)
+        # Nothing is seen at an infinite depth.
+        depth = np.where(np.isfinite(depth), depth, 0.0).astype(np.float64)
+        seen = np.stack([x / self.focal * depth, y / self.focal * depth, depth], axis=-1)
+        return self.eye + seen @ axes(self.camera.azimuth, self.camera.elevation)
+
     @property
     def eye(self) -> np.ndarray:
         """f64[3]: where the camera is, world frame, metres."""

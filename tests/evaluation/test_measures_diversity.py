@@ -11,11 +11,13 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.arrangement import by_object, region_positions
 from cluttergen_jax.evaluation.measures.diversity import (
     at_equal_count,
+    edge_share,
     embed,
     independent_distance,
     moment_root,
     nearest_distance,
     plan_box_area,
+    plan_clusters,
     plan_entropy,
     scene_distances,
     scene_kernel,
@@ -84,6 +86,33 @@ def test_entropy_of_one_place_is_zero_and_of_all_cells_that_of_an_even_spread():
     assert result.area[0] == pytest.approx(0.01)
     assert np.isnan(result.entropy[2])
     assert result.count.tolist() == [24, 24, 0]
+
+
+def test_shares_along_the_edges():
+    rng = np.random.default_rng(2)
+    positions = np.zeros((4000, K, 2))
+    positions[:, 0] = rng.uniform(-1, 1, (4000, 2)) * REGION.half_extents
+    positions[:, 1] = [0.99 * REGION.half_extents[0], 0.0]
+    shares = edge_share(scenes_at(positions), np.ones((4000, K), bool) & [True, True, False], REGION)
+    assert shares[0] == pytest.approx(0.36, abs=0.03)
+    assert shares[1] == 1
+    assert np.isnan(shares[2])
+    with pytest.raises(ConfigError, match="band"):
+        edge_share(scenes_at(positions), np.ones((4000, K), bool), REGION, 0.6)
+
+
+def test_clusters_are_told_from_an_even_spread():
+    rng = np.random.default_rng(3)
+    positions = np.zeros((500, K, 2))
+    positions[:, 0] = rng.uniform(-1, 1, (500, 2)) * REGION.half_extents
+    near = np.where(rng.uniform(size=500) < 0.5, -0.2, 0.2)
+    positions[:, 1] = np.column_stack([near, np.full(500, 0.1)]) + rng.normal(0, 0.01, (500, 2))
+    placed = np.ones((500, K), bool) & [True, True, False]
+    numbers, shares = plan_clusters(scenes_at(positions), placed, REGION)
+    assert (numbers[0], shares[0]) == (0, 0)
+    assert numbers[1] == 2
+    assert shares[1] > 0.9
+    assert np.isnan([numbers[2], shares[2]]).all()
 
 
 def test_correction_removes_most_of_the_bias():

@@ -50,6 +50,39 @@ def test_entropy_bonus_keeps_the_policy_wide(bandit):
     assert entropies[0] < entropies[1]
 
 
+def test_minibatches_of_one_size_leave_a_smaller_last_one():
+    asked = {"num_envs": 8, "num_steps": 4, "num_epochs": 2, "num_attempts": 64}
+    config = PPOConfig(**asked, minibatch_size=10)
+    assert (config.steps_of_minibatch, config.num_gradient_steps) == (10, 2 * 2 * 4)
+    assert PPOConfig(**asked, minibatch_size=1000).steps_of_minibatch == 32
+    state, figures = jax.jit(learner(Bandit(), **asked, minibatch_size=10).update)(
+        learner(Bandit(), **asked).start(jax.random.key(0), Tiny().init(jax.random.key(1), jnp.zeros((1, 2))))
+    )
+    # Adam counts its steps: three minibatches of ten and one of two, twice.
+    counts = [int(leaf) for leaf in jax.tree.leaves(state.optimizer) if leaf.dtype == jnp.int32]
+    assert set(counts) == {8}
+    assert np.isfinite(figures["loss"])
+
+
+def test_minibatches_of_one_size_are_those_of_a_number_where_both_divide():
+    asked = {"num_envs": 8, "num_steps": 4, "num_epochs": 2}
+    by_number, by_size = (
+        learner(Bandit(), **asked, **each) for each in ({"num_minibatches": 4}, {"minibatch_size": 8})
+    )
+    start = by_number.start(jax.random.key(0), Tiny().init(jax.random.key(1), jnp.zeros((1, 2))))
+    same_bits(jax.jit(by_number.update)(start)[0].params, jax.jit(by_size.update)(start)[0].params)
+
+
+def test_scaled_rewards_teach_the_same_actions_and_scaled_values():
+    scaled = train(learner(Constant(), reward_scale=0.1), 40)
+    assert value(scaled, [0.0, 0.0]) == pytest.approx(0.1, abs=0.03)
+
+
+def test_clipped_values_move_less():
+    free, clipped = (train(learner(Constant(), value_clip=each), 2) for each in (0.0, 0.001))
+    assert abs(value(clipped, [0.0, 0.0])) < abs(value(free, [0.0, 0.0]))
+
+
 def test_advantages_by_hand():
     # Two steps that end an episode, then one that does not, one environment.
     reward, value_, done = (

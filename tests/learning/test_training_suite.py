@@ -19,6 +19,8 @@ from cluttergen_jax.evaluation.suites import Scale, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
 from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy, save_state
+from cluttergen_jax.learning.training import suite_run
+from cluttergen_jax.learning.training.pretrain import Pretraining
 from cluttergen_jax.learning.training.run import Run, RunConfig
 from cluttergen_jax.learning.training.suite import POOLS, TABLE_ATTEMPTS, PlannedRun, plan
 from cluttergen_jax.learning.training.suite_run import config_of
@@ -59,7 +61,7 @@ def test_extended_tables_are_covered_with_one_seed():
         for trial in study.trials
         if trial.method in POLICIES
     }
-    assert {"dining-beta-0"} <= asked == set(names)
+    assert {"dining-beta_free-0"} <= asked == set(names)
     commands = [config_of(TrainConfig(), run, Path("runs")) for run in runs]
     assert {(args.pool, args.num_objects) for args in commands} == {("dining", 10)}
 
@@ -99,8 +101,9 @@ def contents(folder):
 
 def test_the_list_says_how_far_each_run_is(tmp_path, capsys):
     command = ["train", "--suite", "paper", "--pools", "dining", "--seeds", "0", "--out", str(tmp_path)]
-    names = [run.name for run in plan("paper", ("dining",), (0,))]
-    for run, updates in zip(plan("paper", ("dining",), (0,)), (None, 1), strict=False):
+    planned = plan("paper", ("dining",), (0,))
+    names = [run.name for run in planned]
+    for run, updates in zip([run for run in planned if run.variant == "policy"], (None, 1), strict=False):
         config = config_of(TrainConfig(), run, tmp_path)
         finish_run(config, updates or config.settings().ppo.num_updates, updates is None)
     before = contents(tmp_path)
@@ -111,13 +114,15 @@ def test_the_list_says_how_far_each_run_is(tmp_path, capsys):
     assert "1000 attempts per second, measured" in listed
     words = {line.split()[0]: line.split()[1] for line in listed.splitlines() if line.startswith("  dining")}
     assert list(words) == names
-    assert list(words.values()) == ["done", "begun", *["to"] * (len(names) - 2)]
+    begun = {"dining-policy-0": "done", "dining-policy-attempts1-0": "begun"}
+    assert words == dict.fromkeys(names, "to") | begun
+    assert "100,352 and 2,502,400 attempts" in listed
     assert contents(tmp_path) == before
 
 
 def test_what_is_done_is_left_alone_and_other_settings_are_refused(tmp_path, capsys):
-    command = ["train", "--suite", "paper", "--suite-only", "dining-normal-0", "--out", str(tmp_path)]
-    (run,) = plan("paper", only="dining-normal-0")
+    command = ["train", "--suite", "paper", "--suite-only", "dining-policy-0", "--out", str(tmp_path)]
+    (run,) = plan("paper", only="dining-policy-0")
     config = config_of(TrainConfig(), run, tmp_path)
     finish_run(config, config.settings().ppo.num_updates)
     before = contents(tmp_path)
@@ -127,7 +132,32 @@ def test_what_is_done_is_left_alone_and_other_settings_are_refused(tmp_path, cap
     assert contents(tmp_path) == before
 
 
-PAIR = ("duo-normal-0", "duo-beta-0")
+def test_the_papers_runs_begin_with_an_encoder_of_their_own(tmp_path, monkeypatch):
+    """Pretrained once for all of them, unless another is given or it is to be trained along."""
+    made = []
+
+    def run(self):
+        made.append((self.config.network.scene_encoder, self.config.network.object_features, self.folder))
+        record = {"encoder": "pointnet", "features": 256, "held_out_accuracy": 0.9}
+        save_policy(self.folder, {"x": np.ones(2)}, record)
+
+    monkeypatch.setattr(Pretraining, "run", run)
+    monkeypatch.setattr(suite_run, "run_training", lambda config, show: trained.append(config))
+    for kind in (
+        {},
+        {"encoder_weights": str(tmp_path / "runs" / "encoder-pointnet")},
+        {"encoder": "pointnet"},
+    ):
+        trained = []
+        train_suite("paper", suite_only="dining-*-0", out=tmp_path / "runs", show=lambda text: None, **kind)
+        given = {Path(config.out).name: (config.preset, config.encoder_weights) for config in trained}
+        weights = None if "encoder" in kind else str(tmp_path / "runs" / "encoder-pointnet")
+        assert given["dining-beta_free-0"] == given["dining-open_loop-0"] == ("paper_cpu", weights)
+        assert given["dining-policy-0"] == ("cpu", None)
+    assert made == [("pointnet", 256, tmp_path / "runs" / "encoder-pointnet")]
+
+
+PAIR = ("duo-normal-0", "duo-beta_free-0")
 
 
 @pytest.mark.slow
@@ -139,7 +169,7 @@ def test_two_real_runs_are_made_stopped_left_alone_and_made_again(home, tmp_path
 
     def suite(out="runs", show=lambda text: None, **changed):
         which = {"pools": ("duo",), "seeds": (0,), "suite_only": "duo-[bn]*", "out": tmp_path / out}
-        few = {"num_attempts": 128, "num_envs": 4, "eval_episodes": 2, "eval_every": 64}
+        few = {"num_attempts": 200, "num_envs": 4, "eval_episodes": 2, "eval_every": 100}
         return train_suite("paper", show=show, **which | few | changed)
 
     def interrupting(text):

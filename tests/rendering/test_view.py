@@ -56,6 +56,16 @@ def test_attempts_are_made_again_and_end_in_the_stored_scene(source):
         assert recording.region.half_extents == pytest.approx((0.1, 0.12))
 
 
+def test_proposals_are_drawn_beside_the_attempt_and_change_nothing(source):
+    plain, drawn = source.recorded(0), source.recorded(0, 16)
+    assert all(attempt.proposals is None for attempt in plain.attempts)
+    for one, other in zip(plain.attempts, drawn.attempts, strict=True):
+        np.testing.assert_array_equal(one.trajectory, other.trajectory)
+        assert other.proposals.shape == (16, 4)
+        assert ((other.proposals >= 0) & (other.proposals <= 1)).all()
+        assert len(np.unique(other.proposals, axis=0)) == 16
+
+
 def test_a_scene_that_ends_elsewhere_is_not_passed_off(bank, source, monkeypatch):
     honest = BankSource.still
 

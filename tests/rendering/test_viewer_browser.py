@@ -47,16 +47,16 @@ class Scenes:
         self.recorder = Recorder(sampler, problem.world, width=1)
         self.failing = next(seed for seed in range(50) if self.recorder.record(seed, 0).failures)
 
-    def recorded(self, number):
-        return self.recorder.record(self.failing + number, 0, f"scene {number}")
+    def recorded(self, number, num_proposals=0):
+        return self.recorder.record(self.failing + number, 0, f"scene {number}", num_proposals)
 
     still = recorded
 
     def notice(self, method=None):
         return ""
 
-    def sample(self, method, seed):
-        return self.recorder.record(1000 + seed, 0, f"{method}, seed {seed}")
+    def sample(self, method, seed, num_proposals=0):
+        return self.recorder.record(1000 + seed, 0, f"{method}, seed {seed}", num_proposals)
 
 
 @pytest.fixture(scope="module")
@@ -199,6 +199,20 @@ def test_hulls_clouds_and_region_appear_and_go(page):
         page.changes(ticked)
     shown = page.session.nodes.shown
     assert (shown.hulls, shown.region, shown.scene_cloud, shown.object_cloud) == (False, True, False, False)
+
+
+def test_heat_of_proposals_appears_when_it_is_asked_for(page):
+    page.until(lambda: page.session.number == 0)
+    assert all(attempt.proposals is None for attempt in page.session.recording.attempts)
+    plain = page.picture()
+    page.tick("Where it may be proposed")
+    page.until(lambda: page.session.recording.attempts[0].proposals is not None)
+    heated = page.changes(plain)
+    # Light blue to violet.
+    cool = [(each[..., 2].astype(int) > each[..., 0].astype(int) + 40).sum() for each in (plain, heated)]
+    assert cool[1] > cool[0] + 200
+    page.tick("Where it may be proposed")
+    page.changes(heated)
 
 
 def test_failed_attempts_are_shown_in_red(page):

@@ -41,9 +41,10 @@ class Scenes:
         assert self.go.wait(PATIENCE)
         return replace(cubes(), title=f"scene {number}")
 
-    recorded = still
+    def recorded(self, number, num_proposals=0):
+        return self.still(number)
 
-    def sample(self, method, seed):
+    def sample(self, method, seed, num_proposals=0):
         return replace(cubes(), title=f"{method}, seed {seed}")
 
 

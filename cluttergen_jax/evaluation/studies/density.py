@@ -26,8 +26,8 @@ from cluttergen_jax.evaluation.plots import add_legend, new_figure, prepare, sav
 from cluttergen_jax.evaluation.rivals import OURS, success_notes
 from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, named_rows, with_seeds
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
+from cluttergen_jax.evaluation.studies.table1 import ALL_METHODS
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.learning.methods import METHODS
 from cluttergen_jax.tables import Table
 
 SIZES = ("0.60x0.70", "0.50x0.60", "0.40x0.50", "0.35x0.45", "0.30x0.40")
@@ -67,7 +67,7 @@ def filled_table(fill: float, pool: str = ALL, num_objects: int = _FILL_OBJECTS)
 def trials(scale: Scale) -> tuple[Trial, ...]:
     """All methods on tables of six sizes, then those that fill a table on tables filled by so much."""
     base = scale.trial(256, 8)
-    names = (*METHODS, "drop, ruin", "clear, ruin")
+    names = (*ALL_METHODS, "drop, ruin", "clear, ruin")
     ladder = grid(base, pool=scale.chosen("dining"), support=table_sizes(*SIZES, _NARROW))
     filled = [
         replace(base, pool=ALL, num_objects=_FILL_OBJECTS, support=filled_table(fill)) for fill in FILLS

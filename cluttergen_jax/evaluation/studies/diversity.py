@@ -16,8 +16,8 @@ from cluttergen_jax.evaluation.studies.density import SIZES, table_sizes
 from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
 from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, own_rules
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
+from cluttergen_jax.evaluation.studies.table1 import ALL_METHODS
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.learning.methods import METHODS
 from cluttergen_jax.proportions import finite
 from cluttergen_jax.tables import Table
 
@@ -29,7 +29,7 @@ _LEAST_SHARE = 0.25
 def papers_scenes(scale: Scale, full: int, quick: int) -> tuple[Trial, ...]:
     """All methods on a table of the paper's region and on a tight one, by the paper's rules."""
     base, supports = scale.trial(full, quick), table_sizes(SIZES[0], SIZES[2])
-    return grid(base, pool=scale.chosen("dining"), support=supports, method=METHODS)
+    return grid(base, pool=scale.chosen("dining"), support=supports, method=ALL_METHODS)
 
 
 def scenes_of(scale: Scale, full: int, quick: int) -> tuple[Trial, ...]:

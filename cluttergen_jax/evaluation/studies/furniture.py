@@ -19,8 +19,10 @@ from cluttergen_jax.evaluation.cells import (
 )
 from cluttergen_jax.evaluation.rivals import success_notes
 from cluttergen_jax.evaluation.studies.contact_sheets import renders
+from cluttergen_jax.evaluation.studies.density import table_sizes
 from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, named_rows
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
+from cluttergen_jax.evaluation.studies.table1 import CLUTTERGEN
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.proportions import wilson
 from cluttergen_jax.tables import Table
@@ -37,6 +39,20 @@ SUPPORTS = (
     "tray_table",
     "trestle_table",
 )
+TOPS = (
+    "0.59x0.61",
+    "0.65x0.69",
+    "0.86x0.35",
+    "0.90x0.49",
+    "1.06x0.80",
+    "0.87x0.85",
+    "0.90x0.66",
+    "0.84x0.84",
+    "0.95x0.41",
+    "0.71x0.77",
+    "0.81x0.53",
+)
+"""Metres: boxes about the tops of the authors' eleven tables."""
 ROWS = ("drop", "drop, ruin", "spread", "guided")
 """Compared at equal support margins; `policy` has the paper's rules, beside the paper's figure."""
 ALL_TABLES = "all"
@@ -46,15 +62,24 @@ PAPER = 0.70
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
     """Every table with every pool; quick, each with one of them by turns."""
+    return _trials(scale, SUPPORTS, ("policy",))
+
+
+def trials_of_tops(scale: Scale) -> tuple[Trial, ...]:
+    """The same on cuboid tables of the authors' sizes, with the paper's own method."""
+    return _trials(scale, table_sizes(*TOPS), (CLUTTERGEN, "policy"))
+
+
+def _trials(scale: Scale, supports: tuple[str, ...], policies: tuple[str, ...]) -> tuple[Trial, ...]:
     pools = scale.chosen(*EMBEDDED)
     base = scale.trial(50, 2, change="all", paper_count=not scale.quick)
-    policies = grid(base, method=("policy",), pool=pools, support=SUPPORTS)
-    bases = grid(replace(base, paper_count=False), pool=pools, support=SUPPORTS)
+    learned = grid(base, method=policies, pool=pools, support=supports)
+    bases = grid(replace(base, paper_count=False), pool=pools, support=supports)
     ours = [row for name in ROWS for row in named_rows(bases, name)]
     return tuple(
         row
-        for row in (*policies, *ours)
-        if not scale.quick or SUPPORTS.index(row.support) % len(pools) == pools.index(row.pool)
+        for row in (*learned, *ours)
+        if not scale.quick or supports.index(row.support) % len(pools) == pools.index(row.pool)
     )
 
 
@@ -63,15 +88,18 @@ def tables(result: Result) -> list[Table]:
     names = dict.fromkeys(map(name_of, result["records"]))
     of_name = {name: [row for row in result["records"] if name_of(row) == name] for name in names}
     found = []
+    tables_are = _TABLES[result["name"]]
     compared = {name: rows for name, rows in of_name.items() if name in ROWS}
     if len(compared) > 1:
         found.append(_side_by_side(result["title"], compared))
     for name, rows in of_name.items():
         margin = margin_of(rows)
-        found.append(_by_support(f"{result['title']} ({name}, strict{margin})", rows, is_loose=False))
+        found.append(
+            _by_support(f"{result['title']} ({name}, strict{margin})", rows, tables_are, is_loose=False)
+        )
         if any("paper" in row.get("figures", {}) for row in rows):
             title = f"{result['title']} ({name}, paper's count{margin})"
-            found.append(_by_support(title, rows, is_loose=True))
+            found.append(_by_support(title, rows, tables_are, is_loose=True))
     return found
 
 
@@ -128,7 +156,7 @@ def _total(some: Iterable[Row]) -> str:
     return pooled(made, is_loose=False) if made else "-"
 
 
-def _by_support(title: str, rows: list[Row], is_loose: bool) -> Table:
+def _by_support(title: str, rows: list[Row], tables_are: str, is_loose: bool) -> Table:
     """A line for each support, a column for each pool."""
 
     def pool_column(pool: str) -> Column:
@@ -158,7 +186,7 @@ def _by_support(title: str, rows: list[Row], is_loose: bool) -> Table:
         "the region is the support's own, changed at random in every episode (as `all` in table 2), then "
         "moved and shrunk, by as little area as it takes, until it lies within the support's own again: on a "
         "narrow table a turned one is much smaller than the 0.60 x 0.70 m of training",
-        "the tables are this project's",
+        tables_are,
         *(f"no checkpoint: {hint}" for hint in sorted({row["hint"] for row in rows if "hint" in row})),
     )
     return table_of(title, columns, [*lines, {"name": "all", "rows": rows}], notes)
@@ -169,6 +197,11 @@ def _rate(rows: list[Row], is_loose: bool) -> str:
     return share(figures_by(made[-1], is_loose)["success"]) if made else "-"
 
 
+def _question(row: Row) -> str:
+    trial = row["trial"]
+    return f"{trial['pool']} on {trial['support']}, {1e3 * trial.get('min_margin', 0.0):g} mm"
+
+
 FURNITURE = Study(
     "furniture",
     "Ten tables, regions fitted to each and changed at random",
@@ -177,8 +210,15 @@ FURNITURE = Study(
     tables,
     renders=renders,
     measured_as="renders",
-    question=lambda row: (
-        f"{row['trial']['pool']} on {row['trial']['support']}, "
-        f"{1e3 * row['trial'].get('min_margin', 0.0):g} mm"
-    ),
+    question=_question,
 )
+TABLE_TOPS = replace(
+    FURNITURE,
+    name="table_tops",
+    title="Tables of the sizes of the authors' eleven, regions changed at random",
+    trials=trials_of_tops,
+)
+_TABLES = {
+    FURNITURE.name: "the tables are this project's",
+    TABLE_TOPS.name: "cuboids, each as large as the box about the top of one of the authors' tables",
+}

@@ -38,8 +38,10 @@ GROUP_OF_POOL = {
 IMPORTED = "paper_"
 """How names of pools begin that were imported from the authors' own files, such as `paper_dining`."""
 
-TWINS = {"beta": "beta", "policy": "beta"}
-"""Methods that are the paper's ClutterGen: with its own head, and with the one that a preset gives it."""
+CLUTTERGEN = "beta_free"
+"""The paper's own method."""
+TWINS = dict.fromkeys((CLUTTERGEN, "beta", "policy"), CLUTTERGEN)
+"""Methods that stand where the paper has its own: with its head, and with others."""
 
 OBJECTS = 10
 """Of every scene."""
@@ -47,8 +49,11 @@ OBJECTS = 10
 BUDGET = 2_500_000
 """Environment steps of each training run."""
 
-TABLE_METHODS = ("random", "open_loop", "short_memory", "normal", "beta", "policy")
-"""`beta` is the paper's full method; `policy` is ours, which a preset may give another head."""
+TABLE_METHODS = ("random", "open_loop", "short_memory", "normal", CLUTTERGEN, "policy")
+"""`policy` is ours; the learned ones before it are the paper's method and its rivals."""
+
+ALL_METHODS = (*BASELINES, "guided", *reversed(TABLE_METHODS[1:]))
+"""Rows of tables about all methods: those of table 1, and those that the paper does not have."""
 
 _PAPER_POOLS = ("dining", "study", "office", "kitchen", "household")
 _PAPER: dict[str, tuple[tuple[float, int], ...]] = {
@@ -56,10 +61,10 @@ _PAPER: dict[str, tuple[tuple[float, int], ...]] = {
     "open_loop": ((0.212, 139), (0.145, 207), (0.086, 171), (0.232, 165), (0.251, 135)),
     "short_memory": ((0.359, 102), (0.414, 111), (0.364, 107), (0.517, 98), (0.602, 83)),
     "normal": ((0.925, 74), (0.833, 85), (0.951, 56), (0.969, 51), (0.989, 44)),
-    "beta": ((0.912, 89), (0.874, 71), (0.963, 60), (0.973, 50), (0.988, 46)),
+    CLUTTERGEN: ((0.912, 89), (0.874, 71), (0.963, 60), (0.973, 50), (0.988, 46)),
 }
 PAPER = {method: dict(zip(_PAPER_POOLS, row, strict=True)) for method, row in _PAPER.items()}
-"""The paper's success rate and stable steps by method and pool; `beta` is its ClutterGen."""
+"""The paper's success rate and stable steps by method and pool."""
 
 
 def papers(method: str, pool: str) -> tuple[float, int] | None:
@@ -92,12 +97,6 @@ def imported_trials(scale: Scale) -> tuple[Trial, ...]:
 def first_seed(scale: Scale) -> tuple[Trial, ...]:
     """Those of the first seed of training, which other figures look at more closely."""
     return tuple(trial for trial in trials(scale) if trial.training_seed == 0)
-
-
-def one_pool(scale: Scale, *methods: str) -> tuple[Trial, ...]:
-    """Those of some methods on `household`, or on the first pool that was asked for."""
-    pool = scale.chosen("household")[0]
-    return tuple(each for each in first_seed(scale) if each.pool == pool and each.method in methods)
 
 
 def tables(result: Result) -> list[Table]:
@@ -156,11 +155,27 @@ def differs(row: dict[str, Any]) -> str:
         parts.append(f"{trial['num_objects']} objects for {OBJECTS}")
     if trial["method"] == "random":
         parts.append("height")
-    if policy.get("head") not in (None, "beta", "normal"):
-        parts.append(f"head: {policy['head']}")
+    parts += [
+        words.format(policy[name])
+        for name, (papers, words) in _SETTINGS.items()
+        # Results of older versions do not say.
+        if policy.get(name) is not None and policy[name] not in papers
+    ]
     if policy.get("attempts"):
         parts.append(f"{policy['attempts']:,} training attempts")
     return ", ".join(parts)
+
+
+_SETTINGS = {
+    "head": ((CLUTTERGEN, "normal"), "head {}"),
+    "reward": (("paper",), "reward {}"),
+    "discount": ((0.99,), "discount {:g}"),
+    "encoder": (("pointnet2 of 20,480 points",), "encoder {}"),
+    "height_precision": ((0.0,), "a prior on z"),
+    "entropy_cost": ((0.01,), "entropy bonus {:g}"),
+    "learning_rate": ((1e-4,), "learning rate {:g}"),
+}
+"""Of how a policy was trained (`ResolvedTrial.policy`): the paper's values, and what is said of others."""
 
 
 def differences(result: dict[str, Any]) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from cluttergen_jax.evaluation.cells import BOTH, LOOSE, STRICT, Column, Row, asked, share, table_of
 from cluttergen_jax.evaluation.studies.contact_sheets import renders
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
-from cluttergen_jax.evaluation.studies.table1 import TWINS, differences, differs
+from cluttergen_jax.evaluation.studies.table1 import CLUTTERGEN, IMPORTED, TWINS, differences, differs
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.changes import REGION_CHANGES
 from cluttergen_jax.tables import Table
@@ -22,10 +22,11 @@ PAPER = {
 
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
-    """Policies that were trained on one region, on a large table."""
+    """Policies that were trained on one region, on a large table; the paper's own objects where at hand."""
+    own = [pool for pool, _ in scale.imported if pool == f"{IMPORTED}household"]
     base = scale.counted_twice(500, 4, support="table-1.40x1.40", region=(0.60, 0.70))
-    methods = ("policy", "beta", "random")
-    return grid(base, pool=scale.chosen("household"), method=methods, change=REGION_CHANGES)
+    methods = ("policy", CLUTTERGEN, "random")
+    return grid(base, pool=scale.chosen("household", *own), method=methods, change=REGION_CHANGES)
 
 
 def tables(result: Result) -> list[Table]:

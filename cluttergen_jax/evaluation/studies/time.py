@@ -18,14 +18,14 @@ from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.findings import Findings, row_of
 from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, own_rules
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
+from cluttergen_jax.evaluation.studies.table1 import ALL_METHODS
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.learning.methods import METHODS
 from cluttergen_jax.tables import Table
 
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
     """All methods by their own rules, one after another."""
-    rows = grid(scale.trial(256, 8), pool=scale.chosen("dining"), method=METHODS)
+    rows = grid(scale.trial(256, 8), pool=scale.chosen("dining"), method=ALL_METHODS)
     return tuple(map(own_rules, rows))
 
 

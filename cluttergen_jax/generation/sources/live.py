@@ -69,10 +69,13 @@ class LiveSource:
 
     def still(self, number: int) -> Replay:
         """Scene 0 of seed `number`, by the method asked for."""
-        return self.sample(self.methods[0], number)
+        return self.recorded(number)
 
-    recorded = still
+    def recorded(self, number: int, num_proposals: int = 0) -> Replay:
+        """See `still`."""
+        return self.sample(self.methods[0], number, num_proposals)
 
-    def sample(self, method: str, seed: int) -> Replay:
+    def sample(self, method: str, seed: int, num_proposals: int = 0) -> Replay:
         """See `SceneSource`."""
-        return self._context.record(method, seed, 0, f"{method}, seed {seed}")
+        title = f"{method}, seed {seed}"
+        return self._context.record(method, seed, 0, title, num_proposals=num_proposals)

@@ -18,6 +18,7 @@ from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.rendering.assets import render_scene
 from cluttergen_jax.rendering.config import FilmConfig
+from cluttergen_jax.rendering.density import NUM_PROPOSALS, density_figure
 from cluttergen_jax.rendering.figure import closed_loop_figure
 from cluttergen_jax.rendering.film import replay, replay_frames, turntable
 from cluttergen_jax.rendering.gl import find_backend
@@ -106,9 +107,9 @@ class Rendering:
         """Makes everything that is asked for of one scene; what cannot be made costs nothing else."""
         stem = self.out / (f"{number:06d}" if isinstance(source, BankSource) else _stem(source, number))
         attempted = None
-        if self._makes("replay", "figure"):
+        if self._makes("replay", "figure", "density"):
             try:
-                attempted = source.recorded(number)
+                attempted = source.recorded(number, NUM_PROPOSALS if self._makes("density") else 0)
             except ClutterGenError as error:
                 yield f"{stem.name}, its attempts", error
         try:
@@ -131,6 +132,8 @@ class Rendering:
             yield ".png", lambda path: [save_png(drawn(recording, large), path)]
         if self._makes("figure") and has_attempts:
             yield "-figure.png", lambda path: [save_png(closed_loop_figure(recording, picture=large), path)]
+        if self._makes("density") and has_attempts:
+            yield "-density.png", lambda path: [save_png(density_figure(recording, picture=large), path)]
         if self._makes("depth", "segmentation"):
             yield "-sensors.npz", lambda path: self._sensed(recording, path, large)
         if self._makes("points"):

@@ -50,12 +50,14 @@ class ReplayContext:
         """What to say while a scene by `method` is made: the first is compiled."""
         return "" if any(method == name for name, _ in self._made) else COMPILING
 
-    def record(self, method: str, seed: int, index: int, title: str, width: int = 1) -> Replay:
+    def record(
+        self, method: str, seed: int, index: int, title: str, width: int = 1, num_proposals: int = 0
+    ) -> Replay:
         """Scene number `index` of `seed`, with its attempts; see `Recorder.record`."""
         if (method, width) not in self._made:
             sampler = sampler_of(self.setup, Method(method, self.checkpoints.get(method)))
             self._made[method, width] = Recorder(sampler, self.setup.problem.world, width)
-        return self._made[method, width].record(seed, index, title)
+        return self._made[method, width].record(seed, index, title, num_proposals)
 
 
 def replay_context_of(bank: Bank) -> ReplayContext:
@@ -83,15 +85,16 @@ def replay_context_of(bank: Bank) -> ReplayContext:
     return ReplayContext(setup, {} if trained is None else {method: trained})
 
 
-def replay(bank: Bank, context: ReplayContext, index: int, stored: Replay) -> Replay:
-    """Scene number `index` of a bank with its attempts, made once more.
+def replay(bank: Bank, context: ReplayContext, index: int, stored: Replay, num_proposals: int = 0) -> Replay:
+    """Scene number `index` of a bank with its attempts, made once more; see `Recorder.record`.
 
     Raises:
       BankError: made again it ends elsewhere: other versions, another machine, changed assets.
     """
     recipe = bank.record["recipe"]
     width = int(recipe.get("block_size", BLOCK_SIZE))
-    recording = context.record(recipe["method"], int(recipe["seed"]), index, stored.title, width)
+    method, seed = recipe["method"], int(recipe["seed"])
+    recording = context.record(method, seed, index, stored.title, width, num_proposals)
     if not _equal(recording, stored):
         made = ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items())
         raise BankError(

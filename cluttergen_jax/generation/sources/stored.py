@@ -78,18 +78,19 @@ class BankSource:
             drift=row.drift,
         )
 
-    def recorded(self, number: int) -> Replay:
+    def recorded(self, number: int, num_proposals: int = 0) -> Replay:
         """See `SceneSource`.
 
         Raises:
           BankError: there is no such scene, or its attempts cannot be made again.
           PoolError: the bank's checkpoint is gone.
         """
-        return replay(self.bank, self._context, number, self.still(number))
+        return replay(self.bank, self._context, number, self.still(number), num_proposals)
 
-    def sample(self, method: str, seed: int) -> Replay:
+    def sample(self, method: str, seed: int, num_proposals: int = 0) -> Replay:
         """See `SceneSource`."""
-        return self._context.record(method, seed, 0, f"{method}, seed {seed}")
+        title = f"{method}, seed {seed}"
+        return self._context.record(method, seed, 0, title, num_proposals=num_proposals)
 
     @cached_property
     def _context(self) -> ReplayContext:
@@ -134,7 +135,7 @@ class FileSource:
         """See `SceneSource`."""
         return self._still
 
-    def recorded(self, number: int) -> Replay:
+    def recorded(self, number: int, num_proposals: int = 0) -> Replay:
         """Refused: a scene file does not tell how it was made.
 
         Raises:
@@ -145,6 +146,6 @@ class FileSource:
             "a scene of a bank, BANK:INDEX or BANK/scenes/NUMBER.xml",
         )
 
-    def sample(self, method: str, seed: int) -> Replay:
+    def sample(self, method: str, seed: int, num_proposals: int = 0) -> Replay:
         """See `recorded`."""
         return self.recorded(seed)

@@ -159,7 +159,7 @@ class ActorCritic(nn.Module):
             return Mixture.from_scores(scores, raw, bottom, width, config.turn_symmetry), value[..., 0]
         if config.height_precision:
             raw = _about_bare_height(raw, half_height, height_range, config)
-        return HEADS[config.head].from_raw(raw), value[..., 0]
+        return HEADS[config.head](raw), value[..., 0]
 
 
 def _windows(heights: Array, half_height: Array, height_range: Array) -> tuple[Array, Array]:

@@ -22,14 +22,15 @@ class NetworkConfig:
     """Sizes of the network that proposes poses.
 
     Attributes:
-      head: "beta" (the paper's), "normal" or "mixture" (of Betas, over the cells of a grid of heights).
+      head: "beta_free" (the paper's, as its code has it), "beta" (with one mode inside the region), "normal"
+        or "mixture" (of Betas, over the cells of a grid of heights).
       num_cells, num_turns: of the mixture: cells along each side of the queried region, ranges of turns.
       turn_symmetry: of objects, as a mixture sees them: 2 if half a turn is to make no difference (a range of
         turns is also its opposite), 1 if it is (a pan's handle lies on one side).
       undersides: whether a mixture is told that what is lower than the object's underside is not in its way.
       room: whether a mixture is told how much of the object's footprint would lie over other objects, and
         beyond the region, at each cell and turn.
-      height_precision: where z of the other heads begins: 0 anywhere in its range, as in the paper; else
+      height_precision: where z of "beta" and "normal" begins: 0 anywhere in its range, as in the paper; else
         about the height at which the object would rest on the bare top, as narrow as a Beta of this
         concentration.
       height_clearance: how far above that, metres.
@@ -75,6 +76,10 @@ class NetworkConfig:
     def __post_init__(self) -> None:
         if self.head not in (*HEADS, MIXTURE):
             raise ConfigError(f"head {self.head!r}", ", ".join((*HEADS, MIXTURE)), "head beta")
+        if self.head == "beta_free" and self.height_precision:
+            raise ConfigError(
+                f"height_precision = {self.height_precision} with head beta_free", "0", "head beta"
+            )
         if self.scene_encoder not in SCENE_ENCODERS:
             raise ConfigError(f"scene_encoder {self.scene_encoder!r}", ", ".join(SCENE_ENCODERS))
         for name in _POSITIVE:

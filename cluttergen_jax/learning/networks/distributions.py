@@ -7,6 +7,7 @@ densities may vanish or diverge.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import jax
@@ -21,6 +22,9 @@ EDGE = 1e-5
 """How far an action stays from 0 and 1."""
 
 
+_LOG_SHAPE = (-1.2, 10.0)
+"""Bounds of the logarithms of alpha and beta where these are free: a U of which a fiftieth lies within EDGE
+of each end, and modes as narrow as a four-hundredth of the interval."""
 _LOG_PRECISION = (-3.0, 12.0)
 """Bounds of the second raw output: no narrower than about a thousandth of the interval."""
 
@@ -43,11 +47,10 @@ def off_edges(action: Array) -> Array:
 
 
 class Beta(struct.PyTreeNode):
-    """Beta(alpha, beta) with alpha, beta > 1: one mode inside the interval, density zero at its edges.
+    """Beta(alpha, beta).
 
     Attributes:
-      alpha, beta: f32[..., A], 1 + m c and 1 + (1 - m) c, where m, the mode, is the sigmoid of the first raw
-        output and c, the concentration, the exponential of the second. Raw zeros give 1.5 and 1.5.
+      alpha, beta: f32[..., A].
     """
 
     alpha: Array
@@ -55,9 +58,22 @@ class Beta(struct.PyTreeNode):
 
     @staticmethod
     def from_raw(raw: Array) -> Beta:
-        """The distribution of raw outputs f32[..., A, 2]."""
+        """With one mode inside the interval and density zero at its edges, of raw outputs f32[..., A, 2].
+
+        alpha and beta are 1 + m c and 1 + (1 - m) c, where m, the mode, is the sigmoid of the first raw
+        output and c, the concentration, the exponential of the second. Raw zeros give 1.5 and 1.5.
+        """
         mode, concentration = jax.nn.sigmoid(raw[..., 0]), jnp.exp(jnp.clip(raw[..., 1], *_LOG_PRECISION))
         return Beta(1 + mode * concentration, 1 + (1 - mode) * concentration)
+
+    @staticmethod
+    def free(raw: Array) -> Beta:
+        """Of any shape, of raw outputs f32[..., A, 2]: the exponentials of the two (the paper's code).
+
+        Below 1 the density grows without bound towards an edge; both below 1 make a U. Raw zeros are uniform.
+        """
+        shape = jnp.exp(jnp.clip(raw, *_LOG_SHAPE))
+        return Beta(shape[..., 0], shape[..., 1])
 
     def sample(self, key: Array) -> Array:
         """One draw, f32[..., A]."""
@@ -222,4 +238,9 @@ class Mixture(struct.PyTreeNode):
         return jnp.log(self.side**2 * self.num_turns) - jnp.log(self.width)
 
 
-HEADS: dict[str, type[Beta] | type[TruncatedNormal]] = {"beta": Beta, "normal": TruncatedNormal}
+HEADS: dict[str, Callable[[Array], ActionDistribution]] = {
+    "beta": Beta.from_raw,
+    "beta_free": Beta.free,
+    "normal": TruncatedNormal.from_raw,
+}
+"""What turns raw outputs f32[..., A, 2] into a distribution."""

@@ -17,6 +17,8 @@ from cluttergen_jax.learning.ppo.sharding import each, spread
 from cluttergen_jax.placement.brax_env import Env, State
 from cluttergen_jax.types import Array
 
+_MAY_BE_ZERO = ("entropy_cost", "value_cost", "discount", "gae_lambda", "value_clip")
+
 
 @dataclass(frozen=True)
 class PPOConfig:
@@ -25,10 +27,18 @@ class PPOConfig:
     Attributes:
       num_envs: N, environments side by side; num_steps: T, steps of each per update.
       num_minibatches, num_epochs: of each update's N T steps.
+      minibatch_size: steps of a minibatch; where given it decides instead of `num_minibatches`, and the last
+        one holds what is left over.
       learning_rate: of Adam; it falls linearly to zero over the run if `anneals`.
       discount, gae_lambda: of returns and advantages.
       clip: of the probability ratio.
       value_cost, entropy_cost: weights in the loss: L = value_cost L_VF - entropy_cost H - L_CLIP.
+      value_clip: how far a value may move from what it was in the rollout before its gradient stops; 0 lets
+        it move freely.
+      reward_scale: of rewards before anything else. Advantages are normalised, so that only the critic sees
+        it: with rewards in the hundreds its gradient would leave the actor's nothing of the common norm.
+      reward_limit: scaled rewards are cut off at plus and minus this, if given: one that is far out would
+        leave the others of its minibatch no advantage.
       max_gradient_norm: gradients are scaled down to it.
       num_attempts: environment steps of the whole run.
     """
@@ -37,6 +47,7 @@ class PPOConfig:
     num_steps: int = 16
     num_minibatches: int = 8
     num_epochs: int = 3
+    minibatch_size: int | None = None
     learning_rate: float = 1e-3
     anneals: bool = True
     discount: float = 0.9
@@ -44,25 +55,38 @@ class PPOConfig:
     clip: float = 0.2
     value_cost: float = 0.1
     entropy_cost: float = 0.01
+    value_clip: float = 0.0
+    reward_scale: float = 1.0
+    reward_limit: float | None = None
     max_gradient_norm: float = 0.5
     num_attempts: int = 100_000
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            least = 0 if field.name in ("entropy_cost", "value_cost", "discount", "gae_lambda") else 1e-12
-            if not value >= least and field.name != "anneals":
+            least = 0 if field.name in _MAY_BE_ZERO else 1e-12
+            if value is not None and not value >= least and field.name != "anneals":
                 raise ConfigError(f"ppo.{field.name} = {value}", "a positive number")
-        if self.num_envs * self.num_steps % self.num_minibatches:
+        if self.minibatch_size is None and self.batch_size % self.num_minibatches:
             raise ConfigError(
                 f"{self.num_envs} x {self.num_steps} steps in {self.num_minibatches} minibatches",
-                "minibatches of equal size",
+                "minibatches of equal size, or a `minibatch_size`",
             )
 
     @property
     def batch_size(self) -> int:
         """Environment steps per update."""
         return self.num_envs * self.num_steps
+
+    @property
+    def steps_of_minibatch(self) -> int:
+        """But for the last one, which may hold fewer."""
+        return min(self.minibatch_size or self.batch_size // self.num_minibatches, self.batch_size)
+
+    @property
+    def num_gradient_steps(self) -> int:
+        """Of the whole run."""
+        return self.num_updates * self.num_epochs * -(-self.batch_size // self.steps_of_minibatch)
 
     @property
     def num_updates(self) -> int:
@@ -131,9 +155,8 @@ class PPO:
     def optimizer(self) -> optax.GradientTransformation:
         """Adam after clipping, with the config's schedule."""
         config = self.config
-        steps = config.num_updates * config.num_epochs * config.num_minibatches
         rate = (
-            optax.linear_schedule(config.learning_rate, 0.0, steps)
+            optax.linear_schedule(config.learning_rate, 0.0, config.num_gradient_steps)
             if config.anneals
             else config.learning_rate
         )
@@ -176,7 +199,9 @@ class PPO:
             dist, value = self.apply(params, seen)
             action = dist.sample(key)
             after = each(self.env.step, self.mesh)(env, action)
-            return after, Transition(seen, action, dist.log_prob(action), value, after.reward, after.done)
+            reward, limit = self.config.reward_scale * after.reward, self.config.reward_limit
+            reward = reward if limit is None else jnp.clip(reward, -limit, limit)
+            return after, Transition(seen, action, dist.log_prob(action), value, reward, after.done)
 
         return jax.lax.scan(step, env, jax.random.split(key, self.config.num_steps))
 
@@ -195,7 +220,13 @@ class PPO:
 
         def epoch(carry: Any, key: Array) -> tuple[Any, dict[str, Array]]:
             order = jax.random.permutation(key, config.batch_size)
-            return jax.lax.scan(minibatch, carry, order.reshape(config.num_minibatches, -1))
+            size = config.steps_of_minibatch
+            whole = config.batch_size // size * size
+            carry, losses = jax.lax.scan(minibatch, carry, order[:whole].reshape(-1, size))
+            if whole == config.batch_size:
+                return carry, losses
+            carry, rest = minibatch(carry, order[whole:])
+            return carry, jax.tree.map(lambda all, last: jnp.append(all, last), losses, rest)
 
         return jax.lax.scan(epoch, (params, optimizer), jax.random.split(key, config.num_epochs))
 
@@ -210,7 +241,11 @@ class PPO:
         advantage = (advantage - jnp.mean(advantage)) / (jnp.std(advantage) + 1e-8)
         clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
         gain = jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
-        value_loss = 0.5 * jnp.mean((value - target) ** 2)
+        error = (value - target) ** 2
+        if config.value_clip:
+            change = jnp.clip(value - batch.value, -config.value_clip, config.value_clip)
+            error = jnp.maximum(error, (batch.value + change - target) ** 2)
+        value_loss = 0.5 * jnp.mean(error)
         entropy = jnp.mean(dist.entropy())
         loss = config.value_cost * value_loss - config.entropy_cost * entropy - gain
         return loss, {

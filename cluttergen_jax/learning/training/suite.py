@@ -6,14 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
-from cluttergen_jax.config import Variant
+from cluttergen_jax.config import Preset, Variant
 from cluttergen_jax.errors import ConfigError
 
 POOLS = ("dining", "study", "office", "kitchen", "household")
-TABLE_VARIANTS: tuple[Variant, ...] = ("policy", "open_loop", "short_memory", "normal", "beta")
+PAPERS_VARIANTS: tuple[Variant, ...] = ("open_loop", "short_memory", "normal", "beta_free")
+"""The paper's method and its rivals: trained by one of its presets."""
+TABLE_VARIANTS: tuple[Variant, ...] = ("policy", *PAPERS_VARIANTS)
+PAPERS_PRESET: Preset = "paper_cpu"
+"""What they are trained by unless another of the paper's presets is asked for."""
 SEEDS = (0, 1, 2)
 ATTEMPTS_POOL = "dining"
-TABLE_ATTEMPTS = (1, 2, 3, 5, 10)
+TABLE_ATTEMPTS = (1, 2, 3, 4, 5, 10)
 DEFAULT_ATTEMPTS, DEFAULT_OBJECTS = 5, 10
 LADDER_POOLS = ("dining",)
 
@@ -32,6 +36,13 @@ class PlannedRun:
     attempts: int = DEFAULT_ATTEMPTS
     support: str = "table"
     num_objects: int = DEFAULT_OBJECTS
+
+    def preset(self, asked: Preset) -> Preset:
+        """What it is trained by where a preset is asked for a whole suite."""
+        is_papers = asked.startswith("paper")
+        if self.variant in PAPERS_VARIANTS:
+            return asked if is_papers else PAPERS_PRESET
+        return "cpu" if is_papers else asked
 
     @property
     def name(self) -> str:

@@ -14,10 +14,11 @@ import jax
 from tqdm import tqdm
 
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.errors import ClutterGenError, ConfigError
+from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.learning.ppo.checkpoint import check_folder, has_state, read_record
 from cluttergen_jax.learning.training.metrics_log import read_rows
-from cluttergen_jax.learning.training.presets import paper
+from cluttergen_jax.learning.training.presets import make_settings, paper
+from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretraining, small
 from cluttergen_jax.learning.training.suite import POOLS, SEEDS, PlannedRun, plan
 from cluttergen_jax.learning.training.train import TrainConfig, recipe_of, run_training
 from cluttergen_jax.progress import time_text
@@ -85,7 +86,9 @@ def run_suite(
     """
     for pool in pools:
         find_pool(pool)
-    standings = [_standing(config_of(base, run, root), run) for run in plan(suite, pools, seeds, suite_only)]
+    planned = plan(suite, pools, seeds, suite_only)
+    base = _with_encoder(base, planned, root, suite_list, show)
+    standings = [_standing(config_of(base, run, root), run) for run in planned]
     show(_overview(standings))
     failed: dict[str, str] = {}
     for number, standing in enumerate(standings, 1):
@@ -106,9 +109,13 @@ def run_suite(
 
 
 def config_of(base: TrainConfig, run: PlannedRun, root: Path) -> TrainConfig:
-    """What one run of a suite is given."""
+    """What one run of a suite is given; weights of a point encoder are for those that see point clouds."""
+    preset = run.preset(base.preset)
+    sees_clouds = make_settings(preset, run.variant).network.reads_clouds
     return dataclasses.replace(
         base,
+        preset=preset,
+        encoder_weights=base.encoder_weights if sees_clouds or base.encoder else None,
         pool=run.pool,
         variant=run.variant,
         seed=run.seed,
@@ -119,14 +126,44 @@ def config_of(base: TrainConfig, run: PlannedRun, root: Path) -> TrainConfig:
     )
 
 
+def _with_encoder(
+    base: TrainConfig,
+    planned: Sequence[PlannedRun],
+    root: Path,
+    suite_list: bool,
+    show: Callable[[str], None],
+) -> TrainConfig:
+    """With the encoder that some runs keep as it is, pretrained among them, unless another is given."""
+    networks = [make_settings(run.preset(base.preset), run.variant).network for run in planned]
+    network = next((network for network in networks if network.encoder_frozen), None)
+    if network is None or base.encoder or base.encoder_weights:
+        return base
+    kind = network.scene_encoder
+    folder = root / f"encoder-{kind}"
+    if not suite_list and not _is_trained(folder):
+        show(f"encoder    {folder}, which the paper's method keeps as it is")
+        sizes = {name: getattr(network, name) for name in ("object_points", "num_centroids", "group_size")}
+        features = {name: getattr(network, name) for name in ("object_features", "scene_features")}
+        Pretraining(PretrainConfig(dataclasses.replace(small(kind), **sizes, **features)), folder).run()
+    return dataclasses.replace(base, encoder_weights=str(folder))
+
+
+def _is_trained(encoder: Path) -> bool:
+    return (encoder / "record.json").exists() and read_record(encoder).get("held_out_accuracy") is not None
+
+
 def _standing(config: TrainConfig, run: PlannedRun) -> RunStatus:
     """Reads how far a run has come.
 
     Raises:
       ConfigError: its folder holds a run with other settings.
     """
-    settings = config.settings()
-    check_folder(config.folder, recipe_of(config, settings))
+    if config.encoder_weights is None or _is_trained(Path(config.encoder_weights)):
+        settings = config.settings()
+        check_folder(config.folder, recipe_of(config, settings))
+    else:
+        # No run has begun without its encoder.
+        settings = dataclasses.replace(config, encoder_weights=None, encoder="pointnet").settings()
     batch, total = settings.ppo.batch_size, settings.ppo.num_updates * settings.ppo.batch_size
     last, policy = config.folder / "last", config.folder / "policy"
     attempts = int(read_record(last)["num_updates"]) * batch if has_state(last) else 0
@@ -147,21 +184,19 @@ def _standing(config: TrainConfig, run: PlannedRun) -> RunStatus:
 
 def _overview(standings: list[RunStatus]) -> str:
     """The list of runs, the budget beside the paper's, and the time that is left."""
-    totals = {standing.total for standing in standings}
-    if len(totals) != 1:
-        raise ConfigError("runs with different budgets in one suite", "one `num_attempts` for all")
     width = max(len(standing.planned.name) for standing in standings)
     lines = []
     for standing in standings:
         success = "" if standing.success is None else f"  success {standing.success:.2f}"
         done = f"{tqdm.format_sizeof(standing.attempts)}/{tqdm.format_sizeof(standing.total)}"
         lines.append(f"  {standing.planned.name:{width}}  {standing.word:5}  {done:>11}{success}")
-    budget = totals.pop()
+    budgets = sorted({standing.total for standing in standings})
     rates = [standing.rate for standing in standings if standing.rate]
     rate, source = (statistics.median(rates), "measured") if rates else (RATE, "assumed until one has run")
     left = sum(standing.total - standing.attempts for standing in standings if not standing.is_done)
     lines += [
-        f"{len(standings)} runs of {budget:,} attempts each (the paper: {paper().ppo.num_attempts:,}), "
+        f"{len(standings)} runs of {' and '.join(f'{budget:,}' for budget in budgets)} attempts (the paper: "
+        f"{paper().ppo.num_attempts:,}), "
         f"{sum(standing.is_done for standing in standings)} done",
         f"time left about {time_text(left / rate)}, compiling and evaluating aside "
         f"({rate:.0f} attempts per second, {source}; {os.cpu_count()} cores)",

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from cluttergen_jax.assets.pool import find_pool, public_name
-from cluttergen_jax.config import EvalAction, stability_record
+from cluttergen_jax.config import EvalAction, Preset, stability_record
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import check_folder
 from cluttergen_jax.placement.config import placement_record
@@ -35,7 +35,7 @@ class TrainConfig:
     change: str = "none"
     num_objects: int = 10
     max_attempts: int = 5
-    preset: str = "cpu"
+    preset: Preset = "cpu"
     variant: str = "policy"
     num_attempts: int | None = None
     num_envs: int | None = None

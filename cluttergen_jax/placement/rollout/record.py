@@ -19,6 +19,9 @@ from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.types import Verdict
 
+_AT_ONCE = 32
+"""Proposals drawn side by side: a method that lowers candidates needs megabytes for each."""
+
 
 @dataclass(frozen=True, eq=False)
 class Recorder:
@@ -35,12 +38,17 @@ class Recorder:
     world: World
     width: int = BLOCK_SIZE
 
-    def record(self, seed: int, index: int, title: str = "") -> Replay:
-        """Scene number `index` of `seed`, as `placement.rollout.sample_blocks` makes it."""
+    def record(self, seed: int, index: int, title: str = "", num_proposals: int = 0) -> Replay:
+        """Scene number `index` of `seed`, as `placement.rollout.sample_blocks` makes it.
+
+        Args:
+          num_proposals: actions that are drawn anew at every attempt, to see how they are distributed.
+        """
         row = index % self.width
         places = index - row + np.arange(self.width)
         steps: list[tuple[Any, Any, Any]] = []
-        self._rollout.run(
+        rollout = self._rollout_with_history if num_proposals else self._rollout
+        rollout.run(
             self.sampler,
             jax.random.key(seed),
             places,
@@ -54,7 +62,10 @@ class Recorder:
             names=self.world.names,
             support=self.world.support,
             region=rectangle_of(after.region),
-            attempts=tuple(_attempt(before, transition) for before, _, transition in steps),
+            attempts=tuple(
+                _attempt(before, transition, self._proposals(before, seed, num_proposals))
+                for before, _, transition in steps
+            ),
             poses=after.poses,
             is_placed=after.is_placed,
             is_success=bool(after.is_success),
@@ -63,17 +74,42 @@ class Recorder:
             keep_out=_boxes(after),
         )
 
+    def _proposals(self, before: Any, seed: int, number: int) -> np.ndarray | None:
+        """f32[number, 4] drawn for an episode; None for none."""
+        if not number:
+            return None
+        keys = jax.random.split(jax.random.key(seed), number)
+        return np.asarray(self._draw(keys, before))
+
+    @cached_property
+    def _draw(self) -> Any:
+        propose = self.sampler.propose
+
+        def draw(keys: Any, episode: Any) -> Any:
+            return jax.lax.map(lambda key: propose(key, episode), keys, batch_size=_AT_ONCE)
+
+        return jax.jit(draw)
+
     @cached_property
     def _rollout(self) -> Rollout:
+        return Rollout(_shown, is_constant=True)
+
+    @cached_property
+    def _rollout_with_history(self) -> Rollout:
         return Rollout(_all, is_constant=True)
 
 
 def _all(before: Episode, after: Episode, transition: Transition) -> tuple[Any, Any, Transition]:
+    """Whole steps, but for keys."""
+    return before.replace(key=None), after.replace(key=None, history=None), transition
+
+
+def _shown(before: Episode, after: Episode, transition: Transition) -> tuple[Any, Any, Transition]:
     """Whole steps, but for what pictures do not show."""
     return before.replace(key=None, history=None), after.replace(key=None, history=None), transition
 
 
-def _attempt(before: Any, transition: Any) -> Attempt:
+def _attempt(before: Any, transition: Any, proposals: np.ndarray | None) -> Attempt:
     settling = transition.settling
     return Attempt(
         object_index=int(transition.object_index),
@@ -84,6 +120,7 @@ def _attempt(before: Any, transition: Any) -> Attempt:
         poses=before.poses,
         is_placed=before.is_placed,
         settled=settling.poses,
+        proposals=proposals,
     )
 
 

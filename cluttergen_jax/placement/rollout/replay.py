@@ -23,6 +23,7 @@ class Attempt:
       trajectory: f32[T + 1, 13], the object at release and after each of T steps (`types.Settling`).
       poses: f32[K, 7] and is_placed: bool[K], the scene before the attempt.
       settled: f32[K, 7], the scene's poses when the attempt ended, committed or not.
+      proposals: f32[N, 4], actions that the method draws here, where they were asked for.
     """
 
     object_index: int
@@ -33,6 +34,7 @@ class Attempt:
     poses: np.ndarray
     is_placed: np.ndarray
     settled: np.ndarray
+    proposals: np.ndarray | None = None
 
     @property
     def is_stable(self) -> bool:

@@ -16,6 +16,7 @@ from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
+from cluttergen_jax.rendering.density import heat_points
 
 if TYPE_CHECKING:
     import viser
@@ -25,6 +26,8 @@ _GHOST = (RED[0] / 255, RED[1] / 255, RED[2] / 255, 0.45)
 _BLUE, _ORANGE = (40, 110, 220), (245, 130, 20)
 _LIFT = 0.0015
 """Metres by which lines and points lie above the top, so that they are seen."""
+_DOT = 0.3
+"""Of the distance between points of heat: larger ones, which face the camera, would reach into the objects."""
 
 
 @dataclass
@@ -37,6 +40,7 @@ class Shown:
       scene_cloud: points of the region and of all placed objects.
       object_cloud: points of the object of the chosen attempt.
       failures: all failed attempts at once.
+      density: where the object of the chosen attempt was likely to be proposed, as a heat map on the table.
     """
 
     hulls: bool = False
@@ -44,6 +48,7 @@ class Shown:
     scene_cloud: bool = False
     object_cloud: bool = False
     failures: bool = False
+    density: bool = False
 
 
 class SceneNodes:
@@ -62,6 +67,7 @@ class SceneNodes:
         self._failed: dict[int, _FailedAttempt] = {}
         self._region: list[Any] = []
         self._top_cloud: Any = None
+        self._heat: dict[int, Any] = {}
         server.scene.set_up_direction("+z")
         server.scene.configure_default_lights(True, cast_shadow=True)
         # The floor has no end: far away it becomes the background.
@@ -82,6 +88,8 @@ class SceneNodes:
                 if not attempt.is_stable:
                     asset = recording.objects[attempt.object_index]
                     self._failed[number] = _FailedAttempt(self.server, number, asset, attempt)
+                if attempt.proposals is not None:
+                    self._heat[number] = self._add_heat(recording, number, attempt)
             self.at(len(recording.attempts), None)
 
     def at(self, number: int, progress: float | None) -> None:
@@ -103,6 +111,8 @@ class SceneNodes:
             for place, failed in self._failed.items():
                 is_chosen = place == number - 1
                 failed.place(progress if is_chosen else None, is_chosen or self.shown.failures)
+            for place, heat in self._heat.items():
+                heat.visible = self.shown.density and place == number - 1
             for node in self._region:
                 node.visible = self.shown.region
             self._top_cloud.visible = self.shown.scene_cloud
@@ -131,7 +141,7 @@ class SceneNodes:
     def _clear(self) -> None:
         for node in [*self._fixed, *self._region, *([self._top_cloud] if self._top_cloud else [])]:
             node.remove()
-        for group in (self._objects, self._failed):
+        for group in (self._objects, self._failed, self._heat):
             for nodes in group.values():
                 nodes.remove()
             group.clear()
@@ -164,6 +174,13 @@ class SceneNodes:
         points = top_points(support) + np.array([0.0, 0.0, _LIFT])
         self._top_cloud = scene.add_point_cloud(
             "/cloud", points.astype(np.float32), _BLUE, point_size=0.0035, point_shape="circle"
+        )
+
+    def _add_heat(self, recording: Replay, number: int, attempt: Attempt) -> Any:
+        points, colours, size = heat_points(recording, attempt)
+        points[:, 2] += _LIFT
+        return self.server.scene.add_point_cloud(
+            f"/heat/{number}", points, colours, point_size=_DOT * size, point_shape="circle", visible=False
         )
 
     def _add_region(self, recording: Replay) -> None:

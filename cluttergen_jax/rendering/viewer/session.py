@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 _FRAMES_PER_SECOND = 20
 _SECONDS_PER_ATTEMPT = 0.8
+_PROPOSALS = 512
 _DIRECTION = np.array([0.62, -0.88, 0.78])
 
 
@@ -69,6 +71,7 @@ class Session:
         self.show(config.first)
 
     recording: Replay | None
+    _ask_again: Callable[[], None]
     # viser types the value of its handles as read-only, which it is not.
     _scene: Any
     _slider: Any
@@ -90,10 +93,11 @@ class Session:
             return self.source.still(number)
 
         def attempted() -> Replay:
-            return self.source.recorded(number)
+            return self.source.recorded(number, self._num_proposals)
 
         with self._lock:
             self.number = number
+        self._ask_again = partial(self.show, number)
         self._ask(stored, attempted, f"scene {number}", self.source.notice())
 
     def step(self, places: int) -> None:
@@ -110,7 +114,14 @@ class Session:
         method, seed = self._method.value, int(self._seed_entry.value)
         self._seed_entry.value = seed + 1
         what = f"sampling by {method}, seed {seed}"
-        self._ask(lambda: self.source.sample(method, seed), None, what, self.source.notice(method))
+
+        def ask() -> None:
+            number = self._num_proposals
+            notice = self.source.notice(method)
+            self._ask(lambda: self.source.sample(method, seed, number), None, what, notice)
+
+        self._ask_again = ask
+        ask()
 
     def screenshot(self) -> Path:
         """Saves what the browser shows as PNG here, and sends it to the browser as a download."""
@@ -152,6 +163,11 @@ class Session:
 
     # How it is done.
 
+    @property
+    def _num_proposals(self) -> int:
+        """To be drawn at each attempt: none where nobody looks at them."""
+        return _PROPOSALS if self.nodes.shown.density else 0
+
     def _ask(
         self, make: Callable[[], Replay], then: Callable[[], Replay] | None, what: str, notice: str
     ) -> None:
@@ -168,7 +184,8 @@ class Session:
             return
         try:
             recording = make()
-            if recording.attempts or then is None:
+            is_whole = recording.attempts and (not self._num_proposals or _has_proposals(recording))
+            if is_whole or then is None:
                 self._set(request, recording, "")
                 return
             self._set(
@@ -196,7 +213,8 @@ class Session:
             last = len(recording.attempts)
             self._slider.max = max(last, 1)
             self._slider.value = last
-            self._slider.disabled = self._play.disabled = self._failures.disabled = last == 0
+            for control in (self._slider, self._play, self._failures, self._density):
+                control.disabled = last == 0
             self._redraw()
 
     def _report(self, request: int, text: str) -> None:
@@ -246,6 +264,7 @@ class Session:
             self._slider = gui.add_slider("Attempt", min=0, max=1, step=1, initial_value=0)
             self._play = gui.add_button("Play")
             self._failures = gui.add_checkbox("All failed attempts", False)
+            self._density = gui.add_checkbox("Where it may be proposed", False)
         with gui.add_folder("Show"):
             boxes = {
                 "hulls": gui.add_checkbox("Hulls", False),
@@ -253,6 +272,7 @@ class Session:
                 "scene_cloud": gui.add_checkbox("Scene cloud", False),
                 "object_cloud": gui.add_checkbox("Object cloud", False),
                 "failures": self._failures,
+                "density": self._density,
             }
         with gui.add_folder("New scene"):
             self._method = gui.add_dropdown("Method", methods or ("none",), disabled=not methods)
@@ -273,6 +293,8 @@ class Session:
     def _setter(self, name: str, box: Any) -> Callable[[Any], None]:
         def update(_: Any) -> None:
             setattr(self.nodes.shown, name, box.value)
+            if name == "density" and box.value and not _has_proposals(self.recording):
+                self._ask_again()
             self._redraw()
 
         return update
@@ -300,6 +322,10 @@ class Session:
         if event.client is not None:
             self._playing.clear()
             self._redraw()
+
+
+def _has_proposals(recording: Replay | None) -> bool:
+    return recording is not None and any(attempt.proposals is not None for attempt in recording.attempts)
 
 
 def _file_name(title: str) -> str:

@@ -34,14 +34,14 @@ class SceneSource(Protocol):
         """A scene as it is stored, perhaps without its attempts. Quick."""
         ...
 
-    def recorded(self, number: int) -> Replay:
-        """A scene with its attempts.
+    def recorded(self, number: int, num_proposals: int = 0) -> Replay:
+        """A scene with its attempts, and with so many other proposals at each of them.
 
         Raises:
           ClutterGenError: they are not known; it says why.
         """
         ...
 
-    def sample(self, method: str, seed: int) -> Replay:
-        """A new scene by one of `methods`."""
+    def sample(self, method: str, seed: int, num_proposals: int = 0) -> Replay:
+        """A new scene by one of `methods`; see `recorded`."""
         ...

@@ -1,0 +1,79 @@
+"""Presets and variants: the paper's numbers, what differs in its code, and encoders that must be given."""
+
+import dataclasses
+import json
+
+import pytest
+
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.learning.training.presets import PRESETS, make_settings
+from cluttergen_jax.learning.training.train import TrainConfig
+
+PAPERS = ("paper", "paper_code", "paper_cpu")
+
+
+@pytest.mark.parametrize("preset", PAPERS)
+def test_the_papers_numbers(preset):
+    settings = make_settings(preset, "policy")
+    ppo, network = settings.ppo, settings.network
+    assert (ppo.batch_size, ppo.steps_of_minibatch, ppo.num_attempts) == (3200, 1000, 2_500_000)
+    assert (ppo.discount, ppo.gae_lambda, ppo.clip) == (0.99, 0.95, 0.2)
+    assert (ppo.value_cost, ppo.max_gradient_norm) == (0.5, 0.5)
+    # What two cores can bear differs in what keeps it from learning, too.
+    is_printed = preset != "paper_cpu"
+    assert (ppo.learning_rate, ppo.entropy_cost) == ((1e-4, 0.01) if is_printed else (1e-3, 0.0))
+    assert ppo.anneals == (preset != "paper")
+    assert (network.head, network.height_precision, network.num_layers, network.width) == (
+        "beta_free",
+        0,
+        5,
+        256,
+    )
+    assert network.encoder_frozen
+    assert network.reads_clouds
+    assert (settings.placement.order, settings.placement.max_attempts) == ("random", 5)
+
+
+def test_the_papers_code_differs():
+    printed, code = make_settings("paper", "policy"), make_settings("paper_code", "policy")
+    assert (printed.placement.reward, code.placement.reward) == ("paper", "code")
+    assert (printed.ppo.num_epochs, code.ppo.num_epochs) == (5, 10)
+    assert (printed.ppo.anneals, code.ppo.anneals) == (False, True)
+    assert (printed.ppo.value_clip, code.ppo.value_clip) == (0, 0.2)
+    assert printed.stability.judge_neighbours
+    assert not code.stability.judge_neighbours
+    assert code.stability.per_axis
+
+
+@pytest.mark.parametrize("preset", PAPERS)
+@pytest.mark.parametrize(
+    ("variant", "changed"),
+    [
+        ("normal", {"head": "normal"}),
+        ("open_loop", {"history_width": 0}),
+        ("short_memory", {"history_length": 1}),
+    ],
+)
+def test_rivals_change_one_thing_of_the_papers_method(preset, variant, changed):
+    full, rival = (make_settings(preset, each) for each in ("policy", variant))
+    assert rival == dataclasses.replace(full, network=dataclasses.replace(full.network, **changed))
+
+
+@pytest.mark.parametrize("preset", PAPERS)
+def test_a_frozen_encoder_wants_weights_and_names_the_command(preset, tmp_path):
+    kind = PRESETS[preset]().network.scene_encoder
+    with pytest.raises(ConfigError, match=f"cluttergen pretrain --encoder {kind} --features") as refused:
+        TrainConfig(preset=preset).settings()
+    assert "--encoder-weights" in str(refused.value)
+    (tmp_path / "record.json").write_text(json.dumps({"format": 1, "encoder": kind, "features": 96}))
+    network = TrainConfig(preset=preset, encoder_weights=str(tmp_path)).settings().network
+    assert network.encoder_frozen
+    assert (network.object_features, network.scene_features) == (96, 96)
+    along = TrainConfig(preset=preset, encoder=kind).settings().network
+    assert not along.encoder_frozen
+
+
+def test_a_free_beta_has_no_prior_on_height():
+    assert make_settings("cpu", "beta_free").network.height_precision == 0
+    with pytest.raises(ConfigError, match="head beta"):
+        dataclasses.replace(make_settings("cpu", "beta").network, head="beta_free")

@@ -1,0 +1,89 @@
+"""Heat maps of proposals: which cell is which, and that pictures colour the right part of the table."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.region import make_region, pose_of_action
+from cluttergen_jax.rendering.assets import close_points
+from cluttergen_jax.rendering.density import density_figure, density_of, heat_image, heat_points
+from cluttergen_jax.rendering.gl import renderer_status
+from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
+from tests.helpers.recordings import cubes
+
+needs_gl = pytest.mark.skipif(not renderer_status()[0], reason=renderer_status()[1])
+PICTURE = PictureConfig(width=160, height=120, samples=2)
+
+
+def proposals(x, y, number=400):
+    """Actions near one place of the region."""
+    spread = np.random.default_rng(0).normal(0, 0.02, (number, 4))
+    return np.clip(np.array([x, y, 0.2, 0.5]) + spread, 0, 1).astype(np.float32)
+
+
+def proposed(x, y):
+    """`cubes`, everything proposed near one place of a turned region."""
+    attempts = tuple(replace(each, proposals=proposals(x, y)) for each in cubes().attempts)
+    return replace(cubes(), attempts=attempts, region=Rectangle((0.02, 0.0), (0.12, 0.08), 0.3))
+
+
+def test_density_peaks_where_proposals_lie():
+    density = density_of(proposals(0.75, 0.25), 20)
+    assert density.shape == (20, 20)
+    assert density.max() == 1
+    # Axis 0 is x.
+    assert density[15, 5] > 0.8
+    assert density[5, 15] == pytest.approx(0, abs=1e-6)
+    with pytest.raises(ConfigError, match="num_proposals"):
+        density_of(np.zeros((0, 4)))
+
+
+def test_colours_are_clear_where_nothing_is_proposed():
+    image = heat_image(np.array([[0.0, 0.25, 1.0]]))
+    assert image.shape == (1, 3, 4)
+    alpha = image[0, :, 3].astype(int)
+    assert alpha[0] == 0 < alpha[1] < alpha[2]
+
+
+def test_points_lie_where_poses_are_proposed():
+    recording = proposed(0.9, 0.1)
+    points, colours, _ = heat_points(recording, recording.attempts[0])
+    densest = points[colours.astype(int).sum(-1).argmin()]
+    asked = recording.region
+    numbers = map(jnp.asarray, (asked.center, asked.half_extents, asked.yaw, recording.support.top))
+    pose = pose_of_action(jnp.array([0.9, 0.1, 0.0, 0.0]), make_region(*numbers), jnp.float32(0.1))
+    np.testing.assert_allclose(densest, pose[:3], atol=0.012)
+
+
+@needs_gl
+def test_unprojected_pixels_are_where_their_points_were():
+    recording = cubes()
+    points = close_points(recording.objects, recording.poses, recording.support)
+    with scene_renderer(recording.objects, recording.support, points, PICTURE) as renderer:
+        depth, _ = renderer.measure([RenderStyle(pose) for pose in recording.poses])
+        seen = renderer.unproject(depth)
+        pixels = renderer.project(seen[40:80, 60:100].reshape(-1, 3))
+    y, x = np.mgrid[40:80, 60:100] + 0.5
+    np.testing.assert_allclose(pixels, np.column_stack([x.ravel(), y.ravel()]), atol=1e-3)
+
+
+@needs_gl
+def test_the_figure_colours_the_table_there_and_nothing_else():
+    right, left = (density_figure(proposed(x, 0.1), picture=PICTURE).astype(int) for x in (0.9, 0.1))
+    # Violet on a brown table takes red away.
+    where = {
+        name: np.argwhere(change > 25)
+        for name, change in (("right", (left - right)[..., 0]), ("left", (right - left)[..., 0]))
+    }
+    assert min(map(len, where.values())) > 20
+    assert where["right"][:, 1].mean() > where["left"][:, 1].mean() + 20
+    # Elsewhere the two pictures are one.
+    assert (np.abs(right - left).max(-1) > 2).mean() < 0.25
+    with pytest.raises(ConfigError, match="num_proposals"):
+        density_figure(cubes(), picture=PICTURE)
+    with pytest.raises(ConfigError, match="no attempt"):
+        density_figure(replace(cubes(), attempts=()), picture=PICTURE)
