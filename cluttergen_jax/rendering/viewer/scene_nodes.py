@@ -27,7 +27,7 @@ _BLUE, _ORANGE = (40, 110, 220), (245, 130, 20)
 _LIFT = 0.0015
 """Metres by which lines and points lie above the top, so that they are seen."""
 _DOT = 0.3
-"""Of the distance between points of heat: larger ones, which face the camera, would reach into the objects."""
+"""Of the distance between points of heat: larger ones face the camera, and would reach into the objects."""
 
 
 @dataclass
