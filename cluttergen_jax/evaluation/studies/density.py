@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -135,12 +136,26 @@ def _rung(row: Row) -> str:
 
 
 def plot(rows: list[Row], stem: Path) -> list[str]:
-    """Strict success, a line for each method; those that stand on one rung alone are in the table only."""
-    figure = new_figure(7.5, 3.4)
-    axis = figure.subplots()
-    rungs = list(dict.fromkeys(_rung(row) for row in rows))
-    # Of several training seeds, the first.
+    """Strict success, a panel for each pool and in it a line for each method.
+
+    Methods that stand on one rung of several are in the table only; of several training seeds, the first is
+    drawn.
+    """
     rows = [row for row in rows if not row["trial"]["training_seed"]]
+    pools = list(dict.fromkeys(row["trial"]["pool"] for row in rows))
+    panels = [[row for row in rows if row["trial"]["pool"] == pool] for pool in pools]
+    rungs = [list(dict.fromkeys(map(_rung, panel))) for panel in panels]
+    figure = new_figure(8.0, 3.4)
+    axes = figure.subplots(1, len(pools), sharey=True, squeeze=False, width_ratios=list(map(len, rungs)))[0]
+    for axis, pool, panel, places in zip(axes, pools, panels, rungs, strict=True):
+        _panel(axis, panel, places)
+        prepare(axis, pool if len(pools) > 1 else "", "", "success" if axis is axes[0] else "")
+        axis.set_xticks(range(len(places)), [_lines(rung) for rung in places], fontsize=6)
+    add_legend(figure)
+    return save(figure, stem)
+
+
+def _panel(axis: Any, rows: list[Row], rungs: list[str]) -> None:
     rungs_of = {name: {_rung(row) for row in rows if name_of(row) == name} for name in map(name_of, rows)}
     names = [name for name, own in rungs_of.items() if len(own) > 1 or len(rungs) == 1]
     for turn, name in enumerate(names):
@@ -149,10 +164,11 @@ def plot(rows: list[Row], stem: Path) -> list[str]:
         shift = _APART * (turn - (len(names) - 1) / 2)
         x = [rungs.index(_rung(row)) + shift for row in chosen]
         success_line(axis, name, x, [row["figures"] for row in chosen])
-    prepare(axis, "", "", "success")
-    axis.set_xticks(range(len(rungs)), [rung.replace(", ", "\n") for rung in rungs], fontsize=6)
-    add_legend(figure)
-    return save(figure, stem)
+
+
+def _lines(rung: str) -> str:
+    """A rung's label, short enough to stand beside others."""
+    return rung.replace(", ", "\n").replace("x", " x\n", 1)
 
 
 DENSITY = Study(
