@@ -210,6 +210,7 @@ class ResolvedTrial:
             "reward": placement["reward"],
             "encoder": encoder if encoder == "set" else f"{encoder} of {network['scene_points']:,} points",
             "height_precision": network["height_precision"],
+            "is_cut": self.is_cut,
             **{name: ppo[name] for name in ("discount", "entropy_cost", "learning_rate")},
         }
 

@@ -174,6 +174,7 @@ _SETTINGS = {
     "height_precision": ((0.0,), "a prior on z"),
     "entropy_cost": ((0.01,), "entropy bonus {:g}"),
     "learning_rate": ((1e-4,), "learning rate {:g}"),
+    "is_cut": ((False,), "attempts cut off when they cannot succeed any more"),
 }
 """Of how a policy was trained (`ResolvedTrial.policy`): the paper's values, and what is said of others."""
 
