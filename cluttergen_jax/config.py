@@ -28,9 +28,9 @@ Variant = Literal["guided", "policy", "beta", "beta_free", "normal", "open_loop"
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 """`guided` is no policy: its network learns by supervision what will stand, for every pool.
 
-`policy` is the full method with the preset's head (a mixture; in `paper` a Beta a coordinate); `beta` and
-`normal` are the full method with the paper's heads; `open_loop` and `short_memory` look back on nothing and
-on one attempt."""
+`policy` is the full method with the preset's head (a mixture; in the paper's presets its Beta a coordinate);
+`beta_free`, the paper's, `beta` and `normal` are the full method with one distribution a coordinate;
+`open_loop` and `short_memory` look back on nothing and on one attempt."""
 Preset = Literal["cpu", "gpu", "paper", "paper_code", "paper_cpu"]
 Engine = Literal["auto", "native", "warp", "jax"]
 Order = Literal["random", "fixed", "largest", "weighted"]

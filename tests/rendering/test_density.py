@@ -11,11 +11,10 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.region import make_region, pose_of_action
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.density import density_figure, density_of, heat_image, heat_points
-from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
+from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes
 
-needs_gl = pytest.mark.skipif(not renderer_status()[0], reason=renderer_status()[1])
 PICTURE = PictureConfig(width=160, height=120, samples=2)
 
 
