@@ -21,9 +21,9 @@ SEEN = NetworkConfig(
 
 
 def successes(num_objects, side, num_updates, network=SEEN, **ppo):
-    """Episodes that succeeded, of the latest of each environment, after every update."""
+    """f64[num_updates], the share of the environments whose latest episode succeeded."""
     settings = make_settings("paper_cpu", "beta_free")
-    placement = replace(settings.placement, num_objects=num_objects, max_attempts=2)
+    placement = replace(settings.placement, num_objects=num_objects, max_attempts=1)
     objects = [box(f"box-{k}", (0.05, 0.05, 0.02 + 0.005 * k)) for k in range(num_objects)]
     config = ProblemConfig(placement=placement, stability=settings.stability)
     problem = compose(objects, cuboid_table(side, side), config)
@@ -42,15 +42,16 @@ def successes(num_objects, side, num_updates, network=SEEN, **ppo):
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_one_object_is_placed_beside_another():
-    """Wherever the first one stands: half of the table is left, and height must be learned first."""
-    found = successes(2, 0.3, 40)
-    assert found[:3].mean() < 0.2
-    assert found[-5:].mean() > 0.8
+    """Two boxes of 10 cm on a table of 20 cm: wherever the first one goes, the second has one side at most."""
+    found = successes(2, 0.2, 40)
+    assert found[:3].mean() < 0.5
+    assert found[-5:].mean() > 0.95
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_five_objects_find_room():
-    found = successes(5, 0.45, 60)
-    assert found[:3].mean() < 0.05
-    assert found[-5:].mean() > 0.6
+    """On a table of 35 cm, one attempt each, in random order: one Beta must read where the others are."""
+    found = successes(5, 0.35, 50)
+    assert found[:3].mean() < 0.1
+    assert found[-5:].mean() > 0.8
