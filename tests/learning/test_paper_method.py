@@ -1,4 +1,4 @@
-"""The paper's method learns from attempts alone: one Beta a coordinate, height and all, objects in random order."""
+"""The paper's method learns from attempts alone: one Beta a coordinate, height and all, in random order."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def successes(num_objects, side, num_updates, network=SEEN, **ppo):
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_one_object_is_placed_beside_another():
-    """Two boxes of 10 cm on a table of 20 cm: wherever the first one goes, the second has one side at most."""
+    """Two boxes of 10 cm on a table of 20 cm: the second has one side of the first at most."""
     found = successes(2, 0.2, 40)
     assert found[:3].mean() < 0.5
     assert found[-5:].mean() > 0.95
