@@ -50,7 +50,7 @@ def render(
       turntable: a film once around the scene.
       replay: a film of the placement as it happened, failed attempts in red.
       figure: the closed-loop figure: an object's failed attempts ringed in red, until it stands.
-      density: where the method would put the object that came last, as a heat map on the table.
+      density: where the method would put the object of the last attempt, as a heat map on the table.
       depth: a 16-bit PNG in millimetres along the optical axis (0: nothing there), and the NPZ file.
       segmentation: an indexed PNG: 0 floor or nothing, 1 support, 2 + k object k; and the NPZ file.
       points: a PLY point cloud of all surfaces: metres, world frame, colours, labels as above.

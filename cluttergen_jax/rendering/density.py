@@ -6,6 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import turned
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.overlay import with_caption
@@ -52,7 +53,7 @@ def density_figure(
 
     Args:
       recording: with proposals (`Recorder.record`).
-      object_index: of the world; None takes the object that was placed last, on the fullest table.
+      object_index: of the world; None takes the object of the last attempt.
       picture: None is 1200 x 900 pixels.
 
     Returns:
@@ -99,8 +100,7 @@ def _heat_seen(
     depth, seen = renderer.measure(styles)
     points = renderer.unproject(depth)
     region = recording.region
-    cos, sin = np.cos(region.yaw), np.sin(region.yaw)
-    local = (points[..., :2] - region.center) @ np.array([[cos, -sin], [sin, cos]])
+    local = turned(points[..., :2] - region.center, -region.yaw)
     action = (local / region.half_extents + 1) / 2
     is_top = (seen == -1) & (np.abs(points[..., 2] - recording.support.top) < _NEAR_TOP)
     is_top &= ((action >= 0) & (action <= 1)).all(-1)
@@ -123,8 +123,7 @@ def heat_points(recording: Replay, attempt: Attempt) -> tuple[np.ndarray, np.nda
     side = len(density)
     along = (np.arange(side) + 0.5) / side * 2 - 1
     local = np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1) * region.half_extents
-    cos, sin = np.cos(region.yaw), np.sin(region.yaw)
-    xy = local @ np.array([[cos, sin], [-sin, cos]]) + region.center
+    xy = turned(local, region.yaw) + region.center
     is_seen = density > _FAINTEST
     points = np.column_stack([xy[is_seen], np.full(is_seen.sum(), recording.support.top)])
     colours = heat_image(density)[is_seen, :3]

@@ -112,6 +112,7 @@ def plan_box_area(poses: np.ndarray, is_placed: np.ndarray, region: Rectangle) -
 EDGE_BAND = 0.1
 """Of a region's side: what lies nearer to an end of it lies along an edge."""
 _CROWDED = 3.0
+_CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]])
 
 
 def edge_share(
@@ -139,9 +140,9 @@ def edge_share(
 def plan_clusters(
     poses: np.ndarray, is_placed: np.ndarray, region: Rectangle, cell: float = CELL
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where each object heaps up: groups of neighbouring cells that it is in three times too often.
+    """Clusters of each object's positions: groups of neighbouring cells with three times an even share.
 
-    Cells count by their four neighbours' company too, so that few scenes make no clusters by chance.
+    A cell is counted together with its four neighbours, so that few scenes make no clusters by chance.
 
     Returns:
       f64[K], the number of such groups, and f64[K], the share of scenes in which the object lies in one of
@@ -156,16 +157,11 @@ def plan_clusters(
             continue
         counts = np.bincount(cells[here, k], minlength=int(np.prod(shape))).reshape(shape).astype(float)
         # A cross of five cells; the outermost have fewer neighbours.
-        company = convolve(counts, _CROSS, mode="constant") / convolve(
-            np.ones(shape), _CROSS, mode="constant"
-        )
-        is_crowded = company > _CROWDED * counts.mean()
+        sums, sizes = (convolve(each, _CROSS, mode="constant") for each in (counts, np.ones(shape)))
+        is_crowded = sums / sizes > _CROWDED * counts.mean()
         found.append((float(label(is_crowded)[1]), counts[is_crowded].sum() / counts.sum()))
     numbers, shares = np.array(found, np.float64).reshape(-1, 2).T
     return numbers, shares
-
-
-_CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]])
 
 
 def nearest_distance(vectors: np.ndarray) -> np.ndarray:

@@ -133,7 +133,7 @@ def _with_encoder(
     suite_list: bool,
     show: Callable[[str], None],
 ) -> TrainConfig:
-    """With the encoder that some runs keep as it is, pretrained among them, unless another is given."""
+    """With the pretrained encoder that the paper's runs keep frozen: made here unless another is given."""
     networks = [make_settings(run.preset(base.preset), run.variant).network for run in planned]
     network = next((network for network in networks if network.encoder_frozen), None)
     if network is None or base.encoder or base.encoder_weights:
@@ -141,7 +141,7 @@ def _with_encoder(
     kind = network.scene_encoder
     folder = root / f"encoder-{kind}"
     if not suite_list and not _is_trained(folder):
-        show(f"encoder    {folder}, which the paper's method keeps as it is")
+        show(f"encoder    {folder}, pretrained first: the paper's method keeps it frozen")
         sizes = {name: getattr(network, name) for name in ("object_points", "num_centroids", "group_size")}
         features = {name: getattr(network, name) for name in ("object_features", "scene_features")}
         Pretraining(PretrainConfig(dataclasses.replace(small(kind), **sizes, **features)), folder).run()
@@ -163,7 +163,8 @@ def _standing(config: TrainConfig, run: PlannedRun) -> RunStatus:
         check_folder(config.folder, recipe_of(config, settings))
     else:
         # No run has begun without its encoder.
-        settings = dataclasses.replace(config, encoder_weights=None, encoder="pointnet").settings()
+        kind = make_settings(config.preset, run.variant).network.scene_encoder
+        settings = dataclasses.replace(config, encoder_weights=None, encoder=kind).settings()
     batch, total = settings.ppo.batch_size, settings.ppo.num_updates * settings.ppo.batch_size
     last, policy = config.folder / "last", config.folder / "policy"
     attempts = int(read_record(last)["num_updates"]) * batch if has_state(last) else 0
