@@ -88,6 +88,10 @@ class Progress:
         left = f", {time_text(passed / made * (self.total - self.done))} left" if made else ""
         return f"{time_text(passed)} passed{left}"
 
+    def rate(self, more: int = 0) -> float:
+        """How many have been done in a second so far, `more` included that are not counted yet."""
+        return (self.done + more - self.kept) / max(self._clock() - self._started, 1e-9)
+
     def rename(self, title: str) -> None:
         """From now on something else is done."""
         self.title = title

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.generation.generate import GeneratedBank
 
-MAX_SCENES = 10_000_000
+MAX_SCENES = 2_000_000_000
 _MOST = 2**32 - 1
 
 
@@ -51,6 +51,8 @@ def generate(
     render: bool = True,
     max_files: int = 1000,
     overwrite: bool = False,
+    cluster: str | None = None,
+    workers: int = 0,
 ) -> GeneratedBank:
     """Samples scenes and saves them as a bank, failures included; `cluttergen generate`.
 
@@ -102,6 +104,10 @@ def generate(
       render: draw a picture of each scene that gets a file.
       max_files: the first so many scenes get an MJCF file each (and a picture) if they succeed.
       overwrite: begin anew if the folder holds another bank.
+      cluster: where scenes are made: "local", Ray on this machine; "auto", the Ray cluster that this machine
+        belongs to; or a cluster's address (extra `ray`). In this process if not given.
+      workers: worker processes on the cluster, of `num_threads` cores each, one if that is 0; 0 takes as many
+        as it has room for. Equal machines make the same bank, however many there are.
 
     Returns:
       The bank; printed, it tells how well it went.
@@ -110,9 +116,11 @@ def generate(
       ConfigError, PoolError: as `make_sampler`.
       BankError: the folder holds something else, cannot be written, or is being written by another process;
         or the scene to start from cannot be read.
+      MissingExtraError: a cluster without the extra `ray`.
     """
     from cluttergen_jax.assets.rectangle_text import parse_keep_out, parse_region
     from cluttergen_jax.assets.support_file import find_support
+    from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.generation.generate import recipe_of, write_bank
     from cluttergen_jax.generation.make import set_up
     from cluttergen_jax.placement.setup import check_range, problem_config
@@ -124,6 +132,7 @@ def generate(
     boxes = [parse_keep_out(box) if isinstance(box, str) else box for box in keep_out]
     if isinstance(region, str):
         region = parse_region(region, find_support(support).region)
+    place = cluster_of(cluster, workers)
     given = locals() | {"keep_out": boxes}
     chosen, setup = set_up(problem_config(given), given)
     recipe = recipe_of(setup.problem, chosen) | {
@@ -132,4 +141,4 @@ def generate(
         "checkpoint": None if checkpoint is None else str(checkpoint),
         "seed": seed,
     }
-    return write_bank(out, setup, chosen, recipe, num_scenes, render, max_files, overwrite)
+    return write_bank(out, setup, chosen, recipe, num_scenes, render, max_files, overwrite, place)

@@ -5,27 +5,29 @@ from __future__ import annotations
 import dataclasses
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
+from cluttergen_jax.cluster import Cluster
 from cluttergen_jax.config import stability_record
 from cluttergen_jax.files import writing
+from cluttergen_jax.generation.blocks import Block, blocks_here, blocks_on
 from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.learning.methods import DEFAULT_METHOD, Method, sampler_of
 from cluttergen_jax.placement.config import placement_record
 from cluttergen_jax.placement.problem import Problem, crowding
-from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, blocks_of, sample_blocks
+from cluttergen_jax.placement.rollout import BLOCK_SIZE, blocks_of
 from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.clutter_stats import clutter_of
 from cluttergen_jax.scene.bank.stats import summary_of
-from cluttergen_jax.scene.bank.table import table_of
 from cluttergen_jax.scene.bank.writer import names_of
 
 _FEW = 0.5
@@ -61,15 +63,22 @@ def write_bank(
     render: bool,
     max_files: int,
     overwrite: bool,
+    cluster: Cluster | None = None,
 ) -> GeneratedBank:
     """The bank of a recipe in a folder, begun or continued; see `cluttergen_jax.generate`."""
     problem, sampler = setup.problem, sampler_of(setup, method)
+
+    def made(blocks: Sequence[Block]) -> Iterator[tuple[int, pa.Table]]:
+        if cluster is None:
+            return blocks_here(sampler, problem, blocks, recipe["seed"])
+        return blocks_on(cluster, setup, method, blocks, recipe["seed"])
+
     names, notes = names_of(problem.world.objects), tuple(_notes(problem))
     with BankWriter(out, recipe, num_scenes, names, problem.world.support, overwrite) as writer:
         for note in notes:
             print(note, file=sys.stderr, flush=True)
         started = time.perf_counter()
-        num_new = run_blocks(sampler, problem, writer, num_scenes, recipe["seed"])
+        num_new = run_blocks(made, writer, num_scenes)
         bank = read_bank(out)
         summary = summary_of(bank.table, num_scenes, num_new, time.perf_counter() - started)
         asked = [each for each in clutter_of(bank, bank.table.slice(0, num_scenes)) if each.asked is not None]
@@ -109,13 +118,12 @@ def recipe_of(problem: Problem, method: Method) -> dict[str, Any]:
 
 
 def run_blocks(
-    sampler: BlockSampler, problem: Problem, writer: BankWriter, num_scenes: int, seed: int
+    made: Callable[[Sequence[Block]], Iterator[tuple[int, pa.Table]]], writer: BankWriter, num_scenes: int
 ) -> int:
     """Makes every block that the bank lacks; returns the number of new scenes."""
     missing = [(block, rows) for block, rows in blocks_of(num_scenes) if not writer.has_block(block, rows)]
-    half_extents = np.asarray(problem.rules.geometry.half_extents)
-    for block, indices, scenes in sample_blocks(sampler, missing, seed) if missing else ():
-        writer.write_block(block, table_of(indices, scenes, problem.world.names, half_extents))
+    for block, table in made(missing):
+        writer.write_block(block, table)
     return sum(rows for _, rows in missing)
 
 

@@ -68,13 +68,21 @@ class Checkpoint:
         Raises:
           PoolError: there are no weights.
         """
+        digests = [hashlib.sha256(data).digest() for data in self.files().values()]
+        return hashlib.sha256(b"".join(digests)).hexdigest()
+
+    def files(self) -> dict[str, bytes]:
+        """All that it consists of, by name within its folder.
+
+        Raises:
+          PoolError: there are no weights.
+        """
         try:
-            files = [(self.path / name).read_bytes() for name in ("record.json", "weights.npz")]
+            return {name: (self.path / name).read_bytes() for name in ("record.json", "weights.npz")}
         except OSError as error:
             raise PoolError(
                 f"{self.path} holds no policy ({error.strerror})", hint="the folder `policy` of a run"
             ) from error
-        return hashlib.sha256(b"".join(hashlib.sha256(data).digest() for data in files)).hexdigest()
 
 
 def read_checkpoint(path: Path) -> Checkpoint:

@@ -131,7 +131,7 @@ def sample_blocks(
     Yields:
       The block's number, its scene indices i32[n], and its scenes as NumPy arrays with leading axis n.
     """
-    rollout, place = Rollout(is_constant=True), np.arange(BLOCK_SIZE)
+    rollout = Rollout(is_constant=True)
 
     def told(number: int, _: Any) -> None:
         progress.rename(title)
@@ -140,6 +140,19 @@ def sample_blocks(
     with Progress("compiling", sum(rows for _, rows in blocks), "scene") as progress:
         progress.say(COMPILING)
         for block, rows in blocks:
-            indices = block * BLOCK_SIZE + place
-            scenes = rollout.run(sampler, jax.random.key(seed), indices, place < rows, told)
-            yield block, indices[:rows], jax.tree.map(lambda array, rows=rows: array[:rows], scenes)
+            yield block, *sample_block(rollout, sampler, block, rows, seed, told)
+
+
+def sample_block(
+    rollout: Rollout,
+    sampler: BlockSampler,
+    block: int,
+    rows: int,
+    seed: int,
+    on_step: Callable[[int, Any], None] = lambda number, seen: None,
+) -> tuple[np.ndarray, SceneBatch]:
+    """The scene indices i32[n] of one block, and its scenes, as `sample_blocks` yields them."""
+    place = np.arange(BLOCK_SIZE)
+    indices = block * BLOCK_SIZE + place
+    scenes = rollout.run(sampler, jax.random.key(seed), indices, place < rows, on_step)
+    return indices[:rows], jax.tree.map(lambda array: array[:rows], scenes)

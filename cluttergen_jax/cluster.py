@@ -1,0 +1,279 @@
+"""Independent work on a Ray cluster: items go to worker processes, results come back in no fixed order.
+
+One worker is one actor; what it needs is made in it once. A worker that dies is replaced, and what it had
+begun is given to another one. It knows nothing of scenes: banks, checks, tables and imports all use it.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import platform
+import warnings
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from types import ModuleType
+from typing import Any, TypeVar
+
+from cluttergen_jax.errors import ClutterGenError, ConfigError, MissingExtraError
+from cluttergen_jax.progress import stop_asked
+
+Item, Result = TypeVar("Item"), TypeVar("Result")
+Function = Callable[[Item], Result]
+MOST_DEATHS = 3
+"""So often may workers die over the same item, or one after another before any has started."""
+_QUEUED = 2
+"""Items that a worker has at a time: the next one waits where it is needed while a result travels."""
+_LONGEST_WAIT = 1.0
+_OBJECT_STORE = 256 * 2**20
+"""Bytes of results in flight on a machine of its own; Ray writes to disk what exceeds it."""
+_SETTINGS = ("JAX_", "XLA_", "TF_", "OMP_", "MUJOCO_", "CLUTTERGEN_")
+"""Environment variables that may change what is computed: a worker has those of the driver, and no others."""
+_PACKAGES = ("cluttergen_jax", "jax", "jaxlib", "mujoco", "numpy", "pyarrow")
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Where work goes.
+
+    Attributes:
+      address: "local" starts Ray on this machine for as long as it is needed; "auto" is the cluster that this
+        machine belongs to; else a cluster's address.
+      num_workers: processes; 0 for as many as the cluster has room for.
+    """
+
+    address: str
+    num_workers: int = 0
+
+
+def cluster_of(cluster: str | None, workers: int) -> Cluster | None:
+    """What the arguments `cluster` and `workers` of a function ask for; None for this process.
+
+    Raises:
+      ConfigError: workers without a cluster, or a number that is out of range.
+    """
+    if workers < 0 or (workers and cluster is None):
+        allowed = "0 or more; more than 0 with a cluster"
+        raise ConfigError(f"workers = {workers}, cluster = {cluster!r}", allowed, "cluster='local'")
+    if cluster is None:
+        return None
+    return Cluster(cluster, workers)
+
+
+def each_on(
+    cluster: Cluster,
+    make: Callable[[], Function[Item, Result]],
+    items: Sequence[Item],
+    what: str,
+    num_cpus: int = 1,
+    num_gpus: int = 0,
+) -> Generator[tuple[int, Result], None, None]:
+    """Yields (place, result) of every item as they come.
+
+    Closed early, as by Ctrl-C, it ends its workers. Equal items must give equal results wherever they are
+    worked on: one that a worker died over is worked on again.
+
+    Args:
+      items: each is looked up when a worker is free for it.
+      make: called once in each worker for the function that items are given to; it is pickled, as items and
+        results are.
+      what: an item is called in messages, such as "block".
+      num_cpus, num_gpus: cores and devices of a worker.
+
+    Raises:
+      ClutterGenError: a worker has other versions than this process, an item has ended its worker
+        `MOST_DEATHS` times, or what the function itself raises.
+      MissingExtraError: the extra `ray` is not installed.
+    """
+    if not items:
+        return
+    with _connected(cluster, num_cpus) as ray:
+        number = min(cluster.num_workers or _room(ray, num_cpus, num_gpus), len(items))
+        actor = ray.remote(max_restarts=0, num_cpus=num_cpus, num_gpus=num_gpus)(_Actor)
+        crew = _Crew(ray, actor, ray.cloudpickle.dumps(make), items, what, is_on_cpu=not num_gpus)
+        try:
+            yield from crew.results(number)
+        finally:
+            crew.end()
+
+
+@contextmanager
+def _connected(cluster: Cluster, num_cpus: int) -> Iterator[ModuleType]:
+    """Ray, connected; left as it was found."""
+    # What is never wanted from a library: messages home, and a note about them on the terminal.
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    try:
+        import ray
+    except ImportError as error:
+        raise MissingExtraError("ray", "work on a cluster") from error
+    if ray.is_initialized():
+        yield ray
+        return
+    own: dict[str, Any] = {}
+    if cluster.address == "local":
+        cores = max(os.cpu_count() or 1, cluster.num_workers * num_cpus)
+        own = {"num_cpus": cores, "include_dashboard": False, "object_store_memory": _OBJECT_STORE}
+    try:
+        with warnings.catch_warnings():
+            # Ray starts programs of its own by a fork, of which JAX warns; no JAX runs in those.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            ray.init(cluster.address, logging_level="ERROR", log_to_driver=False, **own)
+    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+        raise ClutterGenError(
+            f"no Ray cluster answers at {cluster.address!r} ({_first_line(error)})",
+            "local, auto, or the address of a cluster",
+            "`ray start --head` on one machine and `ray start --address=...` on the others; or local",
+        ) from error
+    try:
+        yield ray
+    finally:
+        ray.shutdown()
+
+
+def _room(ray: ModuleType, num_cpus: int, num_gpus: int) -> int:
+    """How many workers the cluster has room for now, at least one."""
+    nodes = [each["Resources"] for each in ray.nodes() if each["Alive"]]
+    room = [int(node.get("CPU", 0) // num_cpus) for node in nodes]
+    if num_gpus:
+        room = [
+            min(most, int(node.get("GPU", 0) // num_gpus)) for most, node in zip(room, nodes, strict=True)
+        ]
+    return max(sum(room), 1)
+
+
+class _Actor:
+    """A worker process. Nothing heavy is imported before its settings are those of the driver."""
+
+    def begin(self, make: bytes, settings: Mapping[str, str], versions: Mapping[str, str]) -> None:
+        """Makes the function that items are given to."""
+        if other := {name: own for name, own in versions_here().items() if versions[name] != own}:
+            told = ", ".join(f"{name} {own} (here {versions[name]})" for name, own in other.items())
+            raise ClutterGenError(
+                f"a worker on {platform.node()} has {told}",
+                "the same versions everywhere, which make the same scenes",
+                "installing the same package on every machine of the cluster",
+            )
+        for name in [each for each in os.environ if each.startswith(_SETTINGS)]:
+            del os.environ[name]
+        os.environ.update(settings)
+        self._function = pickle.loads(make)()
+
+    def run(self, item: Any) -> Any:
+        """The result of one item."""
+        return self._function(item)
+
+
+def versions_here() -> dict[str, str]:
+    """What decides results, of this process."""
+    found = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "none"
+    return found
+
+
+@dataclass(eq=False)
+class _Worker:
+    """An actor, and what it was given, oldest first, as (place, reference); its start has no place."""
+
+    actor: Any
+    given: deque[tuple[int | None, Any]]
+    is_ready: bool = False
+
+
+@dataclass(eq=False)
+class _Crew:
+    """The workers of one call of `each_on`."""
+
+    ray: ModuleType
+    actor: Any
+    make: bytes
+    items: Sequence[Any]
+    what: str
+    is_on_cpu: bool
+    workers: list[_Worker] = field(default_factory=list)
+    deaths: Counter[int | None] = field(default_factory=Counter)
+
+    def results(self, num_workers: int) -> Iterator[tuple[int, Any]]:
+        """See `each_on`."""
+        waiting = deque(range(len(self.items)))
+        self.workers = [self._hired() for _ in range(num_workers)]
+        num_left = len(self.items)
+        while num_left:
+            if stop_asked.is_set():
+                raise KeyboardInterrupt
+            self._hand_out(waiting)
+            # The oldest of each: who dies, dies over that one.
+            oldest = {each.given[0][1]: each for each in self.workers if each.given}
+            ready, _ = self.ray.wait(list(oldest), num_returns=1, timeout=_LONGEST_WAIT)
+            for reference in ready:
+                worker = oldest[reference]
+                is_known, result = self._result(worker, reference, waiting)
+                if is_known:
+                    place, _ = worker.given.popleft()
+                    worker.is_ready = True
+                    if place is not None:
+                        num_left -= 1
+                        yield place, result
+                    else:
+                        self.deaths.pop(None, None)
+
+    def end(self) -> None:
+        """Ends the workers; those that are at work do not finish it."""
+        for worker in self.workers:
+            self.ray.kill(worker.actor)
+
+    def _hired(self) -> _Worker:
+        actor = self.actor.remote()
+        settings = {name: value for name, value in os.environ.items() if name.startswith(_SETTINGS)}
+        if self.is_on_cpu:
+            settings["JAX_PLATFORMS"] = "cpu"
+        return _Worker(actor, deque([(None, actor.begin.remote(self.make, settings, versions_here()))]))
+
+    def _hand_out(self, waiting: deque[int]) -> None:
+        """Gives everybody who is at work something for now, and then something for later."""
+        for most in range(1, _QUEUED + 1):
+            for worker in self.workers:
+                # A worker that waits for room on the cluster would keep what it is given.
+                if waiting and worker.is_ready and len(worker.given) < most:
+                    place = waiting.popleft()
+                    worker.given.append((place, worker.actor.run.remote(self.items[place])))
+
+    def _result(self, worker: _Worker, reference: Any, waiting: deque[int]) -> tuple[bool, Any]:
+        """Whether the oldest of a worker is done, and its result; the worker is replaced where it is not."""
+        errors = self.ray.exceptions
+        try:
+            return True, self.ray.get(reference)
+        except (errors.ActorUnschedulableError, errors.ObjectStoreFullError):
+            raise
+        except (errors.RayActorError, errors.ObjectLostError, errors.WorkerCrashedError) as error:
+            self._replace(worker, waiting, error)
+            return False, None
+        except errors.RayTaskError as error:
+            cause = getattr(error, "cause", None)
+            if isinstance(cause, ClutterGenError):
+                raise cause from None
+            raise
+
+    def _replace(self, worker: _Worker, waiting: deque[int], error: Exception) -> None:
+        """Another worker in the place of one that died; what it was given goes to whoever is free."""
+        blamed = worker.given[0][0]
+        self.deaths[blamed] += 1
+        if self.deaths[blamed] >= MOST_DEATHS:
+            one = "its start" if blamed is None else f"{self.what} {blamed + 1} of {len(self.items)}"
+            raise ClutterGenError(
+                f"{MOST_DEATHS} worker processes died over {one} ({_first_line(error)})",
+                hint="more memory or fewer workers on a machine, and the same package on all of them",
+            ) from error
+        waiting.extendleft(place for place, _ in reversed(worker.given) if place is not None)
+        self.ray.kill(worker.actor)
+        self.workers[self.workers.index(worker)] = self._hired()
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".:")

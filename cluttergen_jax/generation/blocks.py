@@ -1,0 +1,113 @@
+"""The blocks of a bank: made in this process, or by workers of a cluster."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyarrow as pa
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.cluster import Cluster, each_on
+from cluttergen_jax.learning.methods import Method, sampler_of
+from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
+from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
+from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_block, sample_blocks
+from cluttergen_jax.placement.scenes import SceneBatch
+from cluttergen_jax.placement.setup import Setup
+from cluttergen_jax.progress import Progress
+from cluttergen_jax.scene.bank.table import table_of
+
+Block = tuple[int, int]
+"""The number of a block, and how many of its scenes are wanted."""
+
+
+def blocks_here(
+    sampler: BlockSampler, problem: Problem, blocks: Sequence[Block], seed: int
+) -> Iterator[tuple[int, pa.Table]]:
+    """Yields the number and the rows of each block, in order."""
+    for block, indices, scenes in sample_blocks(sampler, blocks, seed) if blocks else ():
+        yield block, _rows(problem, indices, scenes)
+
+
+def blocks_on(
+    cluster: Cluster, setup: Setup, method: Method, blocks: Sequence[Block], seed: int
+) -> Iterator[tuple[int, pa.Table]]:
+    """Likewise, as the workers of a cluster make them."""
+    maker, config = BlockMaker.of(setup, method, seed), setup.problem.config
+    is_on_gpu = config.engine == "warp" or (config.engine == "auto" and jax.default_backend() == "gpu")
+    made = each_on(cluster, maker, blocks, "block", maker.config.num_threads, int(is_on_gpu))
+    with Progress("placing", sum(rows for _, rows in blocks), "scene") as progress, closing(made):
+        if blocks:
+            progress.say("workers start, and each compiles: about 30 s until the first scenes")
+        for place, table in made:
+            yield blocks[place][0], table
+            progress.update(table.num_rows, f"{progress.rate(table.num_rows):.1f} scenes/s")
+
+
+def _rows(problem: Problem, indices: np.ndarray, scenes: SceneBatch) -> pa.Table:
+    return table_of(indices, scenes, problem.world.names, np.asarray(problem.rules.geometry.half_extents))
+
+
+@dataclass(frozen=True, eq=False)
+class BlockMaker:
+    """What makes the blocks of a bank in another process, assets and weights included: it reads no files.
+
+    Attributes:
+      config: of the problem, with as many threads as a worker has cores.
+      objects, standing: those that are placed, and those that stand there when an episode begins.
+      keep_out, start: of `Setup`, as NumPy arrays.
+      weights: the files of the method's checkpoint by name; None for a baseline.
+    """
+
+    config: ProblemConfig
+    objects: tuple[ObjectAsset, ...]
+    standing: tuple[ObjectAsset, ...]
+    support: SupportAsset
+    keep_out: Any
+    start: Any
+    method: str
+    weights: dict[str, bytes] | None
+    seed: int
+
+    @classmethod
+    def of(cls, setup: Setup, method: Method, seed: int) -> BlockMaker:
+        """What makes the blocks of a setup; a worker has one thread unless more are asked for."""
+        config, world = setup.problem.config, setup.problem.world
+        first = world.num_objects - setup.problem.rules.num_started
+        return cls(
+            config=replace(config, num_threads=config.num_threads or 1),
+            objects=world.objects[:first],
+            standing=world.objects[first:],
+            support=world.support,
+            keep_out=jax.device_get(setup.keep_out),
+            start=jax.device_get(setup.start),
+            method=method.name,
+            weights=method.checkpoint and method.checkpoint.files(),
+            seed=seed,
+        )
+
+    def __call__(self) -> Callable[[Block], pa.Table]:
+        """The function that makes a block's rows."""
+        problem = compose(self.objects, self.support, self.config, self.standing)
+        keep_out, start = jax.tree.map(jnp.asarray, (self.keep_out, self.start))
+        setup = Setup(problem, keep_out, start)
+        with tempfile.TemporaryDirectory() as folder:
+            for name, data in (self.weights or {}).items():
+                Path(folder, name).write_bytes(data)
+            checkpoint = None if self.weights is None else read_checkpoint(Path(folder))
+            sampler = sampler_of(setup, Method(self.method, checkpoint))
+        rollout = Rollout(is_constant=True)
+
+        def make(block: Block) -> pa.Table:
+            return _rows(problem, *sample_block(rollout, sampler, *block, self.seed))
+
+        return make

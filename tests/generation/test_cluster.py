@@ -1,0 +1,162 @@
+"""Work on a real Ray cluster of this machine: nothing lost, nothing twice, and equal banks."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import psutil
+import pytest
+
+import cluttergen_jax as cg
+from cluttergen_jax import cluster as clusters
+from cluttergen_jax.assets.pool import Pool, write_pool
+from cluttergen_jax.cluster import MOST_DEATHS, Cluster, cluster_of, each_on
+from cluttergen_jax.errors import ClutterGenError, ConfigError, MissingExtraError
+from cluttergen_jax.scene.bank import read_bank
+from tests.helpers import clusters as work
+from tests.helpers.worlds import trio
+
+TWO = Cluster("local", 2)
+
+
+@pytest.fixture(scope="module")
+def ray():
+    """One Ray for all quick tests; `each_on` takes what is connected."""
+    ray = pytest.importorskip("ray")
+    ray.init("local", num_cpus=4, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
+    yield ray
+    ray.shutdown()
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
+
+
+def test_every_item_has_one_result_and_workers_share_them(ray):
+    found = list(each_on(TWO, work.squares, range(60), "number"))
+    assert sorted((place, square) for place, (square, _) in found) == [(n, n * n) for n in range(60)]
+    processes = {process for _, (_, process) in found}
+    assert len(processes) == 2
+    assert os.getpid() not in processes
+
+
+def test_an_item_whose_worker_dies_is_given_to_another(ray, tmp_path):
+    found = list(each_on(TWO, work.Deaths(tmp_path, MOST_DEATHS - 1), range(12), "number"))
+    assert sorted(found) == [(n, -n) for n in range(12)]
+    assert len(list(tmp_path.iterdir())) == MOST_DEATHS - 1
+
+
+def test_an_item_that_always_kills_its_worker_is_named(ray, tmp_path):
+    with pytest.raises(ClutterGenError, match="3 worker processes died over number 4 of 12"):
+        list(each_on(TWO, work.Deaths(tmp_path, 100), range(12), "number"))
+    assert len(list(tmp_path.iterdir())) == MOST_DEATHS
+
+
+def test_what_the_function_raises_is_raised_here(ray):
+    with pytest.raises(ConfigError, match=r"item \d\. Allowed: none\. Try: another\."):
+        list(each_on(TWO, work.refusals, range(3), "number"))
+
+
+def test_workers_of_other_versions_are_refused(ray, monkeypatch):
+    versions = clusters.versions_here()
+    monkeypatch.setattr(clusters, "versions_here", lambda: versions | {"mujoco": "1.2.3"})
+    with pytest.raises(ClutterGenError, match=rf"has mujoco {versions['mujoco']} \(here 1\.2\.3\)"):
+        list(each_on(TWO, work.squares, range(3), "number"))
+
+
+def test_workers_have_the_settings_of_this_process_and_no_others(ray, monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=false")
+    # Ray gives each worker this one by itself.
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    names = ["XLA_FLAGS", "OMP_NUM_THREADS", "JAX_PLATFORMS"]
+    found = dict(each_on(TWO, work.variables, names, "name"))
+    assert found == {0: "--xla_cpu_enable_fast_math=false", 1: None, 2: "cpu"}
+
+
+def test_workers_end_with_whoever_left_early(ray):
+    results = each_on(TWO, work.squares, range(1000), "number")
+    _, (_, process) = next(results)
+    results.close()
+    psutil.wait_procs([psutil.Process(process)] if psutil.pid_exists(process) else [], timeout=60)
+    assert not psutil.pid_exists(process)
+
+
+@pytest.mark.slow
+def test_two_workers_make_the_bank_of_one_process(ray, pool, tmp_path):
+    options = {"pool": pool, "num_scenes": 260, "method": "random", "max_files": 0, "budget": 4}
+    cg.generate(tmp_path / "one" / "bank", **options)
+    made = cg.generate(tmp_path / "two" / "bank", **options, cluster="local", workers=2)
+    assert made.table.num_rows == 260
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+
+
+def contents(path):
+    return {str(each.relative_to(path)): each.read_bytes() for each in path.rglob("*") if each.is_file()}
+
+
+def test_without_ray_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingExtraError, match=r"cluttergen_jax\[ray\]"):
+        list(each_on(TWO, work.squares, range(3), "number"))
+
+
+def test_workers_want_a_cluster():
+    assert cluster_of(None, 0) is None
+    for cluster, workers in ((None, 2), ("local", -1)):
+        with pytest.raises(ConfigError, match=f"workers = {workers}"):
+            cluster_of(cluster, workers)
+
+
+def begin(pool, path, *more):
+    """The command, as a shell starts it: in a process group of its own."""
+    command = [sys.executable, "-m", "cluttergen_jax", "generate", "--pool", pool, "--out", str(path)]
+    options = ["--method", "random", "--num-scenes", "2300", "--max-files", "0", *more]
+    return subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True, start_new_session=True)
+
+
+def actors(process):
+    """The workers of a command that are at work now, as Ray calls them."""
+    titles = [
+        (each, " ".join(each.cmdline())) for each in psutil.Process(process.pid).children(recursive=True)
+    ]
+    return [each for each, title in titles if title.startswith("ray::") and "run" in title]
+
+
+def wait_for(condition, process):
+    while not condition():
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def whole(pool, tmp_path_factory):
+    path = tmp_path_factory.mktemp("one") / "bank"
+    assert begin(pool, path).wait() == 0
+    return path
+
+
+@pytest.mark.slow
+def test_four_workers_of_which_one_is_killed_make_the_bank_of_one_process(pool, whole, tmp_path):
+    path = tmp_path / "bank"
+    running = begin(pool, path, "--cluster", "local", "--workers", "4")
+    wait_for(lambda: list(path.glob("scenes-*.parquet")) and len(actors(running)) == 4, running)
+    actors(running)[0].send_signal(signal.SIGKILL)
+    assert running.wait() == 0, running.stderr.read()
+    assert contents(path) == contents(whole)
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_a_bank_that_goes_on(pool, whole, tmp_path):
+    path = tmp_path / "bank"
+    running = begin(pool, path, "--cluster", "local", "--workers", "2")
+    wait_for(lambda: list(path.glob("scenes-*.parquet")) and actors(running), running)
+    family = psutil.Process(running.pid).children(recursive=True)
+    os.killpg(running.pid, signal.SIGINT)
+    assert running.wait() == 130
+    assert psutil.wait_procs(family, timeout=60)[1] == []
+    assert 256 <= read_bank(path).table.num_rows < 2300
+    assert begin(pool, path, "--cluster", "local", "--workers", "3").wait() == 0
+    assert contents(path) == contents(whole)

@@ -1,0 +1,51 @@
+"""Work for tests of clusters: at module level, so that a worker finds it by name."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+from cluttergen_jax.errors import ConfigError
+
+
+def squares() -> Callable[[int], tuple[int, int]]:
+    """Makes a function that squares, and says in which process."""
+    return lambda item: (item * item, os.getpid())
+
+
+def variables() -> Callable[[str], str | None]:
+    """Makes a function that looks up an environment variable."""
+    return os.environ.get
+
+
+def refusals() -> Callable[[int], int]:
+    """Makes a function that refuses its item as this package does."""
+
+    def refuse(item: int) -> int:
+        raise ConfigError(f"item {item}", "none", "another")
+
+    return refuse
+
+
+class Deaths:
+    """Makes a function that kills its process at item 3, at most so many times in all.
+
+    Args:
+      folder: keeps count.
+    """
+
+    def __init__(self, folder: Path, most: int) -> None:
+        self.folder, self.most = folder, most
+
+    def __call__(self) -> Callable[[int], int]:
+        """The function."""
+
+        def work(item: int) -> int:
+            if item == 3 and len(list(self.folder.iterdir())) < self.most:
+                Path(self.folder, str(os.getpid())).touch()
+                os.kill(os.getpid(), signal.SIGKILL)
+            return -item
+
+        return work
