@@ -6,6 +6,7 @@ begun is given to another one. It knows nothing of scenes: banks, checks, tables
 
 from __future__ import annotations
 
+import logging
 import os
 import pickle
 import platform
@@ -21,7 +22,8 @@ from typing import Any, TypeVar
 from cluttergen_jax.errors import ClutterGenError, ConfigError, MissingExtraError
 from cluttergen_jax.progress import stop_asked
 
-Item, Result = TypeVar("Item"), TypeVar("Result")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 Function = Callable[[Item], Result]
 MOST_DEATHS = 3
 """So often may workers die over the same item, or one after another before any has started."""
@@ -120,7 +122,7 @@ def _connected(cluster: Cluster, num_cpus: int) -> Iterator[ModuleType]:
         with warnings.catch_warnings():
             # Ray starts programs of its own by a fork, of which JAX warns; no JAX runs in those.
             warnings.simplefilter("ignore", RuntimeWarning)
-            ray.init(cluster.address, logging_level="ERROR", log_to_driver=False, **own)
+            ray.init(cluster.address, logging_level=logging.ERROR, log_to_driver=False, **own)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         raise ClutterGenError(
             f"no Ray cluster answers at {cluster.address!r} ({_first_line(error)})",

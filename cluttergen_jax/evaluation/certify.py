@@ -18,7 +18,8 @@ from cluttergen_jax.evaluation.measures.simulate import horizons_of
 from cluttergen_jax.files import writing
 from cluttergen_jax.placement.world import base_name, make_world
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.scene.bank.bank import Bank, block_numbers, read_block
+from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.blocks import StoredBlocks, merge_shards
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.lock import BankLock
 from cluttergen_jax.scene.bank.scene import config_of
@@ -58,15 +59,17 @@ def certify_bank(bank: Bank, seconds: float, jobs: int, force: bool) -> Certific
 def _certify(bank: Bank, seconds: float, jobs: int, force: bool) -> Certification:
     record = {name: value for name, value in bank.record.items() if name != "num_scenes"}
     models, num_new, shake = models_of(bank), 0, [np.zeros(0)]
+    stored = StoredBlocks.of(bank.path)
     with Progress("certifying", bank.num_scenes, "scene") as progress:
-        for number in block_numbers(bank.path):
-            rows = read_block(bank.path, number)
+        for number in stored.places:
+            rows = stored.read(number)
             if force or not is_fully_certified(rows):
                 rows = certified(rows, models, seconds, jobs)
                 write_rows(bank.path, number, rows, record)
                 num_new += rows.num_rows
             shake.append(np.array(rows["shake"].drop_null()))
             progress.update(rows.num_rows)
+    merge_shards(bank.path, record)
     scores = np.concatenate(shake)
     if not len(scores):
         raise BankError(f"{bank.path}: no scene in it stands", hint="more scenes")

@@ -91,7 +91,7 @@ class BlockMaker:
             keep_out=jax.device_get(setup.keep_out),
             start=jax.device_get(setup.start),
             method=method.name,
-            weights=method.checkpoint and method.checkpoint.files(),
+            weights=None if method.checkpoint is None else method.checkpoint.files(),
             seed=seed,
         )
 

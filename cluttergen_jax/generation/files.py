@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +46,8 @@ def write_files(
     Args:
       keep_digests: is given those of the MJCF files, before anything is drawn.
     """
-    scenes = [scene for scene in bank.scenes() if scene.is_success and scene.index < num_scenes]
+    first = takewhile(lambda scene: scene.index < num_scenes, bank.scenes())
+    scenes = [scene for scene in first if scene.is_success]
     assets = {name: bank.object(name) for name in {base_name(n) for scene in scenes for n in scene.objects}}
     digests: dict[str, str] = {}
     for scene in tracked(scenes, "writing", len(scenes), "file"):

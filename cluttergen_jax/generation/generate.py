@@ -11,8 +11,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from cluttergen_jax.cluster import Cluster
 from cluttergen_jax.config import stability_record
@@ -26,8 +26,8 @@ from cluttergen_jax.placement.rollout import BLOCK_SIZE, blocks_of
 from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
-from cluttergen_jax.scene.bank.clutter_stats import clutter_of
-from cluttergen_jax.scene.bank.stats import summary_of
+from cluttergen_jax.scene.bank.clutter_stats import ClutterTally
+from cluttergen_jax.scene.bank.totals import Totals
 from cluttergen_jax.scene.bank.writer import names_of
 
 _FEW = 0.5
@@ -80,9 +80,14 @@ def write_bank(
         started = time.perf_counter()
         num_new = run_blocks(made, writer, num_scenes)
         bank = read_bank(out)
-        summary = summary_of(bank.table, num_scenes, num_new, time.perf_counter() - started)
-        asked = [each for each in clutter_of(bank, bank.table.slice(0, num_scenes)) if each.asked is not None]
-        summary = "\n".join([summary, *(f"clutter    {each.line()}" for each in asked)])
+        totals, clutter = Totals(), ClutterTally(bank)
+        for rows in bank.tables():
+            rows = rows.filter(pc.less(rows["index"], num_scenes))
+            totals.add(rows)
+            clutter.add(rows)
+        asked = [each.line() for each in clutter.features() if each.asked is not None]
+        summary = totals.text(num_new, time.perf_counter() - started)
+        summary = "\n".join([summary, *(f"clutter    {line}" for line in asked)])
         with writing(bank.path):
             write_card(bank)
             num_files, written = min(num_scenes, max_files), ""
@@ -93,7 +98,7 @@ def write_bank(
         read_bank(out).record,
         notes=notes,
         summary=summary,
-        advice=_advice(method.name, float(np.mean(bank.table["is_success"]))),
+        advice=_advice(method.name, totals.success / totals.scenes),
         files_written=written,
     )
 
@@ -124,6 +129,7 @@ def run_blocks(
     missing = [(block, rows) for block, rows in blocks_of(num_scenes) if not writer.has_block(block, rows)]
     for block, table in made(missing):
         writer.write_block(block, table)
+    writer.finish()
     return sum(rows for _, rows in missing)
 
 

@@ -7,7 +7,8 @@ import cluttergen_jax
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import block_path, read_block
+from cluttergen_jax.scene.bank.bank import read_block
+from cluttergen_jax.scene.bank.blocks import block_path
 from cluttergen_jax.scene.bank.card import CARD
 from cluttergen_jax.scene.bank.stats import stats_of
 from cluttergen_jax.scene.bank.table import CERTIFICATE

@@ -26,7 +26,7 @@ from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import block_path
+from cluttergen_jax.scene.bank.blocks import block_path
 from cluttergen_jax.scene.bank.card import CARD, write_card
 from cluttergen_jax.scene.bank.stats import stats_of, stats_text
 from cluttergen_jax.scene.bank.table import SCHEMA

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,14 @@ from cluttergen_jax.generation.sources.replay import ReplayContext, replay, repl
 from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank import Bank, read_bank
-from cluttergen_jax.scene.bank.table import rows_of
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 
 
 class BankSource:
     """The scenes of a bank, failures included.
+
+    Attributes:
+      numbers, successes: of all its scenes, and of those that stand.
 
     Raises:
       BankError: there is no such bank, or it holds no scenes.
@@ -28,21 +31,14 @@ class BankSource:
     def __init__(self, path: Path) -> None:
         self.bank: Bank = read_bank(path)
         self.name = self.bank.path.resolve().name
-        self._place = {int(index): place for place, index in enumerate(self.bank.table["index"].to_numpy())}
-        if not self._place:
+        known = [rows.to_pydict() for rows in self.bank.tables(["index", "is_success"])]
+        self.numbers: tuple[int, ...] = tuple(number for rows in known for number in rows["index"])
+        self.successes: tuple[int, ...] = tuple(
+            number for rows in known for number in compress(rows["index"], rows["is_success"])
+        )
+        if not self.numbers:
             raise BankError(f"{path} holds no scenes", "a bank of at least one", "cluttergen generate")
         self._object = lru_cache(maxsize=None)(self.bank.object)
-
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        """All scenes of the bank."""
-        return tuple(self._place)
-
-    @cached_property
-    def successes(self) -> tuple[int, ...]:
-        """The scenes that stand."""
-        is_success = self.bank.table["is_success"].to_numpy(zero_copy_only=False)
-        return tuple(np.array(self.numbers)[is_success].tolist())
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -62,9 +58,9 @@ class BankSource:
         Raises:
           BankError: there is no such scene.
         """
-        if number not in self._place:
-            raise BankError(f"{self.name} has no scene {number}", f"{min(self._place)} to {max(self._place)}")
-        row = next(rows_of(self.bank.table.slice(self._place[number], 1)))
+        row = self.bank.rows([number]).get(number)
+        if row is None:
+            raise BankError(f"{self.name} has no scene {number}", f"{self.numbers[0]} to {self.numbers[-1]}")
         return Replay(
             title=f"{self.name}, scene {number}",
             objects=tuple(self._object(base_name(name)) for name in row.objects),

@@ -2,6 +2,7 @@
 
     bank.json               how it was made; what makes another run the same bank; digests of its files
     scenes-000000.parquet   block 0: scenes 0 to 255, a row each, failures included; and bank.json once more
+    scenes-000000-000767.parquet    the same of blocks 0 to 767: a shard, in banks of more than 768 blocks
     assets/objects/NAME/    each object once; assets/support/ the table
     assets/textures/        the objects' images, each once
     scenes/000000.xml .png  successful scenes as MJCF, meshes by relative path, and their pictures
@@ -14,18 +15,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import NAME_PATTERN, object_hash, read_object
@@ -34,24 +32,11 @@ from cluttergen_jax.assets.support_file import read_support, support_hash
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.files import inside
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
-from cluttergen_jax.scene.bank.table import (
-    CERTIFICATE,
-    CLUTTER,
-    SCHEMA,
-    BankRow,
-    is_certified,
-    rows_of,
-    with_added,
-)
+from cluttergen_jax.scene.bank.blocks import AGAIN, StoredBlocks, record_in
+from cluttergen_jax.scene.bank.table import CERTIFICATE, CLUTTER, SCHEMA, BankRow, is_certified, rows_of
 
 FORMAT = 1
 INDEX = "bank.json"
-_BLOCK = re.compile(r"scenes-(\d{6,9})\.parquet")
-_SLOT = re.compile(rf"{NAME_PATTERN.pattern}(#\d+)?")
-_AGAIN = "the same `cluttergen generate` again, which mends what is damaged and makes what is missing"
-_METADATA = b"cluttergen"
-_OF_THE_INDEX = ("num_scenes", "files")
-"""What `bank.json` alone holds: it changes while blocks stay as they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,17 +53,28 @@ class Bank:
 
     @cached_property
     def table(self) -> pa.Table:
-        """All rows that are there, in order; with their certificate, if all have it.
+        """All rows that are there, in order, in memory; with their certificate, if all have it.
 
         Raises:
           BankError: there are none, or a block is damaged; the message names its file.
         """
-        blocks = block_numbers(self.path)
-        if not blocks:
-            raise BankError(f"{self.path} holds no scenes yet", hint=_AGAIN)
-        rows = [read_block(self.path, block) for block in blocks]
+        rows = list(self.tables())
         names = [*SCHEMA.names, *CLUTTER.names, *(CERTIFICATE.names if all(map(is_certified, rows)) else [])]
         return pa.concat_tables([each.select(names).replace_schema_metadata(None) for each in rows])
+
+    def tables(self, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+        """All rows that are there, in order, some thousand at a time, so that memory does not grow with them.
+
+        Args:
+          columns: those that are wanted; if not given all, and every value is looked at.
+
+        Raises:
+          BankError: see `table`.
+        """
+        stored = StoredBlocks.of(self.path)
+        if not stored.places:
+            raise BankError(f"{self.path} holds no scenes yet", hint=AGAIN)
+        return stored.tables(columns)
 
     @property
     def files(self) -> dict[str, str] | None:
@@ -86,8 +82,24 @@ class Bank:
         return self.record.get("files")
 
     def scenes(self) -> Iterator[BankRow]:
-        """Every scene, failures included."""
-        return rows_of(self.table)
+        """Every scene, failures included, read as they are asked for."""
+        for table in self.tables():
+            yield from rows_of(table)
+
+    def rows(self, indices: Iterable[int]) -> dict[int, BankRow]:
+        """Those of these scenes that are there, by number; what lies between them is not read.
+
+        Raises:
+          BankError: a block is damaged.
+        """
+        stored, found = StoredBlocks.of(self.path), {}
+        for block, wanted in groupby(sorted(set(indices)), lambda index: index // BLOCK_SIZE):
+            if block in stored.places:
+                table = stored.read(block)
+                places = [index % BLOCK_SIZE for index in wanted]
+                kept = table.take([place for place in places if place < table.num_rows])
+                found.update({row.index: row for row in rows_of(kept)})
+        return found
 
     def object(self, name: str) -> ObjectAsset:
         """The asset called `name`, from the bank's own copy.
@@ -100,7 +112,7 @@ class Bank:
             images = inside(self.path, "assets/textures")
             asset = read_object(inside(self.path, f"assets/objects/{name}"), images)
         if asset.name != name:
-            raise BankError(f"{self.path}: asset {name!r} calls itself {asset.name!r}", hint=_AGAIN)
+            raise BankError(f"{self.path}: asset {name!r} calls itself {asset.name!r}", hint=AGAIN)
         self._check_asset(name, object_hash(asset), self._hashes["objects"].get(name))
         return asset
 
@@ -119,7 +131,7 @@ class Bank:
     def _check_asset(self, name: str, digest: str, wanted: str | None) -> None:
         if wanted is not None and digest != wanted:
             raise BankError(
-                f"{self.path}: asset {name!r} is not the one that the scenes were made with", hint=_AGAIN
+                f"{self.path}: asset {name!r} is not the one that the scenes were made with", hint=AGAIN
             )
 
 
@@ -129,60 +141,17 @@ def _mended_by_generate() -> Iterator[None]:
     try:
         yield
     except PoolError as error:
-        raise BankError(error.given, error.allowed, _AGAIN) from error
-
-
-def block_path(path: Path, block: int) -> Path:
-    """Where block number `block` is stored."""
-    return path / f"scenes-{block:06d}.parquet"
+        raise BankError(error.given, error.allowed, AGAIN) from error
 
 
 def block_numbers(path: Path) -> list[int]:
     """The blocks that a bank's folder holds, in order."""
-    names = [_BLOCK.fullmatch(each.name) for each in path.iterdir()] if path.is_dir() else []
-    return sorted(int(name[1]) for name in names if name)
+    return list(StoredBlocks.of(path).places)
 
 
 def read_block(path: Path, block: int) -> pa.Table:
-    """The rows of one block of the bank at `path`, every value looked at.
-
-    Raises:
-      BankError: the file cannot be read, is damaged, or does not hold what its name says.
-    """
-    file = block_path(path, block)
-    try:
-        table = with_added(pq.read_table(file, page_checksum_verification=True))
-        table.validate(full=True)
-        _check_rows(table, block)
-    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-        raise BankError(f"{file} is damaged ({error})", hint=_AGAIN) from error
-    return table
-
-
-def _check_rows(table: pa.Table, block: int) -> None:
-    """ValueError if these are not the rows of block number `block`."""
-    for field in SCHEMA:
-        if field.name not in table.schema.names or table.schema.field(field.name).type != field.type:
-            raise ValueError(f"its column {field.name!r} is missing or of another type")
-        if table[field.name].null_count:
-            raise ValueError(f"its column {field.name!r} has gaps")
-    for field in CLUTTER:
-        if table.schema.field(field.name).type != field.type:
-            raise ValueError(f"its column {field.name!r} is of another type")
-    first = block * BLOCK_SIZE
-    if table["index"].to_pylist() != list(range(first, first + table.num_rows)):
-        raise ValueError(f"its scenes are not those from {first} on")
-    lists = [table[field.name].combine_chunks() for field in SCHEMA if pa.types.is_list(field.type)]
-    lengths = [pc.list_value_length(each).to_pylist() for each in lists]
-    if any(each != lengths[0] for each in lengths) or any(pc.list_flatten(each).null_count for each in lists):
-        raise ValueError("its lists of objects are of different lengths, or have gaps")
-    names = pc.unique(pc.list_flatten(table["objects"])).to_pylist()
-    if strange := [name for name in names if not _SLOT.fullmatch(name)]:
-        raise ValueError(f"it names an object {strange[0]!r}")
-    # Poses are lists in lists: slots, and seven numbers each.
-    poses = np.array(pc.list_flatten(pc.list_flatten(table["poses"]))).reshape(-1, 7)
-    if not np.isfinite(poses[np.array(pc.list_flatten(table["is_placed"]))]).all():
-        raise ValueError("an object that was placed has a pose that is not finite")
+    """The rows of one block of the bank at `path`; see `StoredBlocks.read`, which is quicker for many."""
+    return StoredBlocks.of(path).read(block)
 
 
 def read_bank(path: str | Path) -> Bank:
@@ -199,13 +168,13 @@ def read_bank(path: str | Path) -> Bank:
             f"{path} is not a bank: it has no {INDEX}", "a folder that `generate` made"
         ) from error
     except (OSError, ValueError, RecursionError) as error:
-        raise BankError(f"{index} cannot be read ({error})", hint=_AGAIN) from error
+        raise BankError(f"{index} cannot be read ({error})", hint=AGAIN) from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
-        raise BankError(f"{index} is not the record of a bank of format {FORMAT}", hint=_AGAIN)
+        raise BankError(f"{index} is not the record of a bank of format {FORMAT}", hint=AGAIN)
     digest = record.pop("hash", None)
     wrong = _wrong_part(record) if digest in (None, _digest(record)) else "it does not match its own digest"
     if wrong is not None:
-        raise BankError(f"{index} is damaged: {wrong}", hint=_AGAIN)
+        raise BankError(f"{index} is damaged: {wrong}", hint=AGAIN)
     return Bank(Path(path), record)
 
 
@@ -218,17 +187,12 @@ def _digest(record: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
-def with_record(table: pa.Table, record: dict[str, Any]) -> pa.Table:
-    """The rows of a block with the bank's record in them, so that any block can stand in for `bank.json`."""
-    kept = {name: value for name, value in record.items() if name not in _OF_THE_INDEX}
-    return table.replace_schema_metadata({_METADATA: json.dumps(kept).encode()})
-
-
 def recovered_record(path: Path) -> dict[str, Any] | None:
     """The bank's record as its first sound block has it, without `num_scenes`; None if no block has it."""
-    for block in block_numbers(path):
+    stored = StoredBlocks.of(path)
+    for block in stored.places:
         try:
-            record = json.loads((read_block(path, block).schema.metadata or {})[_METADATA])
+            record = record_in(stored.read(block))
         except (BankError, KeyError, ValueError, RecursionError):
             continue
         if isinstance(record, dict) and _wrong_part(record | {"num_scenes": 1}) is None:

@@ -142,7 +142,8 @@ def _files() -> str:
         "## Files",
         "",
         "- `bank.json`: how the bank was made: every setting, versions, digests of the files.",
-        "- `scenes-*.parquet`: 256 scenes each, a row per scene, failures included.",
+        "- `scenes-*.parquet`: a row per scene, failures included, in row groups of 256; "
+        "a file each of those, or one of many in a large bank.",
         "- `assets/`: every object once (surfaces, images, convex parts, mass, inertia), and the support.",
         "- `scenes/`: if present, an MJCF file (and a picture) for each scene that stands; poses are in "
         "the bodies and in the keyframe `scene`.",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from cluttergen_jax.placement.clutter import NAMES, Clutter
 from cluttergen_jax.scene.bank.bank import Bank
@@ -44,27 +45,45 @@ class FeatureStats:
         return f"{text}, asked for {self.asked:g}: {self.within:.1%} of the scenes are within 10 %"
 
 
-def clutter_of(bank: Bank, rows: pa.Table) -> tuple[FeatureStats, ...]:
-    """The features that the rows know, of the scenes that stand."""
-    rows = rows.filter(rows["is_success"])
-    targets = _targets(bank)
-    found = []
-    for name in NAMES:
-        values = _values(rows, name)
-        if not len(values):
-            continue
-        asked = targets.get(name)
-        is_near = None if asked is None else np.abs(values - asked) <= _NEAR_ENOUGH * asked + 1e-6
-        within = None if is_near is None else float(is_near.mean())
-        found.append(FeatureStats(name, float(values.mean()), asked, within))
-    return tuple(found)
+class ClutterTally:
+    """Sums of the features that rows know, of the scenes that stand; rows are added some at a time.
+
+    Args:
+      bank: whose targets count.
+    """
+
+    def __init__(self, bank: Bank) -> None:
+        self._targets = _targets(bank)
+        self._number = dict.fromkeys(NAMES, 0)
+        self._sum, self._num_near = dict.fromkeys(NAMES, 0.0), dict.fromkeys(NAMES, 0)
+
+    def add(self, rows: pa.Table) -> None:
+        """Counts some more rows."""
+        rows = rows.filter(rows["is_success"])
+        for name in NAMES:
+            values = _values(rows, name)
+            self._number[name] += len(values)
+            self._sum[name] += float(values.sum())
+            if (asked := self._targets.get(name)) is not None:
+                self._num_near[name] += int((np.abs(values - asked) <= _NEAR_ENOUGH * asked + 1e-6).sum())
+
+    def features(self) -> tuple[FeatureStats, ...]:
+        """Those that some row knows."""
+        known = [name for name in NAMES if self._number[name]]
+        return tuple(self._feature(name, self._targets.get(name)) for name in known)
+
+    def _feature(self, name: str, asked: float | None) -> FeatureStats:
+        number = self._number[name]
+        within = None if asked is None else self._num_near[name] / number
+        return FeatureStats(name, self._sum[name] / number, asked, within)
 
 
 def _values(rows: pa.Table, name: str) -> np.ndarray:
     """f64[N]: a feature of the scenes that know it."""
     if name == "depth":
-        known = rows["levels"].drop_null().to_pylist()
-        return np.array([sum(max(level, 0) for level in levels) for levels in known], float)
+        lists = rows["levels"].drop_null().combine_chunks()
+        levels = np.maximum(np.array(pc.list_flatten(lists)), 0)
+        return np.bincount(np.array(pc.list_parent_indices(lists)), levels, len(lists))
     column = {"stack": "num_on", "contacts": "num_touching"}.get(name, name)
     return np.array(rows[column].drop_null(), float)
 

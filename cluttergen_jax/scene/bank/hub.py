@@ -7,6 +7,8 @@ import re
 import shutil
 from pathlib import Path
 
+import pyarrow.compute as pc
+
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.errors import BankError, ClutterGenError, UnsafePathError
 from cluttergen_jax.files import PARTIAL, inside, swap_in, writing
@@ -100,10 +102,13 @@ def check_whole(bank: Bank) -> None:
       BankError: scenes are missing, or a file is missing, damaged or changed.
       UnsafePathError: it names a path outside of its folder.
     """
-    if bank.table.num_rows < bank.num_scenes:
-        raise BankError(f"{bank.path} holds {bank.table.num_rows} of {bank.num_scenes} scenes", hint=_MENDED)
-    rows = {base_name(name) for names in bank.table["objects"].to_pylist() for name in names}
-    for name in sorted(rows | set(bank.record.get("assets", {}).get("objects", {}))):
+    num_rows, names = 0, set()
+    for rows in bank.tables():
+        num_rows += rows.num_rows
+        names |= {base_name(name) for name in pc.unique(pc.list_flatten(rows["objects"])).to_pylist()}
+    if num_rows < bank.num_scenes:
+        raise BankError(f"{bank.path} holds {num_rows} of {bank.num_scenes} scenes", hint=_MENDED)
+    for name in sorted(names | set(bank.record.get("assets", {}).get("objects", {}))):
         bank.object(name)
     _ = bank.support
     if changes := changes_of(bank):

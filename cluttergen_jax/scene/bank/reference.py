@@ -79,7 +79,7 @@ def read_start(text: str | None) -> Standing | None:
     if path is None or number is None:
         raise ConfigError(f"start {text!r}", "BANK:INDEX, such as out:3")
     bank = read_bank(path)
-    scene = next((each for each in bank.scenes() if each.index == number), None)
+    scene = bank.rows([number]).get(number)
     if scene is None or not scene.is_success:
         state = "no such scene" if scene is None else f"a scene that failed: {scene.verdict}"
         raise BankError(f"start {text}: {state}", "a scene that stands")

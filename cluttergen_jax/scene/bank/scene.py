@@ -29,17 +29,23 @@ def chosen_rows(bank: Bank, indices: Sequence[int] | None = None) -> list[BankRo
     Raises:
       BankError: one of them is not there or failed, or none succeeded.
     """
-    rows = list(bank.scenes())
     if indices is None:
+        rows = list(bank.scenes())
         good = [row for row in rows if row.is_success]
         if not good:
             raise BankError(f"{bank.path}: none of its {len(rows)} scenes succeeded", hint="more scenes")
         return good
-    by_index = {row.index: row for row in rows}
-    said = [missing_text(indices, by_index), _failed_text([by_index[i] for i in indices if i in by_index])]
+    by_index = bank.rows(indices)
+    missing = "" if len(by_index) == len(set(indices)) else missing_text(indices, _held(bank))
+    said = [missing, _failed_text([by_index[i] for i in indices if i in by_index])]
     if any(said):
         raise BankError(f"{bank.path}: {'; '.join(filter(None, said))}", "scenes that stand", _LEAVE_OUT)
     return [by_index[index] for index in indices]
+
+
+def _held(bank: Bank) -> list[int]:
+    """The numbers of the scenes that are there."""
+    return [int(index) for rows in bank.tables(["index"]) for index in rows["index"].to_numpy()]
 
 
 def _failed_text(rows: Sequence[BankRow]) -> str:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import zlib
 from collections import Counter, defaultdict
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.clutter_stats import FeatureStats, clutter_of
-from cluttergen_jax.scene.bank.table import CERTIFICATE, COUNTED, is_certified
-from cluttergen_jax.types import Verdict, small_length
+from cluttergen_jax.scene.bank.clutter_stats import ClutterTally, FeatureStats
+from cluttergen_jax.scene.bank.table import CERTIFICATE, is_certified
+from cluttergen_jax.scene.bank.totals import Totals, totals_of
+from cluttergen_jax.types import small_length
 
 _SHOWN_GROUPS = 5
 _LISTS = ("rests_on", "margins")
@@ -136,31 +138,95 @@ class BankStats:
 
 
 def stats_of(bank: Bank) -> BankStats:
-    """The numbers of a bank.
+    """The numbers of a bank; it is read some thousand scenes at a time.
 
     Raises:
       BankError: it holds no scenes yet, or a block is damaged.
     """
-    table = bank.table
-    success = np.array(table["is_success"])
-    drift = np.array(table["drift"])[success]
-    return BankStats(
-        asked=bank.num_scenes,
-        scenes=table.num_rows,
-        missing=_missing(np.array(table["index"]), bank.num_scenes),
-        success=int(success.sum()),
-        filled=int(np.array(table["is_filled"]).sum()),
-        verdicts=dict(Counter(table["verdict"].to_pylist()).most_common()),
-        placed=int(np.array(table["num_placed"]).sum()),
-        attempts=sum(sum(each) for each in table["attempts"].to_pylist()),
-        simulated_steps=int(np.array(table["simulated_steps"], np.int64).sum()),
-        objects=_objects(table),
-        drift_median=float(np.median(drift)) if len(drift) else 0.0,
-        drift_most=float(drift.max(initial=0.0)),
-        duplicates=_duplicates(table),
-        certificate=_certificate(table.filter(table["is_success"])) if is_certified(table) else None,
-        clutter=clutter_of(bank, table),
-    )
+    tally = _Tally(bank)
+    for rows in bank.tables():
+        tally.add(rows)
+    return tally.stats()
+
+
+class _Tally:
+    """Sums over the rows of a bank. Some 20 bytes a scene are kept: movements, and digests for duplicates."""
+
+    def __init__(self, bank: Bank) -> None:
+        self._bank, self._clutter, self._totals = bank, ClutterTally(bank), Totals()
+        self._missing: list[tuple[int, int]] = []
+        self._last = -1
+        self._verdicts: Counter[str] = Counter()
+        self._objects: dict[str, np.ndarray] = {}
+        self._drift: list[np.ndarray] = []
+        self._index: list[np.ndarray] = []
+        self._digest: list[np.ndarray] = []
+        self._certified: list[pa.Table] | None = []
+
+    def add(self, rows: pa.Table) -> None:
+        """Counts some more rows, which follow those before."""
+        good = rows.filter(rows["is_success"])
+        self._totals.add(rows)
+        self._clutter.add(rows)
+        self._look_for_gaps(np.array(rows["index"]))
+        for each in pc.value_counts(rows["verdict"]).to_pylist():
+            self._verdicts[each["values"]] += each["counts"]
+        self._count_objects(rows)
+        self._drift.append(np.array(good["drift"]))
+        self._index.append(np.array(good["index"]))
+        self._digest.append(_digests(good))
+        if self._certified is not None:
+            self._certified = [*self._certified, _certificate_rows(good)] if is_certified(rows) else None
+
+    def stats(self) -> BankStats:
+        """The numbers of all that was added."""
+        totals, drift = self._totals, np.concatenate(self._drift)
+        self._look_for_gaps(np.array([self._bank.num_scenes]))
+        certified = None if self._certified is None else pa.concat_tables(self._certified)
+        return BankStats(
+            asked=self._bank.num_scenes,
+            scenes=totals.scenes,
+            missing=tuple(self._missing),
+            success=totals.success,
+            filled=totals.filled,
+            verdicts=dict(self._verdicts.most_common()),
+            placed=totals.placed,
+            attempts=totals.attempts,
+            simulated_steps=totals.simulated_steps,
+            objects=tuple(ObjectStats(name, *self._objects[name].tolist()) for name in sorted(self._objects)),
+            drift_median=float(np.median(drift)) if len(drift) else 0.0,
+            drift_most=float(drift.max(initial=0.0)),
+            duplicates=_duplicates(self._bank, np.concatenate(self._index), np.concatenate(self._digest)),
+            certificate=None if certified is None else _certificate(certified),
+            clutter=self._clutter.features(),
+        )
+
+    def _look_for_gaps(self, index: np.ndarray) -> None:
+        """Runs of indices that are asked for and not there."""
+        fences = np.append(self._last, index[index <= self._bank.num_scenes])
+        self._missing += [
+            (int(fences[gap]) + 1, int(fences[gap + 1]) - 1) for gap in np.flatnonzero(np.diff(fences) > 1)
+        ]
+        self._last = int(fences[-1])
+
+    def _count_objects(self, rows: pa.Table) -> None:
+        names = pc.list_flatten(rows["objects"].combine_chunks()).dictionary_encode()
+        stands, tries = (np.array(pc.list_flatten(rows[name])) for name in ("is_placed", "attempts"))
+        counts = [
+            np.bincount(names.indices, weights, len(names.dictionary)).astype(int)
+            for weights in (stands | (tries > 0), stands, tries)
+        ]
+        for name, *numbers in zip(names.dictionary.to_pylist(), *counts, strict=True):
+            asset = base_name(name)
+            self._objects[asset] = self._objects.get(asset, np.zeros(3, int)) + numbers
+
+
+def _certificate_rows(rows: pa.Table) -> pa.Table:
+    """What `_certificate` needs of rows that stand: numbers, and how many objects rest on another."""
+    # An object may rest on several.
+    upper = [len({above for above, below in pairs if below >= 0}) for pairs in rows["rests_on"].to_pylist()]
+    kept = rows.select([*(name for name in CERTIFICATE.names if name not in _LISTS), "num_placed"])
+    return kept.append_column("num_on_others", pa.array(upper, pa.int32())).replace_schema_metadata(None)
 
 
 def _certificate(rows: pa.Table) -> CertificateStats | None:
@@ -169,8 +235,6 @@ def _certificate(rows: pa.Table) -> CertificateStats | None:
         return None
     of = {name: np.array(rows[name].drop_null()) for name in CERTIFICATE.names if name not in _LISTS}
     margin, has_tilt = of["margin"], len(of["tilt_1"]) > 0
-    # An object may rest on several.
-    upper = [{above for above, below in pairs if below >= 0} for pairs in rows["rests_on"].to_pylist()]
     return CertificateStats(
         scenes=rows.num_rows,
         shake_median=float(np.median(of["shake"])),
@@ -180,7 +244,7 @@ def _certificate(rows: pa.Table) -> CertificateStats | None:
         residual_speed=float(of["residual_speed"].max()),
         penetration=float(of["penetration"].max()),
         contacts=float(of["num_contacts"].mean()),
-        on_others=sum(map(len, upper)) / max(int(np.array(rows["num_placed"]).sum()), 1),
+        on_others=int(np.sum(rows["num_on_others"])) / max(int(np.sum(rows["num_placed"])), 1),
         margin_median=float(np.median(margin)) if len(margin) else None,
         margin_least=float(margin.min()) if len(margin) else None,
         tilt={by: float(of[f"tilt_{by}"].mean()) for by in ("1", "2", "5")} if has_tilt else {},
@@ -188,40 +252,36 @@ def _certificate(rows: pa.Table) -> CertificateStats | None:
     )
 
 
-def _missing(index: np.ndarray, asked: int) -> tuple[tuple[int, int], ...]:
-    """Runs of indices that are asked for and not there."""
-    fences = [-1, *(int(each) for each in index if each < asked), asked]
-    return tuple((one + 1, two - 1) for one, two in pairwise(fences) if two - one > 1)
+def _digests(rows: pa.Table) -> np.ndarray:
+    """u64[N]: equal for scenes of the same objects at the same poses, in whatever order they were placed."""
+    lists = rows["objects"].combine_chunks()
+    names = pc.list_flatten(lists).dictionary_encode()
+    known = [zlib.crc32(base_name(name).encode()) for name in names.dictionary.to_pylist()]
+    poses = np.array(pc.list_flatten(pc.list_flatten(rows["poses"])), np.float32).view(np.uint32)
+    slots = np.array(known, np.uint64)[np.array(names.indices)] if known else np.zeros(0, np.uint64)
+    for column in poses.reshape(-1, 7).T:
+        # A step of splitmix64 (Steele et al., 2014) for each of the numbers; sums of slots know no order.
+        slots = (slots ^ column) * np.uint64(0x9E3779B97F4A7C15)
+        slots = (slots ^ (slots >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        slots ^= slots >> np.uint64(27)
+    found = np.zeros(len(lists), np.uint64)
+    np.add.at(found, np.array(pc.list_parent_indices(lists)), slots)
+    return found
 
 
-def _objects(table: pa.Table) -> tuple[ObjectStats, ...]:
-    drawn: Counter[str] = Counter()
-    placed: Counter[str] = Counter()
-    attempts: Counter[str] = Counter()
-    columns = (table[name].to_pylist() for name in ("objects", "is_placed", "attempts"))
-    for names, is_placed, tries in zip(*columns, strict=True):
-        for name, stands, number in zip(names, is_placed, tries, strict=True):
-            asset = base_name(name)
-            drawn[asset] += bool(stands or number)
-            placed[asset] += stands
-            attempts[asset] += number
-    return tuple(ObjectStats(name, drawn[name], placed[name], attempts[name]) for name in sorted(drawn))
-
-
-def _duplicates(table: pa.Table) -> tuple[tuple[int, ...], ...]:
+def _duplicates(bank: Bank, index: np.ndarray, digest: np.ndarray) -> tuple[tuple[int, ...], ...]:
     """Groups of successful scenes with the same objects at the same poses, in whatever order."""
+    _, inverse, counts = np.unique(digest, return_inverse=True, return_counts=True)
     groups: dict[tuple[tuple[str, bytes], ...], list[int]] = defaultdict(list)
-    columns = (table[name].to_pylist() for name in ("index", "is_success", "objects", "poses"))
-    for index, is_success, names, poses in zip(*columns, strict=True):
-        if is_success:
-            stored = [np.array(pose, np.float32).tobytes() for pose in poses]
-            groups[tuple(sorted(zip(map(base_name, names), stored, strict=True)))].append(index)
+    for number, row in bank.rows(index[counts[inverse] > 1].tolist()).items():
+        stored = [pose.tobytes() for pose in row.poses]
+        groups[tuple(sorted(zip(map(base_name, row.objects), stored, strict=True)))].append(number)
     return tuple(tuple(group) for group in groups.values() if len(group) > 1)
 
 
 def stats_text(bank: Bank, stats: BankStats) -> str:
     """The same for people."""
-    lines = [f"bank       {bank.path}, {_made_by(bank)}", summary_of(bank.table, stats.scenes)]
+    lines = [f"bank       {bank.path}, {_made_by(bank)}", totals_of(bank.tables()).text()]
     lines.append(f"verdicts   {', '.join(f'{number} {name}' for name, number in stats.verdicts.items())}")
     lines.append(
         f"movement   in the last check of scenes that stand: median {small_length(stats.drift_median)}, "
@@ -253,39 +313,3 @@ def _duplicates_text(stats: BankStats) -> str:
 def _made_by(bank: Bank) -> str:
     recipe = bank.record["recipe"]
     return f"made by {recipe.get('method')} with seed {recipe.get('seed')} of pool {recipe.get('pool')}"
-
-
-def summary_of(table: pa.Table, num_scenes: int, num_new: int = 0, seconds: float = 0.0) -> str:
-    """Success, attempts, steps to rest and rejections by verdict of the first `num_scenes` rows.
-
-    Args:
-      num_new, seconds: scenes made just now and how long that took, for the rate; 0 leaves it out.
-    """
-    rows = table.slice(0, num_scenes)
-    success = np.array(rows["is_success"])
-    filled = np.array(rows["is_filled"])
-    attempts = np.concatenate([np.array(each) for each in rows["attempts"].to_pylist()])
-    steps = np.concatenate([np.array(each) for each in rows["rest_steps"].to_pylist()])
-    placed = np.concatenate([np.array(each, bool) for each in rows["is_placed"].to_pylist()])
-    # Objects that stood there at the beginning took no attempt.
-    placed &= attempts > 0
-    mean_attempts = attempts[placed].mean() if placed.any() else 0.0
-    mean_steps = steps[placed].mean() if placed.any() else 0.0
-    counts = {v: int(np.sum(rows[f"num_{v.label.replace('-', '_')}"])) for v in COUNTED}
-    total = max(sum(counts.values()), 1)
-    lines = [
-        f"scenes     {len(success)}, of which {success.sum()} succeed ({success.mean():.1%}): "
-        "every object placed, and all stand together in the last check",
-        f"filled     {filled.sum()} ({filled.mean():.1%}) before the last check",
-        f"attempts   {attempts.sum()}, {mean_attempts:.2f} per placed object",
-        f"rest       after {mean_steps:.0f} steps of 1/240 s in the mean",
-    ]
-    rejected = [
-        f"{number} {verdict.label} ({number / total:.1%}): {verdict.sentence}"
-        for verdict, number in counts.items()
-        if number and verdict != Verdict.STABLE
-    ]
-    lines.append("rejected   " + ("\n           ".join(rejected) or "nothing"))
-    if num_new and seconds > 0:
-        lines.append(f"speed      {num_new} new scenes in {seconds:.1f} s, compilation included")
-    return "\n".join(lines)

@@ -24,12 +24,18 @@ from cluttergen_jax.scene.bank.bank import (
     FORMAT,
     INDEX,
     block_numbers,
-    block_path,
     index_bytes,
     read_bank,
-    read_block,
     recovered_record,
+)
+from cluttergen_jax.scene.bank.blocks import (
+    SHARD_BLOCKS,
+    StoredBlocks,
+    block_files,
+    block_path,
+    is_shard,
     with_record,
+    write_shard,
 )
 from cluttergen_jax.scene.bank.digests import digests_in
 from cluttergen_jax.scene.bank.lock import LOCK, BankLock
@@ -46,6 +52,7 @@ class BankWriter:
       num_scenes: how many; a bank may be continued to a larger number.
       objects, support: stored once; damaged copies in the bank are mended.
       overwrite: begin anew if the folder holds another bank.
+      shard_blocks: how many blocks go into one file once all of them are there.
 
     Raises:
       BankError: the folder holds something else, or a bank of another recipe or of other assets; somebody
@@ -60,8 +67,9 @@ class BankWriter:
         objects: dict[str, ObjectAsset],
         support: SupportAsset,
         overwrite: bool = False,
+        shard_blocks: int = SHARD_BLOCKS,
     ) -> None:
-        self.path = Path(path)
+        self.path, self._shard_blocks = Path(path), shard_blocks
         hashes = {
             "objects": {name: object_hash(asset) for name, asset in objects.items()},
             "support": support_hash(support),
@@ -92,18 +100,51 @@ class BankWriter:
 
     def has_block(self, block: int, num_rows: int) -> bool:
         """Whether block number `block` is there, sound, with at least `num_rows` rows."""
+        if block not in self._stored.places:
+            return False
         try:
-            return block_path(self.path, block).exists() and read_block(self.path, block).num_rows >= num_rows
+            is_there = self._stored.read(block).num_rows >= num_rows
         except BankError:
             return False
+        if is_there:
+            self._sound.add(block)
+        return is_there
 
     def write_block(self, block: int, table: pa.Table) -> None:
-        """Stores the rows of a block as a whole.
+        """Stores the rows of a block as a whole; the last one of a shard makes it a shard.
 
         Raises:
           BankError: it cannot be written, for instance because the disk is full.
         """
         write_rows(self.path, block, table, self._record)
+        self._sound.add(block)
+        self._loose.add(block)
+        self._write_shard(block // self._shard_blocks, is_last=False)
+
+    def finish(self) -> None:
+        """Makes a shard of the last blocks, too, in a bank of more than one shard.
+
+        Raises:
+          BankError: it cannot be written.
+        """
+        is_last = len(self._sound) > self._shard_blocks
+        for shard in sorted({block // self._shard_blocks for block in self._loose}):
+            self._write_shard(shard, is_last)
+
+    def _write_shard(self, shard: int, is_last: bool) -> None:
+        """Makes a shard of its blocks if all are known; of the last one, as many as there are."""
+        first = shard * self._shard_blocks
+        blocks = range(first, first + self._shard_blocks)
+        if is_last:
+            known = self._sound.union(self._stored.places).intersection(blocks)
+            blocks = range(first, max(known) + 1)
+        # A single block stays in the file that it has.
+        if (
+            len(blocks) > 1
+            and self._sound.issuperset(blocks)
+            and write_shard(self.path, blocks, self._record)
+        ):
+            self._loose -= set(blocks)
 
     def keep_digests(self, files: dict[str, str]) -> None:
         """Enters the digests of scene files, by path within the bank, into `bank.json`.
@@ -138,6 +179,10 @@ class BankWriter:
             _check_same(self.path, self._record, theirs)
             num_scenes = max(num_scenes, theirs["num_scenes"])
         self._num_scenes = num_scenes
+        self._stored = StoredBlocks.of(self.path)
+        self._sound: set[int] = set()
+        # What an interrupted writer left beside its shard counts, too: the shard is made again.
+        self._loose = {blocks[0] for blocks in block_files(self.path).values() if not is_shard(blocks)}
         self._files: dict[str, str] = (theirs or {}).get("files", {})
         self._write_index()
 
@@ -259,8 +304,8 @@ def _hash_of_support(folder: Path) -> str:
 
 def _remove_bank(path: Path) -> None:
     """Removes what a bank consists of, and nothing else that may lie in the folder."""
-    for block in block_numbers(path):
-        block_path(path, block).unlink()
+    for name in block_files(path):
+        (path / name).unlink()
     for folder in ("assets", "scenes"):
         shutil.rmtree(path / folder, ignore_errors=True)
     for name in ("overview.png", "verification.json", INDEX):

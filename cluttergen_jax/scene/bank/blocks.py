@@ -1,0 +1,240 @@
+"""The blocks of a bank on disk: a file each, or shards of many once all blocks of a shard are there.
+
+    scenes-000000.parquet           block 0 alone
+    scenes-000000-000767.parquet    the shard of blocks 0 to 767, a row group each, about 100 MB
+
+A block that stands in a file of its own wins over the shard that holds it too: it was written later.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from cluttergen_jax.assets.object_files import NAME_PATTERN
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.files import file_whole, writing
+from cluttergen_jax.placement.scenes import BLOCK_SIZE
+from cluttergen_jax.scene.bank.table import CERTIFICATE, CLUTTER, SCHEMA, is_certified, with_added
+
+SHARD_BLOCKS = 768
+"""Blocks of a full shard: of ten-object scenes, about 100 MB. Shard s begins with block 768 s."""
+_AT_ONCE = 32
+"""Blocks that are read together: a few megabytes of rows."""
+AGAIN = "the same `cluttergen generate` again, which mends what is damaged and makes what is missing"
+_FILE = re.compile(r"scenes-(\d{6,9})(?:-(\d{6,9}))?\.parquet")
+_SLOT = re.compile(rf"{NAME_PATTERN.pattern}(#\d+)?")
+_METADATA = b"cluttergen"
+_OF_THE_INDEX = ("num_scenes", "files")
+"""What `bank.json` alone holds: it changes while blocks stay as they are."""
+
+
+def block_path(path: Path, block: int) -> Path:
+    """Where block number `block` is stored as long as it has a file of its own."""
+    return path / f"scenes-{block:06d}.parquet"
+
+
+def shard_path(path: Path, blocks: range) -> Path:
+    """Where the shard of these blocks is stored."""
+    return path / f"scenes-{blocks[0]:06d}-{blocks[-1]:06d}.parquet"
+
+
+@dataclass(frozen=True, eq=False)
+class StoredBlocks:
+    """The blocks that lie in a folder at one time.
+
+    Attributes:
+      path: the bank's folder.
+      places: by block, in order, the name of its file and its row group there.
+    """
+
+    path: Path
+    places: dict[int, tuple[str, int]]
+    _open: dict[str, pq.ParquetFile] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, path: Path) -> StoredBlocks:
+        """What lies in a folder now; nothing if there is none."""
+        places: dict[int, tuple[str, int]] = {}
+        # The last one wins: long shards over short ones that they were made of, single blocks over all.
+        files = block_files(path)
+        for name in sorted(files, key=lambda name: (not is_shard(files[name]), files[name][-1])):
+            places.update({block: (name, row_group) for row_group, block in enumerate(files[name])})
+        return cls(path, dict(sorted(places.items())))
+
+    def read(self, block: int) -> pa.Table:
+        """The rows of one block, every value looked at.
+
+        Raises:
+          BankError: there is none, the file cannot be read, is damaged, or does not hold what its name says.
+        """
+        return self._read([block])
+
+    def tables(self, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+        """All rows in order, some blocks at a time, so that memory does not grow with the bank.
+
+        Args:
+          columns: those that are wanted; if not given all, with every value looked at.
+
+        Raises:
+          BankError: likewise.
+        """
+
+        def file_and_part(block: int) -> tuple[str, int]:
+            name, row_group = self.places[block]
+            return name, row_group // _AT_ONCE
+
+        for _, blocks in groupby(self.places, file_and_part):
+            yield self._read(list(blocks), columns)
+
+    def _read(self, blocks: Sequence[int], columns: Sequence[str] | None = None) -> pa.Table:
+        """Blocks that follow one another in one file."""
+        name = (
+            self.places[blocks[0]][0] if blocks[0] in self.places else block_path(self.path, blocks[0]).name
+        )
+        try:
+            table = self._file(name).read_row_groups([self.places[block][1] for block in blocks], columns)
+            if columns is None:
+                table = with_added(table)
+                table.validate(full=True)
+                _check_rows(table, blocks[0])
+        except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
+            raise BankError(f"{self.path / name} is damaged ({error})", hint=AGAIN) from error
+        return table
+
+    def _file(self, name: str) -> pq.ParquetFile:
+        if name not in self._open:
+            # One at a time: blocks are read in order, and each open file costs memory.
+            self._open.clear()
+            file = pq.ParquetFile(self.path / name, page_checksum_verification=True)
+            self._open[name] = file
+        return self._open[name]
+
+
+def _check_rows(table: pa.Table, block: int) -> None:
+    """ValueError if these are not rows of blocks from number `block` on."""
+    for each in SCHEMA:
+        if each.name not in table.schema.names or table.schema.field(each.name).type != each.type:
+            raise ValueError(f"its column {each.name!r} is missing or of another type")
+        if table[each.name].null_count:
+            raise ValueError(f"its column {each.name!r} has gaps")
+    for each in CLUTTER:
+        if table.schema.field(each.name).type != each.type:
+            raise ValueError(f"its column {each.name!r} is of another type")
+    first = block * BLOCK_SIZE
+    if not np.array_equal(table["index"].to_numpy(), np.arange(first, first + table.num_rows)):
+        raise ValueError(f"its scenes are not those from {first} on")
+    lists = [table[each.name].combine_chunks() for each in SCHEMA if pa.types.is_list(each.type)]
+    lengths = [pc.list_value_length(each) for each in lists]
+    if any(not each.equals(lengths[0]) for each in lengths) or any(
+        pc.list_flatten(each).null_count for each in lists
+    ):
+        raise ValueError("its lists of objects are of different lengths, or have gaps")
+    names = pc.unique(pc.list_flatten(table["objects"])).to_pylist()
+    if strange := [name for name in names if not _SLOT.fullmatch(name)]:
+        raise ValueError(f"it names an object {strange[0]!r}")
+    # Poses are lists in lists: slots, and seven numbers each.
+    poses = np.array(pc.list_flatten(pc.list_flatten(table["poses"]))).reshape(-1, 7)
+    if not np.isfinite(poses[np.array(pc.list_flatten(table["is_placed"]))]).all():
+        raise ValueError("an object that was placed has a pose that is not finite")
+
+
+def with_record(table: pa.Table, record: dict[str, Any]) -> pa.Table:
+    """The rows of a block with the bank's record in them, so that any block can stand in for `bank.json`."""
+    kept = {name: value for name, value in record.items() if name not in _OF_THE_INDEX}
+    return table.replace_schema_metadata({_METADATA: json.dumps(kept).encode()})
+
+
+def record_in(table: pa.Table) -> Any:
+    """The record that `with_record` put there.
+
+    Raises:
+      KeyError, ValueError, RecursionError: there is none that can be read.
+    """
+    return json.loads((table.schema.metadata or {})[_METADATA])
+
+
+def block_files(path: Path) -> dict[str, range]:
+    """The files of blocks and shards in a folder, and which blocks each is of."""
+    names = [each.name for each in path.iterdir()] if path.is_dir() else []
+    found = [(name, match) for name in names if (match := _FILE.fullmatch(name))]
+    return {name: range(int(match[1]), int(match[2] or match[1]) + 1) for name, match in found}
+
+
+def is_shard(blocks: range) -> bool:
+    """Whether a file of these blocks is a shard."""
+    return len(blocks) > 1
+
+
+def write_shard(path: Path, blocks: range, record: dict[str, Any]) -> bool:
+    """Puts blocks into one shard in place of their files, row group by row group; for who holds the lock.
+
+    Nothing is lost wherever it is interrupted: what the shard is made of goes once the shard is on disk.
+
+    Returns:
+      False, and nothing is changed, where one is damaged or has other columns than the rest.
+
+    Raises:
+      BankError: it cannot be written.
+    """
+    target = shard_path(path, blocks)
+    try:
+        with writing(target), file_whole(target) as fresh:
+            _write_row_groups(fresh, StoredBlocks.of(path), blocks, record)
+    except _UnevenError:
+        return False
+    for name, held in block_files(path).items():
+        if name != target.name and set(held) <= set(blocks):
+            (path / name).unlink()
+    return True
+
+
+class _UnevenError(Exception):
+    """Blocks that one file cannot hold."""
+
+
+def _write_row_groups(target: Path, stored: StoredBlocks, blocks: range, record: dict[str, Any]) -> None:
+    schema: pa.Schema | None = None
+    with target.open("wb") as file, ExitStack() as stack:
+        for block in blocks:
+            try:
+                table = stored.read(block)
+            except BankError as error:
+                raise _UnevenError from error
+            own = pa.unify_schemas([SCHEMA, CLUTTER, *([CERTIFICATE] if is_certified(table) else [])])
+            if schema is None:
+                schema = own
+                stamped = with_record(own.empty_table(), record).schema
+                writer = stack.enter_context(pq.ParquetWriter(file, stamped, write_page_checksum=True))
+            elif own != schema:
+                raise _UnevenError
+            # One chunk a column: equal rows make equal bytes, wherever they were read from.
+            writer.write_table(table.select(own.names).cast(stamped).combine_chunks(), BLOCK_SIZE)
+        stack.close()
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def merge_shards(path: Path, record: dict[str, Any]) -> None:
+    """Puts blocks that were written again, and lie beside their shard, back into it.
+
+    Raises:
+      BankError: it cannot be written.
+    """
+    files = block_files(path).values()
+    loose = {blocks[0] for blocks in files if not is_shard(blocks)}
+    for blocks in filter(is_shard, files):
+        if loose.intersection(blocks):
+            write_shard(path, blocks, record)

@@ -1,0 +1,149 @@
+"""Shards: the same rows in fewer files, whatever happened on the way; and memory that does not grow."""
+
+import random
+
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+import pytest
+
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.placement.rollout import BLOCK_SIZE
+from cluttergen_jax.scene.bank import blocks as module
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.bank import recovered_record
+from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path, shard_path, write_shard
+from cluttergen_jax.scene.bank.card import write_card
+from cluttergen_jax.scene.bank.hub import check_whole
+from cluttergen_jax.scene.bank.stats import stats_of
+from tests.helpers import banks
+
+NUM_BLOCKS, IN_A_SHARD = 8, 3
+
+
+def write(path, num_blocks=NUM_BLOCKS, order=None, shard_blocks=IN_A_SHARD):
+    """What is missing of a bank of whole blocks, in any order."""
+    with banks.writer(path, num_blocks * BLOCK_SIZE, shard_blocks=shard_blocks) as writer:
+        missing = [block for block in range(num_blocks) if not writer.has_block(block, BLOCK_SIZE)]
+        for block in sorted(missing, key=(order or list(range(num_blocks))).index):
+            writer.write_block(block, banks.rows(block))
+        writer.finish()
+
+
+def files(path):
+    return {each.name: each.read_bytes() for each in path.iterdir() if each.is_file()}
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """The bank as a file for each block."""
+    path = tmp_path_factory.mktemp("banks") / "plain"
+    banks.write(path, NUM_BLOCKS)
+    return path
+
+
+@pytest.fixture(scope="module")
+def sharded(tmp_path_factory):
+    path = tmp_path_factory.mktemp("banks") / "bank"
+    write(path)
+    return path
+
+
+def test_shards_hold_what_block_files_hold(plain, sharded):
+    names = sorted(each.name for each in sharded.glob("*.parquet"))
+    assert names == [f"scenes-{a:06d}-{b:06d}.parquet" for a, b in ((0, 2), (3, 5), (6, 7))]
+    one, two = read_bank(plain), read_bank(sharded)
+    assert one.table.equals(two.table)
+    assert stats_of(one) == stats_of(two)
+    assert {number: row.verdict for number, row in two.rows([3, 1000, 9999]).items()} == {
+        3: "displaced",
+        1000: "stable",
+    }
+    check_whole(two)
+    assert pq.ParquetFile(sharded / names[0]).metadata.num_row_groups == IN_A_SHARD
+    assert recovered_record(sharded) == recovered_record(plain)
+
+
+def test_a_small_bank_and_a_last_block_alone_have_files_of_single_blocks(tmp_path):
+    write(tmp_path / "four", num_blocks=4)
+    found = {each.name for each in (tmp_path / "four").glob("*.parquet")}
+    assert found == {"scenes-000000-000002.parquet", "scenes-000003.parquet"}
+    write(tmp_path, num_blocks=2)
+    assert {each.name for each in tmp_path.glob("*.parquet")} == {
+        block_path(tmp_path, b).name for b in (0, 1)
+    }
+
+
+def test_any_order_and_any_interruption_make_the_same_files(sharded, tmp_path):
+    draw = random.Random(0)
+    order = draw.sample(range(NUM_BLOCKS), NUM_BLOCKS)
+    write(tmp_path / "shuffled", order=order)
+    assert files(tmp_path / "shuffled") == files(sharded)
+    # Smaller first: its last blocks are in a shard that has to grow.
+    write(tmp_path / "grown", num_blocks=5)
+    write(tmp_path / "grown")
+    assert files(tmp_path / "grown") == files(sharded)
+
+
+def test_a_writer_that_ends_anywhere_in_a_shard_loses_nothing(plain, sharded, tmp_path):
+    """The shard is there, and all that it is made of, or some of it; or it is not there at all."""
+    whole = read_bank(plain).table
+    for number in range(6):
+        path = tmp_path / str(number)
+        with pytest.MonkeyPatch.context() as patch:
+            left = [number]
+            unlink = module.Path.unlink
+
+            def counted(self, missing_ok=False, left=left, unlink=unlink):
+                if self.name.startswith("scenes-") and not missing_ok:
+                    left[0] -= 1
+                    if left[0] < 0:
+                        raise KeyboardInterrupt
+                unlink(self, missing_ok)
+
+            patch.setattr(module.Path, "unlink", counted)
+            with pytest.raises(KeyboardInterrupt):
+                write(path)
+        stored = read_bank(path).table
+        assert stored.equals(whole.slice(0, stored.num_rows))
+        write(path)
+        assert files(path) == files(sharded)
+
+
+def test_a_damaged_row_group_is_named_and_mended_alone(sharded, tmp_path):
+    path = tmp_path / "bank"
+    write(path)
+    file = shard_path(path, range(3, 6))
+    data = bytearray(file.read_bytes())
+    place = pq.ParquetFile(file).metadata.row_group(1).column(0).data_page_offset
+    data[place + 40] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(BankError, match=r"scenes-000003-000005\.parquet is damaged"):
+        _ = read_bank(path).table
+    stored = StoredBlocks.of(path)
+    assert stored.read(3).num_rows == stored.read(5).num_rows == BLOCK_SIZE
+    # Others of its shard cannot be moved without it.
+    assert not write_shard(path, range(3, 6), read_bank(path).record)
+    write(path)
+    assert files(path) == files(sharded)
+
+
+def test_a_block_that_was_written_again_wins_over_its_shard(tmp_path):
+    write(tmp_path)
+    with banks.writer(tmp_path, NUM_BLOCKS * BLOCK_SIZE, shard_blocks=IN_A_SHARD) as writer:
+        changed = banks.rows(4).to_pylist()
+        changed[0]["drift"] = 0.5
+        writer.write_block(4, type(banks.rows(4)).from_pylist(changed, schema=banks.rows(4).schema))
+    assert block_path(tmp_path, 4).exists()
+    assert read_bank(tmp_path).table["drift"].to_numpy()[4 * BLOCK_SIZE] == 0.5
+    write(tmp_path)
+    assert not block_path(tmp_path, 4).exists()
+    assert read_bank(tmp_path).table["drift"].to_numpy()[4 * BLOCK_SIZE] == 0.5
+
+
+def test_other_programs_read_all_files_as_one_table(sharded):
+    """As the card's `data_files` has it: one schema, every row once."""
+    write_card(read_bank(sharded))
+    assert "data_files: 'scenes-*.parquet'" in (sharded / "README.md").read_text()
+    rows = ds.dataset(sorted(map(str, sharded.glob("scenes-*.parquet"))), format="parquet").to_table()
+    assert rows["index"].to_pylist() == list(range(NUM_BLOCKS * BLOCK_SIZE))
+    (sharded / "README.md").unlink()
