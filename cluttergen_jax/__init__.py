@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.assets.support_file import find_support as load_support
     from cluttergen_jax.assets.support_file import list_supports
-    from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler
+    from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler, stream_bank
     from cluttergen_jax.generation.environments import make_env, make_gym_env, make_sb3_env, make_vector_env
     from cluttergen_jax.placement.region import KeepOut, make_region
     from cluttergen_jax.placement.rollout.replay import Replay
@@ -86,6 +86,7 @@ __all__ = [
     "render",
     "stats_of",
     "stats_text",
+    "stream_bank",
     "train",
     "train_suite",
     "verify",

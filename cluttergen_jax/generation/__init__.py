@@ -4,8 +4,8 @@
 it is imported by itself, as Brax takes a second to load.
 """
 
-from cluttergen_jax.generation.bank import BankArrays, load_bank
+from cluttergen_jax.generation.bank import BankArrays, load_bank, stream_bank
 from cluttergen_jax.generation.make import make_sampler
 from cluttergen_jax.generation.sampler import Sampler
 
-__all__ = ["BankArrays", "Sampler", "load_bank", "make_sampler"]
+__all__ = ["BankArrays", "Sampler", "load_bank", "make_sampler", "stream_bank"]

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sized
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import jaxlie
 import mujoco
+import numpy as np
+import pyarrow as pa
 from flax import struct
 
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation.arguments import check_key, is_known
 from cluttergen_jax.placement.region import from_pose
-from cluttergen_jax.scene import SceneCollection, collect
+from cluttergen_jax.placement.setup import check_range
+from cluttergen_jax.scene import SceneCollection
 from cluttergen_jax.scene.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.hub import find_bank
-from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.scene.bank.scene import config_of
+from cluttergen_jax.scene.bank.standing import StandingReader, StandingScenes, joined
+from cluttergen_jax.scene.collection import SceneModel, compile_scenes
 from cluttergen_jax.types import Array
+
+_MOST = 2**31 - 1
 
 
 class BankArrays(struct.PyTreeNode):
@@ -31,7 +40,7 @@ class BankArrays(struct.PyTreeNode):
       is_present: bool[S, K], the model's objects that belong to the scene.
       qpos: f32[S, 7 K], the model's configuration; objects that do not belong wait far away.
       bank: the bank on disk.
-      collection: its scenes in one MuJoCo model, on the host.
+      compiled: the MuJoCo model.
     """
 
     index: Array
@@ -39,7 +48,7 @@ class BankArrays(struct.PyTreeNode):
     is_present: Array
     qpos: Array
     bank: Bank = struct.field(pytree_node=False)
-    collection: SceneCollection = struct.field(pytree_node=False)
+    compiled: SceneModel = struct.field(pytree_node=False)
 
     def __len__(self) -> int:
         return len(self.index)
@@ -64,7 +73,7 @@ class BankArrays(struct.PyTreeNode):
     @property
     def xfrc_applied(self) -> Array:
         """f32[S, nbody, 6], newtons: what keeps objects that do not belong in the air where they wait."""
-        model, bodies = self.collection.model, self.collection.model.jnt_bodyid
+        model, bodies = self.compiled.model, self.compiled.model.jnt_bodyid
         weight = jnp.asarray(-model.opt.gravity * model.body_mass[bodies, None], jnp.float32)
         applied = jnp.where(self.is_present[..., None], 0.0, weight)
         none = jnp.zeros((*self.is_present.shape[:-1], model.nbody, 6))
@@ -73,11 +82,16 @@ class BankArrays(struct.PyTreeNode):
     @property
     def names(self) -> tuple[str, ...]:
         """The model's objects, in the order of `object_index`; bodies and joints bear them."""
-        return self.collection.names
+        return self.compiled.names
 
     def model(self) -> mujoco.MjModel:
         """One compiled model for all scenes: put a scene's `qpos` and `xfrc_applied` into its data."""
-        return self.collection.model
+        return self.compiled.model
+
+    @property
+    def collection(self) -> SceneCollection:
+        """The same scenes on the host, to be put into a `mujoco.MjData`."""
+        return SceneCollection(self.compiled, np.asarray(self.object_index), np.asarray(self.poses))
 
     def reset(self, key: Array) -> BankArrays:
         """A scene that stands, all of them equally likely. Pure: to be compiled and mapped.
@@ -102,26 +116,102 @@ class BankArrays(struct.PyTreeNode):
         return jax.tree.map(lambda leaf: leaf[place], self)
 
 
-def load_bank(path: str | Path, *, hub: str | None = None, revision: str | None = None) -> BankArrays:
+def load_bank(
+    path: str | Path,
+    *,
+    hub: str | None = None,
+    revision: str | None = None,
+    num_scenes: int | None = None,
+    seed: int = 0,
+) -> BankArrays:
     """Reads a bank for use as the reset of an environment; scenes that failed are left out.
 
     Args:
       path: a bank's folder, or OWNER/NAME on a hub: pulled when it is first asked for, and kept
         (`pull_bank`, extra `hub`).
       hub, revision: of such a name; see `push_bank`. A revision is pulled each time.
+      num_scenes: at most so many of those that stand, in the order of the bank: of a bank of a million, as
+        many as memory is wanted for. All of them if not given.
+      seed: draws them, each subset equally likely.
 
     Raises:
       BankError: there is no bank, it or one of its assets is damaged, or no scene in it stands.
       UnsafePathError: it names paths outside of its folder.
+      ConfigError: a setting is outside its range.
     """
+    if num_scenes is not None:
+        check_range("num_scenes", num_scenes, 1, _MOST, 1000)
     bank = read_bank(find_bank(path, hub=hub, revision=revision))
-    scenes = list(read_scenes(bank))
-    collection = collect(scenes)
+    reader = StandingReader(bank)
+    wanted = None if num_scenes is None else _drawn(bank, num_scenes, seed)
+    parts = list(reader.scenes(wanted))
+    _check_any(bank, parts)
+    return _arrays(bank, _compiled(bank, reader), joined(parts))
+
+
+def stream_bank(
+    path: str | Path, batch_size: int = 1024, *, hub: str | None = None, revision: str | None = None
+) -> Iterator[BankArrays]:
+    """Yields the scenes of a bank that stand batch by batch, in order, all in the same MuJoCo model.
+
+    Only some thousand scenes are in memory at a time. The bank is read twice: which objects the model needs
+    is known when all names have been seen.
+
+    Args:
+      path, hub, revision: as those of `load_bank`.
+      batch_size: scenes of a batch; the last one may be smaller.
+
+    Raises:
+      BankError, UnsafePathError, ConfigError: as `load_bank`.
+    """
+    check_range("batch_size", batch_size, 1, _MOST, 1024)
+    bank = read_bank(find_bank(path, hub=hub, revision=revision))
+    reader, num_slots = StandingReader(bank), 0
+    for part in reader.scenes():
+        num_slots = max(num_slots, part.asset_index.shape[1])
+    _check_any(bank, reader.names)
+    compiled = _compiled(bank, reader)
+    rest: list[StandingScenes] = []
+    for part in reader.scenes():
+        scenes = joined([*rest, part.padded(num_slots)])
+        num_whole = len(scenes.number) // batch_size * batch_size
+        for first in range(0, num_whole, batch_size):
+            yield _arrays(bank, compiled, scenes.part(first, first + batch_size))
+        rest = [scenes.part(num_whole, len(scenes.number))]
+    if len(rest[0].number):
+        yield _arrays(bank, compiled, rest[0])
+
+
+def _drawn(bank: Bank, number: int, seed: int) -> np.ndarray:
+    """i64: so many of the scenes that stand, sorted."""
+    rows = pa.concat_tables(bank.tables(["index", "is_success"]))
+    good = rows["index"].to_numpy()[rows["is_success"].to_numpy()]
+    drawn = np.random.default_rng(seed).choice(len(good), min(number, len(good)), replace=False)
+    return good[np.sort(drawn)]
+
+
+def _check_any(bank: Bank, found: Sized) -> None:
+    if not len(found):
+        number = sum(rows.num_rows for rows in bank.tables(["index"]))
+        raise BankError(f"{bank.path}: none of its {number} scenes succeeded", hint="more scenes")
+
+
+def _compiled(bank: Bank, reader: StandingReader) -> SceneModel:
+    """The model of all scenes that a reader has seen."""
+    recipe = bank.record.get("recipe", {})
+    stability = config_of(StabilityConfig, recipe.get("stability", {}), bank.path)
+    contact = config_of(ContactConfig, recipe.get("contact", {}), bank.path)
+    assets = [bank.object(name) for name in reader.names]
+    return compile_scenes(assets, reader.most, bank.support, stability.timestep, contact)
+
+
+def _arrays(bank: Bank, compiled: SceneModel, scenes: StandingScenes) -> BankArrays:
+    object_index = compiled.object_index(scenes.asset_index)
     return BankArrays(
-        index=jnp.array([scene.origin.index for scene in scenes], jnp.int32),
-        object_index=jnp.asarray(collection.object_index, jnp.int32),
-        is_present=jnp.asarray(collection.is_present),
-        qpos=jnp.asarray(collection.qpos, jnp.float32),
+        index=jnp.asarray(scenes.number),
+        object_index=jnp.asarray(object_index),
+        is_present=jnp.asarray(compiled.is_present(object_index)),
+        qpos=jnp.asarray(compiled.qpos(object_index, scenes.poses, np.float32)),
         bank=bank,
-        collection=collection,
+        compiled=compiled,
     )

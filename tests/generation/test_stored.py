@@ -1,15 +1,22 @@
 """A bank as a reset: draws are scenes of the bank, in one model, and they stand there."""
 
+import itertools
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+import pyarrow as pa
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.errors import BankError
+from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.geometry import turn_between
+from cluttergen_jax.scene import collect
 from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.scene import read_scenes
 from tests.helpers import banks
 
 
@@ -84,3 +91,93 @@ def test_a_bank_without_a_scene_that_stands_is_refused(tmp_path):
         cg.load_bank(tmp_path / "bank")
     with pytest.raises(BankError, match="not a bank"):
         cg.load_bank(tmp_path)
+
+
+def test_columns_and_scenes_make_the_same_model(path, bank):
+    """`load_bank` reads columns; `collect` is given one scene after another."""
+    many = collect(list(read_scenes(read_bank(path))))
+    assert bank.names == many.names
+    np.testing.assert_array_equal(bank.object_index, many.object_index)
+    np.testing.assert_array_equal(bank.is_present, many.is_present)
+    np.testing.assert_array_equal(bank.qpos, many.qpos.astype(np.float32))
+    np.testing.assert_array_equal(bank.xfrc_applied[:3], many.xfrc_applied[:3].astype(np.float32))
+
+
+def test_objects_that_stand_there_more_than_once_and_gaps_in_scenes(tmp_path):
+    """Two boxes in one scene and an object that was not placed: places in the model are told apart."""
+    scenes = banks.rows(0, 2).to_pylist()
+    scenes[0] |= {"objects": ["box", "tall", "box#2"], "is_placed": [True, False, True], "num_placed": 2}
+    scenes[1] |= {"objects": ["tall", "prism", "box"]}
+    with banks.writer(tmp_path / "bank", 2) as writer:
+        writer.write_block(0, pa.Table.from_pylist(scenes, schema=banks.rows(0, 1).schema))
+    bank = cg.load_bank(tmp_path / "bank")
+    many = collect(list(read_scenes(read_bank(tmp_path / "bank"))))
+    assert bank.names == many.names == ("box", "box#2", "tall", "prism")
+    np.testing.assert_array_equal(bank.object_index, [[0, 1, -1], [2, 3, 0]])
+    np.testing.assert_array_equal(bank.qpos, many.qpos.astype(np.float32))
+
+
+def test_a_subset_is_drawn_by_its_seed(path, bank):
+    some, again, other = (cg.load_bank(path, num_scenes=50, seed=seed) for seed in (1, 1, 2))
+    assert len(some) == 50
+    np.testing.assert_array_equal(some.index, again.index)
+    assert set(some.index.tolist()) != set(other.index.tolist())
+    assert set(some.index.tolist()) < set(bank.index.tolist())
+    rows = {int(number): place for place, number in enumerate(bank.index)}
+    places = np.array([rows[int(number)] for number in some.index])
+    np.testing.assert_array_equal(some.qpos, np.asarray(bank.qpos)[places])
+    assert len(cg.load_bank(path, num_scenes=10_000)) == len(bank)
+    with pytest.raises(ConfigError, match="num_scenes"):
+        cg.load_bank(path, num_scenes=0)
+
+
+@pytest.mark.parametrize("batch_size", [1, 50, 1000])
+def test_batches_are_the_bank_in_one_model(tmp_path, batch_size):
+    with banks.writer(tmp_path / "bank", 600, shard_blocks=2) as writer:
+        for block in range(3):
+            writer.write_block(block, banks.rows(block, min(256, 600 - 256 * block)))
+        writer.finish()
+    whole = cg.load_bank(tmp_path / "bank")
+    batches = list(itertools.islice(cg.stream_bank(tmp_path / "bank", batch_size), 500))
+    assert [len(each) for each in batches[:-1]] == [batch_size] * (len(batches) - 1)
+    # One model, so that what is compiled for a batch serves the next.
+    assert len({id(each.model()) for each in batches}) == 1
+    joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
+    for one, two in zip(jax.tree.leaves(joined), jax.tree.leaves(whole), strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+MEMORY = """
+import resource, sys
+import jax, cluttergen_jax as cg
+
+def most():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+small, large = sys.argv[1:]
+for path in (small, large):
+    some = cg.load_bank(path, num_scenes=2000)
+    jax.vmap(some.reset)(jax.random.split(jax.random.key(0), 64))
+    num_seen = sum(len(batch) for batch in cg.stream_bank(path, 2000))
+    cg.read_bank(path).rows([5, cg.read_bank(path).num_scenes - 1])
+    print(num_seen, most())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_a_million_scenes_take_no_more_memory_than_a_hundred_thousand(tmp_path):
+    first = banks.rows(0)
+    for name, num_blocks in (("small", 391), ("large", 3907)):
+        with banks.writer(tmp_path / name, num_blocks * 256) as writer:
+            for block in range(num_blocks):
+                index = pa.array(np.arange(block * 256, (block + 1) * 256, dtype=np.int32))
+                writer.write_block(block, first.set_column(0, first.schema.field(0), index))
+            writer.finish()
+    assert sum(1 for _ in (tmp_path / "large").glob("*.parquet")) == 6
+    command = [sys.executable, "-c", MEMORY, str(tmp_path / "small"), str(tmp_path / "large")]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    (small, before), (large, after) = (map(float, line.split()) for line in said)
+    assert (small, large) == (391 * 192, 3907 * 192)
+    # Megabytes; the poses alone of a million scenes of three objects are 84.
+    assert after - before < 60

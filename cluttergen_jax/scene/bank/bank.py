@@ -66,7 +66,7 @@ class Bank:
         """All rows that are there, in order, some thousand at a time, so that memory does not grow with them.
 
         Args:
-          columns: those that are wanted; if not given all, and every value is looked at.
+          columns: those that are wanted, all if not given; every value in them is looked at.
 
         Raises:
           BankError: see `table`.

@@ -86,7 +86,7 @@ class StoredBlocks:
         """All rows in order, some blocks at a time, so that memory does not grow with the bank.
 
         Args:
-          columns: those that are wanted; if not given all, with every value looked at.
+          columns: those that are wanted, all if not given; every value in them is looked at.
 
         Raises:
           BankError: likewise.
@@ -106,10 +106,9 @@ class StoredBlocks:
         )
         try:
             table = self._file(name).read_row_groups([self.places[block][1] for block in blocks], columns)
-            if columns is None:
-                table = with_added(table)
-                table.validate(full=True)
-                _check_rows(table, blocks[0])
+            table = with_added(table) if columns is None else table.select(columns)
+            table.validate(full=True)
+            _check_rows(table, blocks[0], columns)
         except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
             raise BankError(f"{self.path / name} is damaged ({error})", hint=AGAIN) from error
         return table
@@ -123,32 +122,37 @@ class StoredBlocks:
         return self._open[name]
 
 
-def _check_rows(table: pa.Table, block: int) -> None:
-    """ValueError if these are not rows of blocks from number `block` on."""
-    for each in SCHEMA:
+def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> None:
+    """ValueError if these are not rows of blocks from number `block` on, as far as their columns tell."""
+    for each in [*SCHEMA, *CLUTTER]:
+        if columns is not None and each.name not in columns:
+            continue
         if each.name not in table.schema.names or table.schema.field(each.name).type != each.type:
             raise ValueError(f"its column {each.name!r} is missing or of another type")
-        if table[each.name].null_count:
+        if each.name in SCHEMA.names and table[each.name].null_count:
             raise ValueError(f"its column {each.name!r} has gaps")
-    for each in CLUTTER:
-        if table.schema.field(each.name).type != each.type:
-            raise ValueError(f"its column {each.name!r} is of another type")
-    first = block * BLOCK_SIZE
-    if not np.array_equal(table["index"].to_numpy(), np.arange(first, first + table.num_rows)):
+    first, names = block * BLOCK_SIZE, set(table.schema.names)
+    if "index" in names and not np.array_equal(table["index"], np.arange(first, first + table.num_rows)):
         raise ValueError(f"its scenes are not those from {first} on")
-    lists = [table[each.name].combine_chunks() for each in SCHEMA if pa.types.is_list(each.type)]
+    lists = [
+        table[each.name].combine_chunks()
+        for each in SCHEMA
+        if pa.types.is_list(each.type) and each.name in names
+    ]
     lengths = [pc.list_value_length(each) for each in lists]
     if any(not each.equals(lengths[0]) for each in lengths) or any(
         pc.list_flatten(each).null_count for each in lists
     ):
         raise ValueError("its lists of objects are of different lengths, or have gaps")
-    names = pc.unique(pc.list_flatten(table["objects"])).to_pylist()
-    if strange := [name for name in names if not _SLOT.fullmatch(name)]:
-        raise ValueError(f"it names an object {strange[0]!r}")
-    # Poses are lists in lists: slots, and seven numbers each.
-    poses = np.array(pc.list_flatten(pc.list_flatten(table["poses"]))).reshape(-1, 7)
-    if not np.isfinite(poses[np.array(pc.list_flatten(table["is_placed"]))]).all():
-        raise ValueError("an object that was placed has a pose that is not finite")
+    if "objects" in names:
+        known = pc.unique(pc.list_flatten(table["objects"])).to_pylist()
+        if strange := [name for name in known if not _SLOT.fullmatch(name)]:
+            raise ValueError(f"it names an object {strange[0]!r}")
+    if {"poses", "is_placed"} <= names:
+        # Poses are lists in lists: slots, and seven numbers each.
+        poses = np.array(pc.list_flatten(pc.list_flatten(table["poses"]))).reshape(-1, 7)
+        if not np.isfinite(poses[np.array(pc.list_flatten(table["is_placed"]))]).all():
+            raise ValueError("an object that was placed has a pose that is not finite")
 
 
 def with_record(table: pa.Table, record: dict[str, Any]) -> pa.Table:
