@@ -72,6 +72,8 @@ def each_on(
     what: str,
     num_cpus: int = 1,
     num_gpus: int = 0,
+    settings: Mapping[str, str] | None = None,
+    if_lost: Result | None = None,
 ) -> Generator[tuple[int, Result], None, None]:
     """Yields (place, result) of every item as they come.
 
@@ -84,10 +86,12 @@ def each_on(
         results are.
       what: an item is called in messages, such as "block".
       num_cpus, num_gpus: cores and devices of a worker.
+      settings: environment variables of workers that this process has not.
+      if_lost: the result of an item over which `MOST_DEATHS` workers died; an error if it is None.
 
     Raises:
-      ClutterGenError: a worker has other versions than this process, an item has ended its worker
-        `MOST_DEATHS` times, or what the function itself raises.
+      ClutterGenError: a worker has other versions than this process, `MOST_DEATHS` workers died over an item,
+        or what the function itself raises.
       MissingExtraError: the extra `ray` is not installed.
     """
     if not items:
@@ -95,7 +99,10 @@ def each_on(
     with _connected(cluster, num_cpus) as ray:
         number = min(cluster.num_workers or _room(ray, num_cpus, num_gpus), len(items))
         actor = ray.remote(max_restarts=0, num_cpus=num_cpus, num_gpus=num_gpus)(_Actor)
-        crew = _Crew(ray, actor, ray.cloudpickle.dumps(make), items, what, is_on_cpu=not num_gpus)
+        own = {name: value for name, value in os.environ.items() if name.startswith(_SETTINGS)}
+        own |= {} if num_gpus else {"JAX_PLATFORMS": "cpu"}
+        begin = (ray.cloudpickle.dumps(make), own | dict(settings or {}), versions_here(), os.getcwd())
+        crew = _Crew(ray, actor, begin, items, what, if_lost)
         try:
             yield from crew.results(number)
         finally:
@@ -149,8 +156,10 @@ def _room(ray: ModuleType, num_cpus: int, num_gpus: int) -> int:
 class _Actor:
     """A worker process. Nothing heavy is imported before its settings are those of the driver."""
 
-    def begin(self, make: bytes, settings: Mapping[str, str], versions: Mapping[str, str]) -> None:
-        """Makes the function that items are given to."""
+    def begin(
+        self, make: bytes, settings: Mapping[str, str], versions: Mapping[str, str], folder: str
+    ) -> None:
+        """Makes the function that items are given to; paths begin where those of the driver do."""
         if other := {name: own for name, own in versions_here().items() if versions[name] != own}:
             told = ", ".join(f"{name} {own} (here {versions[name]})" for name, own in other.items())
             raise ClutterGenError(
@@ -161,6 +170,8 @@ class _Actor:
         for name in [each for each in os.environ if each.startswith(_SETTINGS)]:
             del os.environ[name]
         os.environ.update(settings)
+        if os.path.isdir(folder):
+            os.chdir(folder)
         self._function = pickle.loads(make)()
 
     def run(self, item: Any) -> Any:
@@ -194,10 +205,10 @@ class _Crew:
 
     ray: ModuleType
     actor: Any
-    make: bytes
+    begin: tuple[Any, ...]
     items: Sequence[Any]
     what: str
-    is_on_cpu: bool
+    if_lost: Any
     workers: list[_Worker] = field(default_factory=list)
     deaths: Counter[int | None] = field(default_factory=Counter)
 
@@ -232,10 +243,7 @@ class _Crew:
 
     def _hired(self) -> _Worker:
         actor = self.actor.remote()
-        settings = {name: value for name, value in os.environ.items() if name.startswith(_SETTINGS)}
-        if self.is_on_cpu:
-            settings["JAX_PLATFORMS"] = "cpu"
-        return _Worker(actor, deque([(None, actor.begin.remote(self.make, settings, versions_here()))]))
+        return _Worker(actor, deque([(None, actor.begin.remote(*self.begin))]))
 
     def _hand_out(self, waiting: deque[int]) -> None:
         """Gives everybody who is at work something for now, and then something for later."""
@@ -254,27 +262,33 @@ class _Crew:
         except (errors.ActorUnschedulableError, errors.ObjectStoreFullError):
             raise
         except (errors.RayActorError, errors.ObjectLostError, errors.WorkerCrashedError) as error:
-            self._replace(worker, waiting, error)
-            return False, None
+            return self._replace(worker, waiting, error), self.if_lost
         except errors.RayTaskError as error:
             cause = getattr(error, "cause", None)
             if isinstance(cause, ClutterGenError):
                 raise cause from None
             raise
 
-    def _replace(self, worker: _Worker, waiting: deque[int], error: Exception) -> None:
-        """Another worker in the place of one that died; what it was given goes to whoever is free."""
+    def _replace(self, worker: _Worker, waiting: deque[int], error: Exception) -> bool:
+        """Another worker in the place of one that died; what it was given goes to whoever is free.
+
+        Returns:
+          Whether the item that it died over is given up.
+        """
         blamed = worker.given[0][0]
         self.deaths[blamed] += 1
-        if self.deaths[blamed] >= MOST_DEATHS:
+        is_lost = self.deaths[blamed] >= MOST_DEATHS
+        if is_lost and (blamed is None or self.if_lost is None):
             one = "its start" if blamed is None else f"{self.what} {blamed + 1} of {len(self.items)}"
             raise ClutterGenError(
                 f"{MOST_DEATHS} worker processes died over {one} ({_first_line(error)})",
                 hint="more memory or fewer workers on a machine, and the same package on all of them",
             ) from error
-        waiting.extendleft(place for place, _ in reversed(worker.given) if place is not None)
+        given = list(worker.given)[1 if is_lost else 0 :]
+        waiting.extendleft(place for place, _ in reversed(given) if place is not None)
         self.ray.kill(worker.actor)
         self.workers[self.workers.index(worker)] = self._hired()
+        return is_lost
 
 
 def _first_line(error: Exception) -> str:

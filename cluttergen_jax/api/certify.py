@@ -13,7 +13,13 @@ if TYPE_CHECKING:
 
 
 def certify(
-    bank: Bank | str | Path, *, seconds: float = 2.0, jobs: int = 0, force: bool = False
+    bank: Bank | str | Path,
+    *,
+    seconds: float = 2.0,
+    jobs: int = 0,
+    force: bool = False,
+    cluster: str | None = None,
+    workers: int = 0,
 ) -> Certification:
     """Adds a stability certificate to each scene of a bank that stands: a column for each measure.
 
@@ -22,13 +28,20 @@ def certify(
       seconds: the horizon over which drift is measured.
       jobs: scenes simulated at a time; 0 takes every core.
       force: measure again what has a certificate.
+      cluster: where it is done: "local", Ray on this machine; "auto", the Ray cluster that this machine
+        belongs to; or a cluster's address (extra `ray`). In this process if not given.
+      workers: worker processes on the cluster; 0 takes as many as it has room for.
+        Each has `jobs` cores, one if that is 0.
 
     Raises:
       BankError: the bank cannot be read or written, another process writes it, or no scene in it stands.
       ConfigError: a setting is outside its range.
+      MissingExtraError: a cluster without the extra `ray`.
     """
+    from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.evaluation.certify import certify_bank
     from cluttergen_jax.scene.bank import Bank, read_bank
 
     check_workers("jobs", jobs)
-    return certify_bank(bank if isinstance(bank, Bank) else read_bank(bank), seconds, jobs, force)
+    bank = bank if isinstance(bank, Bank) else read_bank(bank)
+    return certify_bank(bank, seconds, jobs, force, cluster_of(cluster, workers))

@@ -40,6 +40,8 @@ def evaluate(
     num_threads: int = 0,
     fresh: bool = False,
     out: str | Path | None = None,
+    cluster: str | None = None,
+    workers: int = 0,
 ) -> Comparison:
     """Compares methods: success rates with 95 % intervals, objects placed, effort and speed.
 
@@ -70,19 +72,26 @@ def evaluate(
       fresh: make rows again that are at hand.
       out: where everything goes: the table, and rows, which are not made again. With None a function writes
         nothing of a comparison; the command takes out/evaluation, and a suite out/SUITE.
+      cluster: where rows are made: "local", Ray on this machine; "auto", the Ray cluster that this machine
+        belongs to; or a cluster's address (extra `ray`). In this process if not given. All machines have to
+        see pools and checkpoints that are not embedded under the same path. Of a suite, pictures and what is
+        measured of scenes are made here.
+      workers: worker processes on the cluster, of `num_threads` cores each, one if that is 0; 0 takes as many
+        as it has room for.
 
     Raises:
       ConfigError: a setting is outside its range, or there is no such method.
       PoolError: there is no such pool or support, or no policy for any of the rows.
     """
     from cluttergen_jax.assets.pool import composed
+    from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.evaluation.comparison import compare, open_runner
     from cluttergen_jax.evaluation.studies.study import grid
     from cluttergen_jax.evaluation.trial import Trial
     from cluttergen_jax.learning.methods import rules_asked
     from cluttergen_jax.placement.baselines import BASELINES
 
-    given = locals()
+    given, place = locals(), cluster_of(cluster, workers)
     check_workers("num_threads", num_threads)
     if not supports:
         raise ConfigError("supports = ()", "one name or more")
@@ -101,6 +110,8 @@ def evaluate(
     ]
     folder = None if out is None else Path(out)
     runner = open_runner(folder, planned, checkpoint, checkpoints, engine, num_threads, fresh)
+    if place is not None:
+        runner.make_on(place, planned)
     return compare(runner, planned, folder)
 
 
@@ -120,6 +131,8 @@ def evaluate_suite(
     num_threads: int = 0,
     fresh: bool = False,
     out: str | Path | None = None,
+    cluster: str | None = None,
+    workers: int = 0,
     show: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
     """Makes the tables and figures of a suite, and writes each as it is done (`cluttergen evaluate --suite`).
@@ -142,12 +155,14 @@ def evaluate_suite(
       ConfigError: a setting is outside its range, or there is no such suite, study or method.
       PoolError: there is no such pool.
     """
+    from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.evaluation.comparison import open_runner
     from cluttergen_jax.evaluation.running import imported_pools, run_suite, suite_folder
     from cluttergen_jax.evaluation.studies.study import Scale
     from cluttergen_jax.evaluation.studies.time import TIME
     from cluttergen_jax.evaluation.suites import find_suite
 
+    place = cluster_of(cluster, workers)
     check_workers("num_threads", num_threads)
     if seeds is not None and not 1 <= seeds <= 100:
         raise ConfigError(f"seeds = {seeds}", "1 to 100")
@@ -156,4 +171,6 @@ def evaluate_suite(
     planned = find_suite(suite, scale, only)
     rows = [trial for each in planned if each.study is not TIME for trial in each.trials]
     runner = open_runner(folder, rows, checkpoint, checkpoints, engine, num_threads, fresh)
+    if place is not None:
+        runner.make_on(place, rows)
     return run_suite(runner, suite, planned, scale, folder, show)

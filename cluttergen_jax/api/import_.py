@@ -35,6 +35,8 @@ def import_pool(
     add: bool = False,
     force: bool = False,
     progress: bool = True,
+    cluster: str | None = None,
+    workers: int = 0,
 ) -> ImportReport:
     """Makes a user pool of all objects that files and folders hold (`cluttergen import --pool`).
 
@@ -61,6 +63,10 @@ def import_pool(
       add: add to the pool, which exists; objects of equal names are refused, or replaced with `force`.
       force: make everything again, and replace a pool, a support, or with `add` objects of that name.
       progress: show a progress bar.
+      cluster: where it is done: "local", Ray on this machine; "auto", the Ray cluster that this machine
+        belongs to; or a cluster's address (extra `ray`). In processes of its own if not given. All machines
+        have to see the files under the same path.
+      workers: worker processes on the cluster; 0 takes as many as it has room for.
 
     Returns:
       What was made (`pool`), skipped, and what failed, and why: a file that is damaged fails alone.
@@ -69,6 +75,7 @@ def import_pool(
       ConfigError, PoolError, AssetError, MissingExtraError: see `importing.run.import_sources`.
     """
     from cluttergen_jax.assets.body import BodyConfig
+    from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.importing.readers import ReadOptions
     from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
 
@@ -84,7 +91,8 @@ def import_pool(
         max_texture=max_texture,
     )
     config = ObjectConfig(read, BodyConfig(tier, decomposition or DecompositionConfig()), trials)
-    how = ImportConfig(config, jobs, force, progress, add, None if settings is None else Path(settings))
+    file, place = None if settings is None else Path(settings), cluster_of(cluster, workers)
+    how = ImportConfig(config, jobs, force, progress, add, file, place)
     return import_sources([sources] if isinstance(sources, str | Path) else sources, pool, how)
 
 

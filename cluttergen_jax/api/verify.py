@@ -11,7 +11,14 @@ if TYPE_CHECKING:
     from cluttergen_jax.scene.bank.verify import VerificationReport
 
 
-def verify(path: str | Path, check: VerifyConfig | None = None, *, jobs: int = 0) -> VerificationReport:
+def verify(
+    path: str | Path,
+    check: VerifyConfig | None = None,
+    *,
+    jobs: int = 0,
+    cluster: str | None = None,
+    workers: int = 0,
+) -> VerificationReport:
     """Checks that saved scenes stand: plain MuJoCo, everything awake; `cluttergen verify`.
 
     Of a bank, its files are compared with the digests in bank.json as well: a scene of which a file was
@@ -21,12 +28,18 @@ def verify(path: str | Path, check: VerifyConfig | None = None, *, jobs: int = 0
       path: a bank, or one MJCF file with a keyframe called scene.
       check: how long, and what counts as standing; the defaults of `VerifyConfig` if not given.
       jobs: scenes simulated at a time; 0 takes every core.
+      cluster: where it is done: "local", Ray on this machine; "auto", the Ray cluster that this machine
+        belongs to; or a cluster's address (extra `ray`). In this process if not given. All machines have to
+        see the files under the same path.
+      workers: worker processes on the cluster; 0 takes as many as it has room for.
 
     Raises:
       BankError: there is nothing to verify, or a file cannot be loaded or simulated.
       UnsafePathError: a file of a bank names files outside of that bank.
       ConfigError: `jobs` is out of range.
+      MissingExtraError: a cluster without the extra `ray`.
     """
+    from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.scene.bank.verify import verify_files
 
-    return verify_files(Path(path), check or VerifyConfig(), jobs)
+    return verify_files(Path(path), check or VerifyConfig(), jobs, cluster_of(cluster, workers))

@@ -50,7 +50,7 @@ class Import(Options):
             raise ConfigError("--support together with sources or --pool", "one of them", "two commands")
         from cluttergen_jax.assets.support_file import user_supports
 
-        ignored = ("decomposition", "jobs", "progress")
+        ignored = ("decomposition", "jobs", "progress", "cluster", "workers")
         hint = "leaving it out: a table is not an object"
         support = self.call(import_support, "with --support", hint, ignored)
         x, y = support.region.half_extents

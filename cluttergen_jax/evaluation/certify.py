@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.evaluation.measures.arrangement import by_object
@@ -42,13 +47,15 @@ class Certification:
     num_new: int
 
 
-def certify_bank(bank: Bank, seconds: float, jobs: int, force: bool) -> Certification:
+def certify_bank(
+    bank: Bank, seconds: float, jobs: int, force: bool, cluster: Cluster | None = None
+) -> Certification:
     """The certificates of a bank's scenes, written into it; see `cluttergen_jax.certify`."""
     horizons_of((seconds,))
     with writing(bank.path):
         lock = BankLock(bank.path)
     try:
-        found = _certify(bank, seconds, jobs, force)
+        found = _certify(bank, seconds, jobs, force, cluster)
         with writing(bank.path):
             write_card(bank)
     finally:
@@ -56,36 +63,92 @@ def certify_bank(bank: Bank, seconds: float, jobs: int, force: bool) -> Certific
     return found
 
 
-def _certify(bank: Bank, seconds: float, jobs: int, force: bool) -> Certification:
+def _certify(bank: Bank, seconds: float, jobs: int, force: bool, cluster: Cluster | None) -> Certification:
     record = {name: value for name, value in bank.record.items() if name != "num_scenes"}
-    models, num_new, shake = models_of(bank), 0, [np.zeros(0)]
-    stored = StoredBlocks.of(bank.path)
-    with Progress("certifying", bank.num_scenes, "scene") as progress:
-        for number in stored.places:
-            rows = stored.read(number)
-            if force or not is_fully_certified(rows):
-                rows = certified(rows, models, seconds, jobs)
-                write_rows(bank.path, number, rows, record)
+    certifier, blocks = Certifier.of(bank, seconds, jobs), _Blocks(StoredBlocks.of(bank.path), force)
+    num_new = 0
+    with Progress("certifying", bank.num_scenes, "scene", blocks.num_done) as progress:
+        if cluster is None:
+            certify = certifier()
+            measured = ((place, certify(rows)) for place, rows in enumerate(blocks))
+        else:
+            measured = each_on(cluster, replace(certifier, jobs=jobs or 1), blocks, "block", jobs or 1)
+        with closing(measured):
+            for place, rows in measured:
+                write_rows(bank.path, blocks.numbers[place], rows, record)
                 num_new += rows.num_rows
-            shake.append(np.array(rows["shake"].drop_null()))
-            progress.update(rows.num_rows)
+                progress.update(rows.num_rows)
     merge_shards(bank.path, record)
-    scores = np.concatenate(shake)
+    scores = np.concatenate([np.array(rows["shake"].drop_null()) for rows in bank.tables(["shake"])])
     if not len(scores):
         raise BankError(f"{bank.path}: no scene in it stands", hint="more scenes")
     return Certification(scores, num_new)
 
 
-def models_of(bank: Bank) -> SceneModels:
-    """Plain MuJoCo models of the bank's scenes, from its own assets and settings."""
-    recipe, asset_of = bank.record["recipe"], lru_cache(maxsize=None)(bank.object)
-    names = recipe.get("names")
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise BankError(f"{bank.path}: its record does not name the objects of its world")
-    stability = config_of(StabilityConfig, recipe.get("stability", {}), bank.path)
-    contact = config_of(ContactConfig, recipe.get("contact", {}), bank.path)
-    world = make_world([asset_of(base_name(name)) for name in names], bank.support, stability, contact)
-    return SceneModels(world, stability, contact)
+class _Blocks(Sequence[pa.Table]):
+    """The blocks of a bank that are to be measured, each read when it is asked for.
+
+    Attributes:
+      numbers: which these are; num_done: scenes of the others.
+    """
+
+    def __init__(self, stored: StoredBlocks, force: bool) -> None:
+        self._stored, self.num_done, self.numbers = stored, 0, list[int]()
+        for number in stored.places:
+            rows = stored.read(number)
+            if force or not is_fully_certified(rows):
+                self.numbers.append(number)
+            else:
+                self.num_done += rows.num_rows
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def __getitem__(self, place: Any) -> Any:
+        return self._stored.read(self.numbers[place])
+
+
+@dataclass(frozen=True, eq=False)
+class Certifier:
+    """Makes what measures blocks, here or in another process: plain models of the bank's own assets.
+
+    Attributes:
+      objects: of the bank's world, in order; support, stability, contact: likewise.
+      seconds, jobs: of `cluttergen_jax.certify`.
+    """
+
+    objects: tuple[ObjectAsset, ...]
+    support: SupportAsset
+    stability: StabilityConfig
+    contact: ContactConfig
+    seconds: float
+    jobs: int
+
+    @classmethod
+    def of(cls, bank: Bank, seconds: float, jobs: int) -> Certifier:
+        """What measures the blocks of a bank.
+
+        Raises:
+          BankError: the bank's record or an asset is damaged.
+        """
+        recipe, asset_of = bank.record["recipe"], lru_cache(maxsize=None)(bank.object)
+        names = recipe.get("names")
+        if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+            raise BankError(f"{bank.path}: its record does not name the objects of its world")
+        return cls(
+            objects=tuple(asset_of(base_name(name)) for name in names),
+            support=bank.support,
+            stability=config_of(StabilityConfig, recipe.get("stability", {}), bank.path),
+            contact=config_of(ContactConfig, recipe.get("contact", {}), bank.path),
+            seconds=seconds,
+            jobs=jobs,
+        )
+
+    def __call__(self) -> Callable[[pa.Table], pa.Table]:
+        """The function that is given a block and returns it with its certificate."""
+        world = make_world(self.objects, self.support, self.stability, self.contact)
+        models = SceneModels(world, self.stability, self.contact)
+        return partial(certified, models=models, seconds=self.seconds, jobs=self.jobs)
 
 
 def certified(rows: pa.Table, models: SceneModels, seconds: float, jobs: int) -> pa.Table:

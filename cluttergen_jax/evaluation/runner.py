@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import jax
 import numpy as np
 
+from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.episodes import Outcome, arrays_of, attempts_of, figures_of, run_episodes
 from cluttergen_jax.evaluation.resolved import (
     Checkpoints,
@@ -59,6 +63,7 @@ class Runner:
         self._setups: OrderedDict[Any, Problem] = OrderedDict()
         self._swappable: dict[tuple[int, StabilityConfig], SwappablePhysics] = {}
         self._made: set[str] = set()
+        self._rows: dict[str, Row] = {}
         self._num_rows = self._num_done = 0
 
     def plan(self, trials: Iterable[Trial]) -> None:
@@ -90,6 +95,8 @@ class Runner:
             key = self.resolve(trial).key
         except MissingCheckpointError as error:
             return _missing(trial, error)
+        if key in self._rows:
+            return self._rows[key]
         if self.is_fresh and key not in self._made:
             return None
         return self.store.read(trial.title, key)
@@ -107,21 +114,60 @@ class Runner:
         resolved = self.resolve(trial)
         self.begin(trial.title)
         try:
-            strict = self.run(resolved)
-            figures = figures_of(strict) | {"fill": self._fill(resolved)}
-            if trial.paper_count:
-                loose = self.run(resolved, judge_neighbours=False)
-                figures["paper"] = figures_of(loose, has_last_check=False)
+            row, arrays = self.made(resolved)
         except MissingCheckpointError as error:
             self._finish(trial, str(error))
             return _missing(trial, error)
+        return self._keep(resolved, row, arrays)
+
+    def made(self, resolved: ResolvedTrial) -> tuple[Row, dict[str, np.ndarray]]:
+        """The trial's row and its scenes, made now and kept nowhere.
+
+        Raises:
+          MissingCheckpointError: its checkpoint cannot be used here.
+        """
+        strict = self.run(resolved)
+        figures = figures_of(strict) | {"fill": self._fill(resolved)}
+        if resolved.trial.paper_count:
+            loose = self.run(resolved, judge_neighbours=False)
+            figures["paper"] = figures_of(loose, has_last_check=False)
         row = {
-            "trial": trial.shown(),
+            "trial": resolved.trial.shown(),
             "sources": resolved.sources,
             "policy": resolved.policy,
             "figures": figures,
         }
-        stored = self.store.write(trial.title, resolved.key, row, arrays_of(strict))
+        return row, arrays_of(strict)
+
+    def make_on(self, cluster: Cluster, trials: Iterable[Trial]) -> None:
+        """Makes the rows that are missing on a cluster, each in one worker, and keeps them here.
+
+        Raises:
+          ConfigError: a worker finds something else under a name (a pool, a support, a checkpoint) than this
+            process does.
+        """
+        missing = [trial for trial in dict.fromkeys(trials) if self.stored_row(trial) is None]
+        maker = RowMaker(self.checkpoints, self.engine, self.num_threads or 1)
+        is_on_gpu = self.engine == "warp" or (self.engine == "auto" and jax.default_backend() == "gpu")
+        with closing(each_on(cluster, maker, missing, "row", maker.num_threads, int(is_on_gpu))) as done:
+            for place, (key, found) in done:
+                trial = missing[place]
+                resolved = self.resolve(trial)
+                if key != resolved.key:
+                    raise ConfigError(
+                        f"{trial.title}: a worker has another pool, support or checkpoint of that name",
+                        "the same files under the same path on all machines",
+                    )
+                if isinstance(found, MissingCheckpointError):
+                    self._finish(trial, str(found))
+                    self._rows[key] = _missing(trial, found)
+                else:
+                    self.progress.update(trial.num_episodes)
+                    self._rows[key] = self._keep(resolved, *found)
+
+    def _keep(self, resolved: ResolvedTrial, row: Row, arrays: dict[str, np.ndarray]) -> Row:
+        trial, figures = resolved.trial, row["figures"]
+        stored = self.store.write(trial.title, resolved.key, row, arrays)
         self._made.add(resolved.key)
         self._finish(trial, f"success {figures['success']:.3f}, {figures['placed']:.2f} objects placed")
         return stored
@@ -245,6 +291,28 @@ class Runner:
                 self._setups.popitem(last=False)
         self._setups.move_to_end(config)
         return self._setups[config]
+
+
+@dataclass(frozen=True)
+class RowMaker:
+    """Makes rows in another process, which finds what trials name as this one does; see `Runner`."""
+
+    checkpoints: Checkpoints
+    engine: str
+    num_threads: int
+
+    def __call__(self) -> Callable[[Trial], tuple[str, Any]]:
+        """The function that is given a trial: its key, and `Runner.made` of it, or why it cannot be made."""
+        runner = Runner(Store(None), self.checkpoints, self.engine, self.num_threads)
+
+        def make(trial: Trial) -> tuple[str, Any]:
+            resolved = runner.resolve(trial)
+            try:
+                return resolved.key, runner.made(resolved)
+            except MissingCheckpointError as error:
+                return resolved.key, error
+
+        return make
 
 
 def _missing(trial: Trial, error: MissingCheckpointError) -> Row:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,11 +13,12 @@ from cluttergen_jax.assets.config import NUM_TRIALS
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import NAME_PATTERN, object_hash
 from cluttergen_jax.assets.pool import ALL, EMBEDDED, Pool, read_pool, user_pool_folder, user_root, write_pool
+from cluttergen_jax.cluster import MOST_DEATHS, Cluster, each_on
 from cluttergen_jax.config import check_positive, check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.planning import YCB, Failure, Planned, plan_all
-from cluttergen_jax.importing.processes import run_all
+from cluttergen_jax.importing.processes import CRASHED, run_all
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, read_shape
 from cluttergen_jax.importing.readers.axes import UpAxis
 from cluttergen_jax.importing.solo import measured_object
@@ -52,19 +53,48 @@ class Job:
     config: ObjectConfig
 
 
-def run_job(job: Job) -> str:
-    """Makes the object and caches it. The empty string, or why it could not be made."""
+def made(job: Job) -> ObjectAsset | str:
+    """The object, or why it could not be made."""
     try:
         # Rest and ball test look at the poses themselves, so MuJoCo's own log has nothing to add.
         with silent_log():
             shape = read_shape(job.source, job.config.read)
             asset = measured_object(shape, job.config.body, job.config.trials)
-            cache.store(job.key, replace(asset, flags=(*job.source.notes, *asset.flags)))
+            return replace(asset, flags=(*job.source.notes, *asset.flags))
     except ClutterGenError as error:
         return str(error)
     except Exception as error:  # One object that nobody foresaw must not end a run of hundreds.
         return f"{job.source.path}: {type(error).__name__}: {error}"
+
+
+def run_job(job: Job) -> str:
+    """Makes the object and caches it. The empty string, or why it could not be made."""
+    return _cached(job, made(job))
+
+
+def _cached(job: Job, asset: ObjectAsset | str) -> str:
+    if isinstance(asset, str):
+        return asset
+    try:
+        cache.store(job.key, asset)
+    except OSError as error:
+        return f"{job.source.path}: {type(error).__name__}: {error}"
     return ""
+
+
+def _maker() -> Callable[[Job], ObjectAsset | str]:
+    return made
+
+
+def _run_on(cluster: Cluster, jobs: Sequence[Job]) -> Generator[tuple[int, str], None, None]:
+    """As `processes.run_all`, on a cluster; objects come back to the cache of this machine."""
+    # One thread each, as in processes of this machine (`processes`).
+    lost: ObjectAsset | str = f"{CRASHED}, {MOST_DEATHS} times"
+    done: Generator[tuple[int, ObjectAsset | str], None, None]
+    done = each_on(cluster, _maker, jobs, "object", settings={"OMP_NUM_THREADS": "1"}, if_lost=lost)
+    with closing(done):
+        for index, asset in done:
+            yield index, _cached(jobs[index], asset)
 
 
 @dataclass(frozen=True)
@@ -78,6 +108,7 @@ class ImportConfig:
       progress: show a progress bar.
       add: add to a pool that exists.
       settings: a file of settings per object, in place of the `objects.toml` in each folder.
+      cluster: where objects are made; in processes of this machine if None.
     """
 
     object: ObjectConfig = field(default_factory=ObjectConfig)
@@ -86,6 +117,7 @@ class ImportConfig:
     progress: bool = True
     add: bool = False
     settings: Path | None = None
+    cluster: Cluster | None = None
 
     def __post_init__(self) -> None:
         check_workers("jobs", self.jobs)
@@ -194,8 +226,12 @@ def _make(jobs: Sequence[Job], config: ImportConfig) -> list[Failure]:
     is_shown = config.progress and bool(jobs)
     with Progress("importing", len(jobs), "object") if is_shown else nullcontext() as progress:
         if progress is not None:
-            progress.say(f"importing {len(jobs)} objects, {min(num_processes, len(jobs))} at a time")
-        for index, reason in run_all(run_job, jobs, num_processes):
+            at_once = (
+                f"{min(num_processes, len(jobs))} at a time" if config.cluster is None else "on a cluster"
+            )
+            progress.say(f"importing {len(jobs)} objects, {at_once}")
+        done = _run_on(config.cluster, jobs) if config.cluster else run_all(run_job, jobs, num_processes)
+        for index, reason in done:
             if progress is not None:
                 progress.update(note=jobs[index].source.name)
             if reason:

@@ -8,15 +8,19 @@ import sys
 import time
 from contextlib import suppress
 
+import numpy as np
 import psutil
 import pytest
+import trimesh
 
 import cluttergen_jax as cg
 from cluttergen_jax import cluster as clusters
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cluster import MOST_DEATHS, Cluster, cluster_of, each_on
+from cluttergen_jax.config import VerifyConfig
 from cluttergen_jax.errors import ClutterGenError, ConfigError, MissingExtraError
 from cluttergen_jax.scene.bank import read_bank
+from tests.helpers import banks
 from tests.helpers import clusters as work
 from tests.helpers.worlds import trio
 
@@ -174,3 +178,59 @@ def test_ctrl_c_leaves_a_bank_that_goes_on(pool, whole, tmp_path):
     assert 256 <= read_bank(path).table.num_rows < 2300
     assert begin(pool, path, "--cluster", "local", "--workers", "3").wait() == 0
     assert contents(path) == contents(whole)
+
+
+@pytest.mark.slow
+def test_an_item_that_is_given_up_is_told_from_the_others(ray, tmp_path):
+    found = dict(each_on(TWO, work.Deaths(tmp_path, 100), range(6), "number", if_lost=99))
+    assert found == {0: 0, 1: -1, 2: -2, 3: 99, 4: -4, 5: -5}
+
+
+@pytest.mark.slow
+def test_verify_and_certify_find_there_what_they_find_here(ray, tmp_path):
+    for name in ("here", "there"):
+        banks.with_files(tmp_path / name / "bank")
+    on = {"cluster": "local", "workers": 2}
+    check = VerifyConfig(seconds=0.5)
+    assert (
+        cg.verify(tmp_path / "here" / "bank", check).as_json()
+        == cg.verify(tmp_path / "there" / "bank", check, **on).as_json()
+    )
+    found = cg.certify(tmp_path / "here" / "bank", seconds=0.1)
+    same = cg.certify(tmp_path / "there" / "bank", seconds=0.1, **on)
+    np.testing.assert_array_equal(found.shake, same.shake)
+    assert contents(tmp_path / "here") == contents(tmp_path / "there")
+    # What has its certificate is not measured again.
+    assert cg.certify(tmp_path / "there" / "bank", seconds=0.1, **on).num_new == 0
+
+
+@pytest.mark.slow
+def test_rows_of_a_table_are_the_same_on_a_cluster(ray, pool, tmp_path):
+    asked = {"methods": ["random", "clear"], "pools": [pool], "num_objects": 2, "trials": 20}
+    here = cg.evaluate(**asked).rows
+    there = cg.evaluate(**asked, out=tmp_path, cluster="local", workers=2).rows
+    timed = [name for name in here[0] if "second" in name]
+    for one, two in zip(here, there, strict=True):
+        assert {k: v for k, v in one.items() if k not in timed} == {
+            k: v for k, v in two.items() if k not in timed
+        }
+    # Kept as if they had been made here.
+    assert cg.evaluate(**asked, out=tmp_path).rows == there
+
+
+@pytest.mark.slow
+def test_an_import_on_a_cluster_makes_the_same_pool(ray, tmp_path, monkeypatch):
+    (tmp_path / "meshes").mkdir()
+    for number in range(3):
+        trimesh.creation.box((0.05, 0.06, 0.04 + 0.01 * number)).export(
+            tmp_path / "meshes" / f"box_{number}.stl"
+        )
+    (tmp_path / "meshes" / "bad.obj").write_text("v 0 0 nonsense")
+    pools = []
+    for name, more in (("here", {}), ("there", {"cluster": "local", "workers": 2})):
+        monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / name))
+        report = cg.import_pool(tmp_path / "meshes", "boxes", trials=4, progress=False, **more)
+        assert [each.name for each in report.failures] == ["bad"]
+        pools.append(report.pool)
+    assert pools[0].hash == pools[1].hash
+    assert pools[0].names == pools[1].names == ("box_0", "box_1", "box_2")

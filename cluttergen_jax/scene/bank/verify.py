@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -14,6 +16,7 @@ from xml.etree import ElementTree as ET
 import mujoco
 import numpy as np
 
+from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import VerifyConfig, check_workers
 from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.files import inside, write_atomically
@@ -133,24 +136,41 @@ class VerificationReport:
             yield "  the same `cluttergen generate` again mends them; what is not in bank.json, remove"
 
 
-def verify_files(path: Path, check: VerifyConfig, jobs: int = 0) -> VerificationReport:
+def verify_files(
+    path: Path, check: VerifyConfig, jobs: int = 0, cluster: Cluster | None = None
+) -> VerificationReport:
     """How the files of a bank, or one file, behave; see `cluttergen_jax.verify`."""
     check_workers("jobs", jobs)
     files = scene_files(path)
     changes = changes_of(read_bank(path)) if (path / INDEX).is_file() else []
-    # MuJoCo keeps meshes that it has read, and takes a file of the same second for the one that it knows.
-    mujoco.mj_clearCache(mujoco.mj_getCache())
-    with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
-        checks = pool.map(lambda file: verify_scene(file, check), files)
-        try:
-            scenes = tuple(tracked(checks, "verifying", len(files), "scene"))
-        except BaseException:
-            # Leaving the pool waits for what has begun; what has not is not to begin.
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    if cluster is None:
+        checks = _checked_here(files, check, jobs)
+    else:
+        checks = each_on(cluster, partial(_checker, check), files, "file")
+    with closing(checks):
+        found = dict(tracked(checks, "verifying", len(files), "scene"))
+    scenes = tuple(found[place] for place in range(len(files)))
     changed = tuple(tuple(touched(changes or [], each.path.name, each.objects)) for each in scenes)
     report = VerificationReport(path, check, scenes, None if changes is None else tuple(changes), changed)
     return replace(report, unwritten=_keep(report)) if path.is_dir() else report
+
+
+def _checked_here(
+    files: Sequence[Path], check: VerifyConfig, jobs: int
+) -> Generator[tuple[int, Verification], None, None]:
+    """Each file's place and how it behaves, in threads of this process."""
+    with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
+        try:
+            yield from enumerate(pool.map(_checker(check), files))
+        finally:
+            # Leaving the pool waits for what has begun; what has not is not to begin.
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _checker(check: VerifyConfig) -> Callable[[Path], Verification]:
+    # MuJoCo keeps meshes that it has read, and takes a file of the same second for the one that it knows.
+    mujoco.mj_clearCache(mujoco.mj_getCache())
+    return partial(verify_scene, config=check)
 
 
 def _keep(report: VerificationReport) -> str:
