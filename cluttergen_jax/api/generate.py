@@ -60,7 +60,7 @@ def generate(
     `make_sampler` makes of the key `jax.random.fold_in(jax.random.key(seed), i)`.
 
     Args:
-      out: the bank's folder; an interrupted bank is continued.
+      out: the bank's folder, or a URL such as s3://bucket/name; an interrupted bank is continued.
       pool: a pool's name or folder (`cluttergen list`), or several joined by +: dining+mine.
       num_scenes: scenes to make, failures counted.
       method: how poses are proposed: "guided", "spread", "drop", "clear", "random", or a policy trained for

@@ -25,7 +25,7 @@ def verify(
     changed does not count. What was found is written to verification.json in the bank's folder.
 
     Args:
-      path: a bank, or one MJCF file with a keyframe called scene.
+      path: a bank (its folder, or a URL), or one MJCF file with a keyframe called scene.
       check: how long, and what counts as standing; the defaults of `VerifyConfig` if not given.
       jobs: scenes simulated at a time; 0 takes every core.
       cluster: where it is done: "local", Ray on this machine; "auto", the Ray cluster that this machine
@@ -40,6 +40,12 @@ def verify(
       MissingExtraError: a cluster without the extra `ray`.
     """
     from cluttergen_jax.cluster import cluster_of
+    from cluttergen_jax.scene.bank.remote import is_url, mirrored
     from cluttergen_jax.scene.bank.verify import verify_files
 
-    return verify_files(Path(path), check or VerifyConfig(), jobs, cluster_of(cluster, workers))
+    return verify_files(
+        mirrored(str(path)) if is_url(path) else Path(path),
+        check or VerifyConfig(),
+        jobs,
+        cluster_of(cluster, workers),
+    )

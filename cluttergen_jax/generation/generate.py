@@ -27,6 +27,7 @@ from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.clutter_stats import ClutterTally
+from cluttergen_jax.scene.bank.remote import publish_all, url_of
 from cluttergen_jax.scene.bank.totals import Totals
 from cluttergen_jax.scene.bank.writer import names_of
 
@@ -79,7 +80,7 @@ def write_bank(
             print(note, file=sys.stderr, flush=True)
         started = time.perf_counter()
         num_new = run_blocks(made, writer, num_scenes)
-        bank = read_bank(out)
+        bank = read_bank(writer.path)
         totals, clutter = Totals(), ClutterTally(bank)
         for rows in bank.tables():
             rows = rows.filter(pc.less(rows["index"], num_scenes))
@@ -93,9 +94,13 @@ def write_bank(
             num_files, written = min(num_scenes, max_files), ""
             if num_files > 0:
                 written = write_files(bank, num_files, problem.config, render, writer.keep_digests)
+            record = read_bank(writer.path).record
+            publish_all(bank.path)
+            if url := url_of(bank.path):
+                written = "\n".join(filter(None, (written, f"stored     {url}")))
     return GeneratedBank(
         bank.path,
-        read_bank(out).record,
+        record,
         notes=notes,
         summary=summary,
         advice=_advice(method.name, totals.success / totals.scenes),

@@ -33,6 +33,7 @@ from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.files import inside
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.blocks import AGAIN, StoredBlocks, record_in
+from cluttergen_jax.scene.bank.remote import is_url, mirrored
 from cluttergen_jax.scene.bank.table import CERTIFICATE, CLUTTER, SCHEMA, BankRow, is_certified, rows_of
 
 FORMAT = 1
@@ -155,11 +156,12 @@ def read_block(path: Path, block: int) -> pa.Table:
 
 
 def read_bank(path: str | Path) -> Bank:
-    """Opens a bank.
+    """Opens a bank, in a folder or at a URL.
 
     Raises:
       BankError: there is none, or `bank.json` is damaged or of another format.
     """
+    path = mirrored(str(path)) if is_url(path) else path
     index = Path(path) / INDEX
     try:
         record = json.loads(index.read_bytes())

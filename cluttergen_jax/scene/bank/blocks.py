@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -27,6 +27,7 @@ from cluttergen_jax.assets.object_files import NAME_PATTERN
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import file_whole, writing
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
+from cluttergen_jax.scene.bank.remote import RemoteFolder, publish, remote_of
 from cluttergen_jax.scene.bank.table import CERTIFICATE, CLUTTER, SCHEMA, is_certified, with_added
 
 SHARD_BLOCKS = 768
@@ -58,10 +59,12 @@ class StoredBlocks:
     Attributes:
       path: the bank's folder.
       places: by block, in order, the name of its file and its row group there.
+      remote: where those files are that the folder, a mirror, does not hold.
     """
 
     path: Path
     places: dict[int, tuple[str, int]]
+    remote: RemoteFolder | None = None
     _open: dict[str, pq.ParquetFile] = field(default_factory=dict)
 
     @classmethod
@@ -69,10 +72,12 @@ class StoredBlocks:
         """What lies in a folder now; nothing if there is none."""
         places: dict[int, tuple[str, int]] = {}
         # The last one wins: long shards over short ones that they were made of, single blocks over all.
-        files = block_files(path)
+        files, remote = block_files(path), remote_of(path)
+        if remote is not None:
+            files |= _block_files(remote.sizes())
         for name in sorted(files, key=lambda name: (not is_shard(files[name]), files[name][-1])):
             places.update({block: (name, row_group) for row_group, block in enumerate(files[name])})
-        return cls(path, dict(sorted(places.items())))
+        return cls(path, dict(sorted(places.items())), remote)
 
     def read(self, block: int) -> pa.Table:
         """The rows of one block, every value looked at.
@@ -117,9 +122,26 @@ class StoredBlocks:
         if name not in self._open:
             # One at a time: blocks are read in order, and each open file costs memory.
             self._open.clear()
-            file = pq.ParquetFile(self.path / name, page_checksum_verification=True)
-            self._open[name] = file
+            self._open[name] = pq.ParquetFile(self._source(name), page_checksum_verification=True)
         return self._open[name]
+
+    def _source(self, name: str) -> Path | pa.NativeFile:
+        path = self.path / name
+        return path if self.remote is None or path.exists() else self.remote.open(name)
+
+    def num_rows(self, block: int) -> int:
+        """The rows of a block, as its file says; elsewhere, nothing but the file's end is fetched.
+
+        Raises:
+          BankError: the file cannot be read.
+        """
+        name, row_group = self.places[block]
+        if self.remote is None or (self.path / name).exists():
+            return self.read(block).num_rows
+        try:
+            return int(self._file(name).metadata.row_group(row_group).num_rows)
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise BankError(f"{self.remote.url}/{name} is damaged ({error})", hint=AGAIN) from error
 
 
 def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> None:
@@ -172,7 +194,10 @@ def record_in(table: pa.Table) -> Any:
 
 def block_files(path: Path) -> dict[str, range]:
     """The files of blocks and shards in a folder, and which blocks each is of."""
-    names = [each.name for each in path.iterdir()] if path.is_dir() else []
+    return _block_files(each.name for each in path.iterdir()) if path.is_dir() else {}
+
+
+def _block_files(names: Iterable[str]) -> dict[str, range]:
     found = [(name, match) for name in names if (match := _FILE.fullmatch(name))]
     return {name: range(int(match[1]), int(match[2] or match[1]) + 1) for name, match in found}
 
@@ -199,9 +224,14 @@ def write_shard(path: Path, blocks: range, record: dict[str, Any]) -> bool:
             _write_row_groups(fresh, StoredBlocks.of(path), blocks, record)
     except _UnevenError:
         return False
+    publish(path, target.name)
     for name, held in block_files(path).items():
         if name != target.name and set(held) <= set(blocks):
             (path / name).unlink()
+    if remote := remote_of(path):
+        for name, held in _block_files(remote.sizes()).items():
+            if name != target.name and set(held) <= set(blocks):
+                remote.remove(name)
     return True
 
 

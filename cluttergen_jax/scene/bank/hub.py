@@ -18,6 +18,7 @@ from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.digests import changes_of
 from cluttergen_jax.scene.bank.hubs import FolderHub, Hub, HuggingFaceHub, is_of_a_bank
 from cluttergen_jax.scene.bank.lock import BankLock
+from cluttergen_jax.scene.bank.remote import is_url, mirrored, url_of
 
 HUB_VARIABLE = "CLUTTERGEN_HUB"
 _DATASET = re.compile(r"\w[\w-]*(\.[\w-]+)*/\w[\w-]*(\.[\w-]+)*", re.ASCII)
@@ -30,6 +31,8 @@ def push(path: str | Path, name: str, hub: str | None, is_private: bool) -> str:
     _check_name(name)
     place = hub_of(hub)
     bank = read_bank(path)
+    if (url := url_of(bank.path)) is not None:
+        raise BankError(f"{url} is not on this machine", "a bank in a folder", "copying it to a folder first")
     with writing(bank.path):
         lock = BankLock(bank.path)
     try:
@@ -66,12 +69,14 @@ def pulled_path(name: str) -> Path:
 
 
 def find_bank(path: str | Path, *, hub: str | None = None, revision: str | None = None) -> Path:
-    """The folder of a bank that is named by it, or as OWNER/NAME on a hub, from where it is pulled once.
+    """The folder of a bank that is named by it, by a URL, or as OWNER/NAME on a hub; that is pulled once.
 
     Raises:
       BankError: there is no such folder, and it is no name; or there is no such bank on the hub.
       MissingExtraError: the extra `hub` is not installed.
     """
+    if is_url(path):
+        return mirrored(str(path))
     if Path(path).exists() or not isinstance(path, str) or not _DATASET.fullmatch(path):
         return Path(path)
     stored = pulled_path(path)

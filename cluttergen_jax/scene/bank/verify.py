@@ -25,6 +25,7 @@ from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.scene.bank.bank import INDEX, read_bank
 from cluttergen_jax.scene.bank.digests import Change, changes_of, touched
+from cluttergen_jax.scene.bank.remote import fetch_scenes
 from cluttergen_jax.types import small_length
 
 _STRIDE = 12
@@ -141,6 +142,7 @@ def verify_files(
 ) -> VerificationReport:
     """How the files of a bank, or one file, behave; see `cluttergen_jax.verify`."""
     check_workers("jobs", jobs)
+    fetch_scenes(path)
     files = scene_files(path)
     changes = changes_of(read_bank(path)) if (path / INDEX).is_file() else []
     if cluster is None:

@@ -33,12 +33,13 @@ from cluttergen_jax.scene.bank.blocks import (
     StoredBlocks,
     block_files,
     block_path,
-    is_shard,
     with_record,
     write_shard,
 )
 from cluttergen_jax.scene.bank.digests import digests_in
+from cluttergen_jax.scene.bank.hubs import is_of_a_bank
 from cluttergen_jax.scene.bank.lock import LOCK, BankLock
+from cluttergen_jax.scene.bank.remote import MARK, is_url, mirrored, publish_all, remote_of
 
 
 class BankWriter:
@@ -47,7 +48,7 @@ class BankWriter:
     A context manager: it holds the bank's lock until it is closed.
 
     Args:
-      path: the bank's folder.
+      path: the bank's folder, or a URL.
       recipe: JSON values that decide what the scenes are: two banks of equal recipes hold equal scenes.
       num_scenes: how many; a bank may be continued to a larger number.
       objects, support: stored once; damaged copies in the bank are mended.
@@ -69,7 +70,8 @@ class BankWriter:
         overwrite: bool = False,
         shard_blocks: int = SHARD_BLOCKS,
     ) -> None:
-        self.path, self._shard_blocks = Path(path), shard_blocks
+        self.path = mirrored(str(path)) if is_url(path) else Path(path)
+        self._shard_blocks = shard_blocks
         hashes = {
             "objects": {name: object_hash(asset) for name, asset in objects.items()},
             "support": support_hash(support),
@@ -84,6 +86,7 @@ class BankWriter:
                 self._begin(num_scenes, overwrite)
                 self._store_assets(objects, support)
                 self._write_index()
+                publish_all(self.path, is_begun=True)
         except BaseException:
             self.close()
             raise
@@ -103,7 +106,7 @@ class BankWriter:
         if block not in self._stored.places:
             return False
         try:
-            is_there = self._stored.read(block).num_rows >= num_rows
+            is_there = self._stored.num_rows(block) >= num_rows
         except BankError:
             return False
         if is_there:
@@ -165,8 +168,10 @@ class BankWriter:
         """Refuses a place that holds something which is not a bank."""
         if not self.path.exists() or (self.path / INDEX).exists() or block_numbers(self.path):
             return
+        if (remote := remote_of(self.path)) is not None and remote.sizes():
+            raise BankError(f"{remote.url} holds something that is no bank", "a new place", "another `out`")
         # A writer that was killed before anything was finished leaves no more than these.
-        ours = (LOCK, f".{INDEX}{PARTIAL}")
+        ours = (LOCK, f".{INDEX}{PARTIAL}", MARK)
         if not self.path.is_dir() or any(each.name not in ours for each in self.path.iterdir()):
             raise BankError(f"{self.path} exists and is not a bank", "a new or empty folder", "another `out`")
 
@@ -182,7 +187,11 @@ class BankWriter:
         self._stored = StoredBlocks.of(self.path)
         self._sound: set[int] = set()
         # What an interrupted writer left beside its shard counts, too: the shard is made again.
-        self._loose = {blocks[0] for blocks in block_files(self.path).values() if not is_shard(blocks)}
+        self._loose = {
+            block
+            for block, (name, _) in self._stored.places.items()
+            if name == block_path(self.path, block).name
+        }
         self._files: dict[str, str] = (theirs or {}).get("files", {})
         self._write_index()
 
@@ -306,6 +315,9 @@ def _remove_bank(path: Path) -> None:
     """Removes what a bank consists of, and nothing else that may lie in the folder."""
     for name in block_files(path):
         (path / name).unlink()
+    if remote := remote_of(path):
+        for name in filter(is_of_a_bank, remote.sizes()):
+            remote.remove(name)
     for folder in ("assets", "scenes"):
         shutil.rmtree(path / folder, ignore_errors=True)
     for name in ("overview.png", "verification.json", INDEX):

@@ -1,0 +1,185 @@
+"""Banks at URLs: an object store in memory, and a real S3 server of this machine."""
+
+import os
+import shutil
+import socket
+import subprocess
+import time
+
+import fsspec
+import numpy as np
+import pyarrow.fs as pafs
+import pytest
+
+import cluttergen_jax as cg
+from cluttergen_jax.assets.pool import Pool, write_pool
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.placement.rollout import BLOCK_SIZE
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.remote import MARK, RemoteFolder, mirror_of, mirrored, publish_all, url_of
+from tests.helpers import banks
+from tests.helpers.worlds import trio
+
+NUM_BLOCKS = 5
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path, monkeypatch):
+    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
+    return tmp_path / "home"
+
+
+@pytest.fixture
+def url(request):
+    """A place of its own in the memory of this process."""
+    system = fsspec.filesystem("memory")
+    yield f"memory://{request.node.name}/bank"
+    system.store.clear()
+
+
+def write(place, num_blocks=NUM_BLOCKS, until=NUM_BLOCKS):
+    """What is missing of a bank in shards of two blocks, but not beyond block `until`."""
+    with banks.writer(place, num_blocks * BLOCK_SIZE, shard_blocks=2) as writer:
+        made = []
+        for block in range(min(num_blocks, until)):
+            if not writer.has_block(block, BLOCK_SIZE):
+                writer.write_block(block, banks.rows(block))
+                made.append(block)
+        if until >= num_blocks:
+            writer.finish()
+            publish_all(writer.path)
+    return made
+
+
+def contents(url):
+    remote = RemoteFolder.of(url)
+    return {name: remote.open(name).read() for name in remote.sizes()}
+
+
+def files(path):
+    return {
+        each.relative_to(path).as_posix(): each.read_bytes() for each in path.rglob("*") if each.is_file()
+    }
+
+
+def test_a_bank_there_is_the_bank_here(url, tmp_path):
+    write(url)
+    write(tmp_path / "bank")
+    assert contents(url) == files(tmp_path / "bank")
+    here, there = read_bank(tmp_path / "bank"), read_bank(url)
+    assert there.table.equals(here.table)
+    assert cg.stats_of(there) == cg.stats_of(here)
+    one, two = (cg.load_bank(place, num_scenes=40) for place in (tmp_path / "bank", url))
+    np.testing.assert_array_equal(one.qpos, two.qpos)
+    # Blocks are read where they are.
+    assert not list(there.path.glob("*.parquet"))
+
+
+def test_a_bank_goes_on_where_it_stopped_even_without_its_mirror(url, home, tmp_path):
+    assert write(url, until=3) == [0, 1, 2]
+    # Block 2 is in no shard yet and waits in the mirror.
+    assert {name for name in contents(url) if name.startswith("scenes")} == {"scenes-000000-000001.parquet"}
+    shutil.copytree(home, tmp_path / "copy")
+    assert write(url) == [3, 4]
+    whole = contents(url)
+    fsspec.filesystem("memory").store.clear()
+    shutil.rmtree(home)
+    write(url, until=3)
+    shutil.rmtree(home)
+    assert write(url) == [2, 3, 4]
+    assert contents(url) == whole
+
+
+def test_a_bank_grows_there(url, tmp_path):
+    write(url, num_blocks=3)
+    write(url)
+    write(tmp_path / "bank")
+    assert contents(url) == files(tmp_path / "bank")
+
+
+def test_other_things_there_are_left_alone(url):
+    fsspec.filesystem("memory").pipe(f"{url}/notes.txt", b"mine")
+    with pytest.raises(BankError, match="no bank"):
+        write(url)
+    assert contents(url) == {"notes.txt": b"mine"}
+
+
+def test_only_mirrors_lead_elsewhere(url, tmp_path):
+    """A folder from somebody else cannot make this machine open what it names."""
+    write(url)
+    banks.write(tmp_path / "bank", 1)
+    (tmp_path / "bank" / MARK).write_text(url)
+    assert url_of(tmp_path / "bank") is None
+    assert url_of(mirror_of(url)) == url
+    assert read_bank(tmp_path / "bank").table.num_rows == BLOCK_SIZE
+
+
+@pytest.mark.parametrize(
+    "place", ["nowhere://bucket/bank", "file:///no such place/bank", "memory://empty/bank"]
+)
+def test_what_cannot_be_opened_is_explained(place):
+    with pytest.raises(BankError, match=r"no such|not a bank|does not answer"):
+        read_bank(place)
+
+
+def test_what_works_on_files_asks_for_a_folder(url):
+    write(url)
+    for work in (cg.certify, lambda bank: cg.push_bank(bank, "me/bank", hub="/")):
+        with pytest.raises(BankError, match="not on this machine"):
+            work(url)
+
+
+@pytest.fixture
+def bucket(tmp_path, monkeypatch):
+    """A bucket of a real S3 server, moto's, in an environment of its own for its older python-dateutil."""
+    python = os.environ.get("CLUTTERGEN_MOTO_PYTHON")
+    if not python:
+        pytest.skip("CLUTTERGEN_MOTO_PYTHON names no interpreter of an environment that has moto[server]")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    server = subprocess.Popen(
+        [python, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)],
+        env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    for name, value in {"AWS_ACCESS_KEY_ID": "me", "AWS_SECRET_ACCESS_KEY": "secret"}.items():
+        monkeypatch.setenv(name, value)
+    place = f"endpoint_override=http://127.0.0.1:{port}&region=us-east-1&allow_bucket_creation=true"
+    while True:
+        try:
+            pafs.FileSystem.from_uri(f"s3://tests/?{place}")[0].create_dir("tests")
+            break
+        except OSError:
+            assert server.poll() is None
+            time.sleep(0.2)
+    yield "s3://tests/bank?" + place
+    server.terminate()
+    server.wait()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_bank_is_made_and_used_on_a_real_s3_server(bucket, tmp_path, home):
+    pool = str(write_pool(tmp_path / "trio", Pool("trio", tuple(trio()))))
+    options = {"pool": pool, "num_scenes": 300, "method": "random", "num_objects": 2, "max_files": 3}
+    here = cg.generate(tmp_path / "bank", **options, render=False)
+    there = cg.generate(bucket, **options, render=False)
+    assert f"stored     {bucket}" in str(there)
+    # The card names the folder, which both call alike.
+    assert contents(bucket) == files(tmp_path / "bank")
+    shutil.rmtree(home)
+    # Everything is there already: nothing is made again.
+    again = cg.generate(bucket, **options, render=False)
+    assert "speed" not in str(again)
+    assert again.table.equals(here.table)
+    shutil.rmtree(home)
+    assert cg.verify(bucket).is_sound
+    np.testing.assert_array_equal(cg.load_bank(bucket).qpos, cg.load_bank(tmp_path / "bank").qpos)
+    shutil.rmtree(home)
+    write(bucket.replace("/bank?", "/shards?"))
+    write(tmp_path / "shards")
+    assert contents(bucket.replace("/bank?", "/shards?")) == files(tmp_path / "shards")
+    assert sum(map(len, cg.stream_bank(bucket.replace("/bank?", "/shards?"), 100))) == NUM_BLOCKS * 192
+    assert mirrored(bucket).name == "bank"
