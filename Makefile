@@ -33,7 +33,7 @@ $(VENV)/.dev: $(VENV)/.core
 	@touch $@
 
 $(VENV)/.all: $(VENV)/.dev
-	$(INSTALL) -e '.[dev,ycb,peers,usd,viewer,video,browser,fuzz,hub,docs]'
+	$(INSTALL) -e '.[dev,ycb,peers,usd,viewer,video,browser,fuzz,hub,docs,ray,remote]'
 	@touch $@
 
 demo: $(VENV)/.core ## generate, draw, save and verify 20 scenes of ten dining objects in out/demo

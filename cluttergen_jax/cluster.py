@@ -134,7 +134,7 @@ def _connected(cluster: Cluster, num_cpus: int) -> Iterator[ModuleType]:
         raise ClutterGenError(
             f"no Ray cluster answers at {cluster.address!r} ({_first_line(error)})",
             "local, auto, or the address of a cluster",
-            "`ray start --head` on one machine and `ray start --address=...` on the others; or local",
+            "starting Ray on its machines first (`ray start`), or local",
         ) from error
     try:
         yield ray

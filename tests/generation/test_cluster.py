@@ -24,13 +24,15 @@ from tests.helpers import banks
 from tests.helpers import clusters as work
 from tests.helpers.worlds import trio
 
+pytest.importorskip("ray")
 TWO = Cluster("local", 2)
 
 
 @pytest.fixture(scope="module")
 def ray():
     """One Ray for all quick tests; `each_on` takes what is connected."""
-    ray = pytest.importorskip("ray")
+    import ray
+
     ray.init("local", num_cpus=4, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
     yield ray
     ray.shutdown()

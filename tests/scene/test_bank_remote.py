@@ -6,7 +6,6 @@ import socket
 import subprocess
 import time
 
-import fsspec
 import numpy as np
 import pyarrow.fs as pafs
 import pytest
@@ -20,6 +19,7 @@ from cluttergen_jax.scene.bank.remote import MARK, RemoteFolder, mirror_of, mirr
 from tests.helpers import banks
 from tests.helpers.worlds import trio
 
+fsspec = pytest.importorskip("fsspec")
 NUM_BLOCKS = 5
 
 
