@@ -1,7 +1,7 @@
 """A big bank on a local Ray cluster: scenes a second over time, memory, and what more of them would cost.
 
-It starts `cluttergen generate` as a user would, and looks at it from outside every few seconds. The bank stays;
-the same command again goes on with it, and then measures what was missing.
+It starts `cluttergen generate` as a user would, and looks at it from outside every few seconds. The bank
+stays; the same command again goes on with it, and then measures what was missing.
 """
 
 from __future__ import annotations
@@ -131,14 +131,17 @@ class BigBank:
             ),
             [self.sums(millions * 10**6, rate / self.workers, own, size) for millions in _MILLIONS],
         )
-        return (
-            f"## A big bank\n\n{last.scenes:,} scenes of {self.pool} by `{self.method}` with {self.workers} "
-            f"workers of one core: {rate:.2f} scenes a second, {rate / self.workers:.2f} a core, {size:.0f} bytes "
-            f"a scene on disk, {1000 * own:.2f} ms of the command's own processor time a scene.\n\n{seen}\n\n"
-            f"What that makes of more, at {self.core_hour:g} for a core-hour and {self.gigabyte_month:g} for a "
-            "GB and month. Whichever column of days is longer counts: one command writes for all workers."
-            f"\n\n{sums}"
-        )
+        paragraphs = [
+            "## A big bank",
+            f"{last.scenes:,} scenes of {self.pool} by `{self.method}`, {self.workers} workers of one core: "
+            f"{rate:.2f} scenes a second, {rate / self.workers:.2f} a core; {size:.0f} bytes and "
+            f"{1000 * own:.2f} ms of the command's own processor time a scene.",
+            seen,
+            f"What that makes of more, at {self.core_hour:g} for a core-hour and {self.gigabyte_month:g} for "
+            "a GB and month. Whichever column of days is longer counts: one command writes for all workers.",
+            sums,
+        ]
+        return "\n\n".join(paragraphs)
 
     def sums(self, scenes: int, rate: float, own: float, size: float) -> tuple[str, ...]:
         """A row: what so many scenes take.

@@ -7,9 +7,12 @@ begun is given to another one. It knows nothing of scenes: banks, checks, tables
 from __future__ import annotations
 
 import logging
+import math
 import os
 import pickle
 import platform
+import sys
+import time
 import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -30,6 +33,8 @@ MOST_DEATHS = 3
 _QUEUED = 2
 """Items that a worker has at a time: the next one waits where it is needed while a result travels."""
 _LONGEST_WAIT = 1.0
+_PATIENCE = 120.0
+"""Seconds after which the user is told that nothing has started."""
 _OBJECT_STORE = 256 * 2**20
 """Bytes of results in flight on a machine of its own; Ray writes to disk what exceeds it."""
 _SETTINGS = ("JAX_", "XLA_", "TF_", "OMP_", "MUJOCO_", "CLUTTERGEN_")
@@ -216,10 +221,13 @@ class _Crew:
         """See `each_on`."""
         waiting = deque(range(len(self.items)))
         self.workers = [self._hired() for _ in range(num_workers)]
-        num_left = len(self.items)
+        num_left, until = len(self.items), time.monotonic() + _PATIENCE
         while num_left:
             if stop_asked.is_set():
                 raise KeyboardInterrupt
+            if time.monotonic() > until and not any(worker.is_ready for worker in self.workers):
+                print("note: no worker has started: the cluster may have no room now", file=sys.stderr)
+                until = math.inf
             self._hand_out(waiting)
             # The oldest of each: who dies, dies over that one.
             oldest = {each.given[0][1]: each for each in self.workers if each.given}
