@@ -11,6 +11,7 @@ import math
 import os
 import pickle
 import platform
+import socket
 import sys
 import time
 import warnings
@@ -33,6 +34,8 @@ MOST_DEATHS = 3
 _QUEUED = 2
 """Items that a worker has at a time: the next one waits where it is needed while a result travels."""
 _LONGEST_WAIT = 1.0
+_CONNECT = 20.0
+"""Seconds in which a machine has to answer."""
 _PATIENCE = 120.0
 """Seconds after which the user is told that nothing has started."""
 _OBJECT_STORE = 256 * 2**20
@@ -131,11 +134,12 @@ def _connected(cluster: Cluster, num_cpus: int) -> Iterator[ModuleType]:
         cores = max(os.cpu_count() or 1, cluster.num_workers * num_cpus)
         own = {"num_cpus": cores, "include_dashboard": False, "object_store_memory": _OBJECT_STORE}
     try:
+        _check_answers(cluster.address)
         with warnings.catch_warnings():
             # Ray starts programs of its own by a fork, of which JAX warns; no JAX runs in those.
             warnings.simplefilter("ignore", RuntimeWarning)
             ray.init(cluster.address, logging_level=logging.ERROR, log_to_driver=False, **own)
-    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+    except (RuntimeError, ValueError, OSError, ray.exceptions.RayError) as error:
         raise ClutterGenError(
             f"no Ray cluster answers at {cluster.address!r} ({_first_line(error)})",
             "local, auto, or the address of a cluster",
@@ -145,6 +149,13 @@ def _connected(cluster: Cluster, num_cpus: int) -> Iterator[ModuleType]:
         yield ray
     finally:
         ray.shutdown()
+
+
+def _check_answers(address: str) -> None:
+    """OSError if nobody listens at HOST:PORT, which Ray itself would try for many minutes."""
+    host, _, port = address.rpartition(":")
+    if host and port.isdecimal() and "/" not in host:
+        socket.create_connection((host.strip("[]"), int(port)), _CONNECT).close()
 
 
 def _room(ray: ModuleType, num_cpus: int, num_gpus: int) -> int:

@@ -60,7 +60,8 @@ def test_an_item_whose_worker_dies_is_given_to_another(ray, tmp_path):
 def test_an_item_that_always_kills_its_worker_is_named(ray, tmp_path):
     with pytest.raises(ClutterGenError, match="3 worker processes died over number 4 of 12"):
         list(each_on(TWO, work.Deaths(tmp_path, 100), range(12), "number"))
-    assert len(list(tmp_path.iterdir())) == MOST_DEATHS
+    # Of an item that was over just before, the news may be lost with the worker: then that one is blamed.
+    assert MOST_DEATHS <= len(list(tmp_path.iterdir())) < 2 * MOST_DEATHS
 
 
 def test_what_the_function_raises_is_raised_here(ray):

@@ -49,3 +49,16 @@ class Deaths:
             return -item
 
         return work
+
+
+def slow_squares() -> Callable[[int], tuple[int, str]]:
+    """Makes a function that squares, takes its time, and says on which of Ray's machines."""
+    import time
+
+    import ray
+
+    def work(item: int) -> tuple[int, str]:
+        time.sleep(0.2)
+        return item * item, ray.get_runtime_context().get_node_id()
+
+    return work

@@ -2,6 +2,7 @@
 
 import random
 
+import pyarrow as pa
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 import pytest
@@ -10,11 +11,13 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import blocks as module
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import recovered_record
-from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path, shard_path, write_shard
+from cluttergen_jax.scene.bank.bank import read_block, recovered_record
+from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path, merge_shards, shard_path, write_shard
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.hub import check_whole
 from cluttergen_jax.scene.bank.stats import stats_of
+from cluttergen_jax.scene.bank.table import CERTIFICATE
+from cluttergen_jax.scene.bank.writer import write_rows
 from tests.helpers import banks
 
 NUM_BLOCKS, IN_A_SHARD = 8, 3
@@ -86,7 +89,7 @@ def test_any_order_and_any_interruption_make_the_same_files(sharded, tmp_path):
 def test_a_writer_that_ends_anywhere_in_a_shard_loses_nothing(plain, sharded, tmp_path):
     """The shard is there, and all that it is made of, or some of it; or it is not there at all."""
     whole = read_bank(plain).table
-    for number in range(6):
+    for number in (0, 2, 5):
         path = tmp_path / str(number)
         with pytest.MonkeyPatch.context() as patch:
             left = [number]
@@ -137,6 +140,29 @@ def test_a_block_that_was_written_again_wins_over_its_shard(tmp_path):
     write(tmp_path)
     assert not block_path(tmp_path, 4).exists()
     assert read_bank(tmp_path).table["drift"].to_numpy()[4 * BLOCK_SIZE] == 0.5
+
+
+def test_columns_that_are_added_block_by_block_join_the_shards_when_all_have_them(tmp_path):
+    """As `certify` writes them, also where it is interrupted."""
+    write(tmp_path)
+    record = {name: value for name, value in read_bank(tmp_path).record.items() if name != "num_scenes"}
+    names = sorted(each.name for each in tmp_path.glob("*.parquet"))
+    for block in range(NUM_BLOCKS):
+        rows = read_block(tmp_path, block)
+        for field in CERTIFICATE:
+            rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
+        write_rows(tmp_path, block, rows, record)
+        if block in (0, 4, NUM_BLOCKS - 1):
+            merge_shards(tmp_path, record)
+            # Of the shards that are not done yet, some blocks have the columns and some have not.
+            loose = {0: {0}, 4: {3, 4}, NUM_BLOCKS - 1: set()}[block]
+            found = {each.name for each in tmp_path.glob("*.parquet")}
+            assert found == {*names, *(block_path(tmp_path, each).name for each in loose)}
+            assert read_bank(tmp_path).table.num_rows == NUM_BLOCKS * BLOCK_SIZE
+    assert set(CERTIFICATE.names) <= set(read_bank(tmp_path).table.column_names)
+    # A bank that is certified goes on as any other.
+    write(tmp_path)
+    assert sorted(each.name for each in tmp_path.glob("*.parquet")) == names
 
 
 def test_other_programs_read_all_files_as_one_table(sharded):
