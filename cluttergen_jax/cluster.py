@@ -42,6 +42,7 @@ _OBJECT_STORE = 256 * 2**20
 """Bytes of results in flight on a machine of its own; Ray writes to disk what exceeds it."""
 _SETTINGS = ("JAX_", "XLA_", "TF_", "OMP_", "MUJOCO_", "CLUTTERGEN_")
 """Environment variables that may change what is computed: a worker has those of the driver, and no others."""
+_PROGRAMS = "JAX_COMPILATION_CACHE_DIR"
 _PACKAGES = ("cluttergen_jax", "jax", "jaxlib", "mujoco", "numpy", "pyarrow")
 
 
@@ -109,7 +110,13 @@ def each_on(
         actor = ray.remote(max_restarts=0, num_cpus=num_cpus, num_gpus=num_gpus)(_Actor)
         own = {name: value for name, value in os.environ.items() if name.startswith(_SETTINGS)}
         own |= {} if num_gpus else {"JAX_PLATFORMS": "cpu"}
-        begin = (ray.cloudpickle.dumps(make), own | dict(settings or {}), versions_here(), os.getcwd())
+        begin = (
+            ray.cloudpickle.dumps(make),
+            own | dict(settings or {}),
+            versions_here(),
+            os.getcwd(),
+            platform.node(),
+        )
         crew = _Crew(ray, actor, begin, items, what, if_lost)
         try:
             yield from crew.results(number)
@@ -173,7 +180,7 @@ class _Actor:
     """A worker process. Nothing heavy is imported before its settings are those of the driver."""
 
     def begin(
-        self, make: bytes, settings: Mapping[str, str], versions: Mapping[str, str], folder: str
+        self, make: bytes, settings: Mapping[str, str], versions: Mapping[str, str], folder: str, host: str
     ) -> None:
         """Makes the function that items are given to; paths begin where those of the driver do."""
         if other := {name: own for name, own in versions_here().items() if versions[name] != own}:
@@ -186,6 +193,9 @@ class _Actor:
         for name in [each for each in os.environ if each.startswith(_SETTINGS)]:
             del os.environ[name]
         os.environ.update(settings)
+        if platform.node() != host:
+            # Compiled programs that are kept there are of the driver's kind of processor.
+            os.environ.pop(_PROGRAMS, None)
         if os.path.isdir(folder):
             os.chdir(folder)
         self._function = pickle.loads(make)()
