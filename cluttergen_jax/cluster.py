@@ -6,6 +6,7 @@ begun is given to another one. It knows nothing of scenes: banks, checks, tables
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import math
 import os
@@ -20,6 +21,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
@@ -30,7 +32,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Function = Callable[[Item], Result]
 MOST_DEATHS = 3
-"""So often may workers die over the same item, or one after another before any has started."""
+"""So often may workers die over the same item, or each of them before any has started."""
 _QUEUED = 2
 """Items that a worker has at a time: the next one waits where it is needed while a result travels."""
 _LONGEST_WAIT = 1.0
@@ -213,7 +215,11 @@ def versions_here() -> dict[str, str]:
             found[name] = version(name)
         except PackageNotFoundError:
             found[name] = "none"
-    return found
+    # Copies of one version may have been worked on.
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return found | {"files of cluttergen_jax": digest.hexdigest()[:12]}
 
 
 @dataclass(eq=False)
@@ -306,11 +312,12 @@ class _Crew:
         """
         blamed = worker.given[0][0]
         self.deaths[blamed] += 1
-        is_lost = self.deaths[blamed] >= MOST_DEATHS
+        # A machine that is lost takes many workers along, some of which may have been about to start.
+        is_lost = self.deaths[blamed] >= MOST_DEATHS * (len(self.workers) if blamed is None else 1)
         if is_lost and (blamed is None or self.if_lost is None):
-            one = "its start" if blamed is None else f"{self.what} {blamed + 1} of {len(self.items)}"
+            one = "their start" if blamed is None else f"{self.what} {blamed + 1} of {len(self.items)}"
             raise ClutterGenError(
-                f"{MOST_DEATHS} worker processes died over {one} ({_first_line(error)})",
+                f"{self.deaths[blamed]} worker processes died over {one} ({_first_line(error)})",
                 hint="more memory or fewer workers on a machine, and the same package on all of them",
             ) from error
         given = list(worker.given)[1 if is_lost else 0 :]

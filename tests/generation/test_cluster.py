@@ -64,6 +64,12 @@ def test_an_item_that_always_kills_its_worker_is_named(ray, tmp_path):
     assert MOST_DEATHS <= len(list(tmp_path.iterdir())) < 2 * MOST_DEATHS
 
 
+@pytest.mark.slow
+def test_workers_that_never_start_are_not_hired_for_ever(ray):
+    with pytest.raises(ClutterGenError, match="6 worker processes died over their start"):
+        list(each_on(TWO, work.no_start, range(12), "number"))
+
+
 def test_what_the_function_raises_is_raised_here(ray):
     with pytest.raises(ConfigError, match=r"item \d\. Allowed: none\. Try: another\."):
         list(each_on(TWO, work.refusals, range(3), "number"))
