@@ -233,7 +233,13 @@ class _Worker:
 
 @dataclass(eq=False)
 class _Crew:
-    """The workers of one call of `each_on`."""
+    """The workers of one call of `each_on`.
+
+    Attributes:
+      deaths: of workers that had this item alone, or (None) had not started.
+      suspects: items of workers that died with several: of one that was over just before, the news may be
+        lost with the worker. From then on a worker has such an item alone, so that the right one is blamed.
+    """
 
     ray: ModuleType
     actor: Any
@@ -243,6 +249,7 @@ class _Crew:
     if_lost: Any
     workers: list[_Worker] = field(default_factory=list)
     deaths: Counter[int | None] = field(default_factory=Counter)
+    suspects: set[int] = field(default_factory=set)
 
     def results(self, num_workers: int) -> Iterator[tuple[int, Any]]:
         """See `each_on`."""
@@ -256,7 +263,6 @@ class _Crew:
                 print("note: no worker has started: the cluster may have no room now", file=sys.stderr)
                 until = math.inf
             self._hand_out(waiting)
-            # The oldest of each: who dies, dies over that one.
             oldest = {each.given[0][1]: each for each in self.workers if each.given}
             ready, _ = self.ray.wait(list(oldest), num_returns=1, timeout=_LONGEST_WAIT)
             for reference in ready:
@@ -267,6 +273,7 @@ class _Crew:
                     worker.is_ready = True
                     if place is not None:
                         num_left -= 1
+                        self.suspects.discard(place)
                         yield place, result
                     else:
                         self.deaths.pop(None, None)
@@ -286,8 +293,10 @@ class _Crew:
             for worker in self.workers:
                 # A worker that waits for room on the cluster would keep what it is given.
                 if waiting and worker.is_ready and len(worker.given) < most:
-                    place = waiting.popleft()
-                    worker.given.append((place, worker.actor.run.remote(self.items[place])))
+                    places = [waiting[0], *(place for place, _ in worker.given)]
+                    if len(places) == 1 or self.suspects.isdisjoint(places):
+                        place = waiting.popleft()
+                        worker.given.append((place, worker.actor.run.remote(self.items[place])))
 
     def _result(self, worker: _Worker, reference: Any, waiting: deque[int]) -> tuple[bool, Any]:
         """Whether the oldest of a worker is done, and its result; the worker is replaced where it is not."""
@@ -310,8 +319,11 @@ class _Crew:
         Returns:
           Whether the item that it died over is given up.
         """
-        blamed = worker.given[0][0]
-        self.deaths[blamed] += 1
+        places, blamed = [place for place, _ in worker.given if place is not None], worker.given[0][0]
+        if len(places) > 1:
+            self.suspects.update(places)
+        else:
+            self.deaths[blamed] += 1
         # A machine that is lost takes many workers along, some of which may have been about to start.
         is_lost = self.deaths[blamed] >= MOST_DEATHS * (len(self.workers) if blamed is None else 1)
         if is_lost and (blamed is None or self.if_lost is None):
@@ -320,8 +332,7 @@ class _Crew:
                 f"{self.deaths[blamed]} worker processes died over {one} ({_first_line(error)})",
                 hint="more memory or fewer workers on a machine, and the same package on all of them",
             ) from error
-        given = list(worker.given)[1 if is_lost else 0 :]
-        waiting.extendleft(place for place, _ in reversed(given) if place is not None)
+        waiting.extendleft(reversed([] if is_lost else places))
         self.ray.kill(worker.actor)
         self.workers[self.workers.index(worker)] = self._hired()
         return is_lost

@@ -43,9 +43,9 @@ def pool(tmp_path_factory):
     return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
 
 
-def test_every_item_has_one_result_and_workers_share_them(ray):
-    found = list(each_on(TWO, work.squares, range(60), "number"))
-    assert sorted((place, square) for place, (square, _) in found) == [(n, n * n) for n in range(60)]
+def test_every_item_has_one_result_and_workers_share_them(ray, tmp_path):
+    found = list(each_on(TWO, work.Meeting(tmp_path, 2), range(300), "number"))
+    assert sorted((place, square) for place, (square, _) in found) == [(n, n * n) for n in range(300)]
     processes = {process for _, (_, process) in found}
     assert len(processes) == 2
     assert os.getpid() not in processes
@@ -60,8 +60,8 @@ def test_an_item_whose_worker_dies_is_given_to_another(ray, tmp_path):
 def test_an_item_that_always_kills_its_worker_is_named(ray, tmp_path):
     with pytest.raises(ClutterGenError, match="3 worker processes died over number 4 of 12"):
         list(each_on(TWO, work.Deaths(tmp_path, 100), range(12), "number"))
-    # Of an item that was over just before, the news may be lost with the worker: then that one is blamed.
-    assert MOST_DEATHS <= len(list(tmp_path.iterdir())) < 2 * MOST_DEATHS
+    # And once more if it was not alone at first.
+    assert MOST_DEATHS <= len(list(tmp_path.iterdir())) <= MOST_DEATHS + 1
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,24 @@ from cluttergen_jax.errors import ConfigError
 def squares() -> Callable[[int], tuple[int, int]]:
     """Makes a function that squares, and says in which process."""
     return lambda item: (item * item, os.getpid())
+
+
+class Meeting:
+    """The same, where nobody begins before so many processes are there.
+
+    Args:
+      folder: where they meet.
+    """
+
+    def __init__(self, folder: Path, number: int) -> None:
+        self.folder, self.number = folder, number
+
+    def __call__(self) -> Callable[[int], tuple[int, int]]:
+        """The function."""
+        Path(self.folder, str(os.getpid())).touch()
+        while len(list(self.folder.iterdir())) < self.number:
+            time.sleep(0.01)
+        return squares()
 
 
 def variables() -> Callable[[str], str | None]:
@@ -53,8 +72,6 @@ class Deaths:
 
 def slow_squares() -> Callable[[int], tuple[int, str]]:
     """Makes a function that squares, takes its time, and says on which of Ray's machines."""
-    import time
-
     import ray
 
     def work(item: int) -> tuple[int, str]:
