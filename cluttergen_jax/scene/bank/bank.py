@@ -98,7 +98,8 @@ class Bank:
             if block in stored.places:
                 table = stored.read(block)
                 places = [index % BLOCK_SIZE for index in wanted]
-                kept = table.take([place for place in places if place < table.num_rows])
+                held = [place for place in places if place < table.num_rows]
+                kept = table.take(pa.array(held, pa.int64()))
                 found.update({row.index: row for row in rows_of(kept)})
         return found
 
