@@ -12,6 +12,7 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import ENGINES, make_physics
 from cluttergen_jax.physics.mjx import MjxPhysics
+from cluttergen_jax.physics.mjx_scenes import WarpOptions
 from cluttergen_jax.types import Settling, Verdict
 from tests.helpers.worlds import TOP, box, layout_of, prism, scene, tilted, trio
 
@@ -303,7 +304,7 @@ def test_a_diverged_scene_leaves_the_others_alone(name):
 def test_warp_tells_an_overflow_of_constraints_by_scene():
     pytest.importorskip("warp", reason="needs the extra gpu")
     # Sixteen rows hold the four contacts of one box, not those of two bodies.
-    physics = MjxPhysics(duo(), CONFIG, "warp", num_contacts=32, num_rows=16)
+    physics = MjxPhysics(duo(), CONFIG, "warp", WarpOptions(num_contacts=32, num_rows=16))
     names = ["resting", "dropped 1 mm", "resting"]
     verdict = jax.jit(jax.vmap(physics.settle))(*batch(names)).verdict
     np.testing.assert_array_equal(verdict, [Verdict.STABLE, Verdict.OVERFLOW, Verdict.STABLE])
@@ -314,7 +315,7 @@ def test_warp_tells_an_overflow_of_constraints_by_scene():
 
 def test_warp_tells_a_full_contact_list_to_all():
     pytest.importorskip("warp", reason="needs the extra gpu")
-    physics = MjxPhysics(duo(), CONFIG, "warp", num_contacts=3, num_rows=64)
+    physics = MjxPhysics(duo(), CONFIG, "warp", WarpOptions(num_contacts=3, num_rows=64))
     report = jax.jit(jax.vmap(physics.settle))(*batch(["resting", "dropped 1 mm", "inactive"]))
     np.testing.assert_array_equal(report.verdict, [Verdict.OVERFLOW, Verdict.OVERFLOW, Verdict.NONE])
 
