@@ -63,7 +63,7 @@ class Scales:
 def small(out: Path) -> Scales:
     """Three boxes, two scenes side by side, updates of a few attempts."""
     boxes = [box(f"box-{side}", (0.03, 0.03, side / 100), 0.2) for side in (2, 3, 4)]
-    pool = str(write_pool(out / "pool", Pool("boxes", tuple(boxes))))
+    pool = str(write_pool(out / "pool", Pool("boxes", tuple(boxes)), overwrite=True))
     ppo = {"num_envs": 4, "num_steps": 4, "num_minibatches": 2, "num_epochs": 1}
     network = {"object_points": 8, "object_features": 8, "scene_points": 8, "scene_features": 8}
     network |= {"num_centroids": 4, "group_size": 2}
