@@ -22,11 +22,14 @@ from benchmarks import gpu_engines, gpu_training
 from benchmarks.bodies import box
 from benchmarks.rows import Cases, OutOfTimeError, Row, Rows, columns
 from benchmarks.section import README, prose, replace_section, table
-from cluttergen_jax.assets.pool import Pool, write_pool
+from cluttergen_jax.assets.pool import Pool, find_pool, write_pool
+from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.doctor import Doctor
+from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.machine import machine, sentence
 from cluttergen_jax.physics.mjx_scenes import room_for
+from cluttergen_jax.placement.world import make_world
 
 PARTS = ("doctor", "agreement", "steps", "scenes", "share", "tune", "paper")
 
@@ -113,7 +116,8 @@ def doctor(scale: gpu_engines.Scale) -> Cases:
         }
 
     def room() -> Row:
-        world, _ = gpu_engines.recorded(scale, "clear")
+        objects, support = find_pool(scale.pool).objects, find_support(scale.support)
+        world = make_world(objects, support, StabilityConfig(), ContactConfig())
         contacts, rows = room_for(world.layout)
         return {"contacts": contacts, "constraint rows": rows, "objects": world.num_objects}
 

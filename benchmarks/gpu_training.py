@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import cluttergen_jax as cg
@@ -20,7 +19,7 @@ from benchmarks.rows import Cases, Row
 from benchmarks.trained import first_good
 from cluttergen_jax.learning.agents import make_agent
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.learning.ppo.ppo import PPO
+from cluttergen_jax.learning.ppo.ppo import PPO, TrainState
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.learning.training.presets import gpu as preset_gpu
@@ -80,21 +79,25 @@ SWEEP = (
 
 
 class Until(Interrupt):
-    """Asks for a stop when the time is up, or once a run's success has come to the goal."""
+    """Asks for a stop when the time is up, or once a run's success has come to the goal.
+
+    Attributes:
+      was_ctrl_c: it was neither of them.
+    """
 
     def __init__(self, folder: Path, seconds: float, is_goal_enough: bool) -> None:
-        self._asked, self._folder, self._ends = False, folder, time.monotonic() + seconds
+        self.was_ctrl_c, self._folder, self._ends = False, folder, time.monotonic() + seconds
         self._is_goal_enough = is_goal_enough
         super().__init__()
 
     @property
     def is_asked(self) -> bool:
         """By Ctrl-C, by the clock, or by success."""
-        return self._asked or time.monotonic() > self._ends or (self._is_goal_enough and self.has_goal)
+        return self.was_ctrl_c or time.monotonic() > self._ends or (self._is_goal_enough and self.has_goal)
 
     @is_asked.setter
     def is_asked(self, value: bool) -> None:
-        self._asked = value
+        self.was_ctrl_c = value
 
     @property
     def has_goal(self) -> bool:
@@ -125,7 +128,7 @@ def _trained(
     try:
         train(run, out, scale.pool, num_attempts, 0, encoder, until, support=scale.support, **given)
     except KeyboardInterrupt:
-        if until._asked:
+        if until.was_ctrl_c:
             raise
     return figures_of(folder, run.preset == "gpu")
 
@@ -206,21 +209,20 @@ def _share(scale: Scale, settings: Any) -> Row:
     )
     env, agent = make_agent(problem.rules, settings.network)
     ppo = PPO(env, agent.apply, settings.ppo, encode=agent.encode)
-    key = jax.random.key(0)
+    key, number = jax.random.key(0), settings.ppo.num_steps
     params = agent.init(key, jax.eval_shape(env.reset, key).obs)
-    state = jax.jit(ppo.start)(key, params)
-    state = jax.jit(ppo.update)(state)[0]
-    episode, number = state.env.pipeline_state.episode, settings.ppo.num_steps
-    dist, _ = jax.jit(agent.apply)(params, agent.encode(params)(state.env.obs))
-    action = dist.sample(key)
-    parts: dict[str, tuple[Callable[..., Any], float]] = {
-        "update": (jax.jit(ppo.update), 1.0),
-        "rollout": (jax.jit(lambda state: ppo._roll_out(state.params, state.env, key)), 1.0),
-        "physics": (jax.jit(lambda _: jax.vmap(problem.rules.attempt)(episode, action)[0]), number),
-        "network": (
-            jax.jit(lambda state: agent.apply(state.params, agent.encode(state.params)(state.env.obs))),
-            number,
-        ),
+    state = jax.jit(ppo.update)(jax.jit(ppo.start)(key, params))[0]
+    act = jax.jit(lambda state: agent.apply(state.params, agent.encode(state.params)(state.env.obs)))
+    action = act(state)[0].sample(key)
+
+    def attempt(state: TrainState) -> Any:
+        return jax.vmap(problem.rules.attempt)(state.env.pipeline_state.episode, action)[0]
+
+    parts: dict[str, tuple[Callable[..., Any], int]] = {
+        "update": (jax.jit(ppo.update), 1),
+        "rollout": (jax.jit(lambda state: ppo._roll_out(state.params, state.env, key)), 1),
+        "physics": (jax.jit(attempt), number),
+        "network": (act, number),
     }
     seconds = {name: times * _median(each, state, scale.repeats) for name, (each, times) in parts.items()}
     whole = seconds["update"]
@@ -241,4 +243,4 @@ def _median(function: Callable[..., Any], state: Any, repeats: int) -> float:
         started = time.monotonic()
         jax.block_until_ready(function(state))
         found.append(time.monotonic() - started)
-    return float(jnp.median(jnp.array(found)))
+    return float(np.median(found))

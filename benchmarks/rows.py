@@ -92,7 +92,9 @@ def shown(row: Row) -> str:
 
 
 def _text(value: Any) -> str:
-    return f"{value:,.4g}" if isinstance(value, float) else f"{value}"
+    if isinstance(value, float):
+        return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return f"{value:,}" if isinstance(value, int) else f"{value}"
 
 
 def columns(rows: dict[str, Row], names: Sequence[str]) -> list[list[str]]:
