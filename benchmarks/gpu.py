@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import io
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import jax
@@ -40,6 +40,7 @@ class Gpu:
 
     Attributes:
       parts: which, in this order; all if none is named.
+      lanes: scenes side by side, in place of 512, 2,048, 8,192 and 16,384.
       out: where rows and runs are kept.
       minutes: after which a call ends.
       small: a miniature of everything on three boxes, for any machine; its figures say nothing.
@@ -48,6 +49,7 @@ class Gpu:
     """
 
     parts: tuple[str, ...] = ()
+    lanes: tuple[int, ...] = ()
     out: Path = Path("out/gpu")
     minutes: float = 9.0
     small: bool = False
@@ -78,8 +80,8 @@ def small(out: Path) -> Scales:
             block=2,
             lanes=(2,),
             begun=2,
-            methods=("clear",),
             engines=("native", "warp", "warp, sleeping"),
+            cases=(("clear", "whole check"),),
             awake_steps=2,
         ),
         gpu_training.Scale(
@@ -147,7 +149,10 @@ def measure(args: Gpu) -> Rows:
             raise ConfigError(f"part {part!r}", ", ".join(PARTS), meant=closest(part, PARTS))
     args.out.mkdir(parents=True, exist_ok=True)
     rows = Rows(args.out / "rows.json", args.minutes, args.retry, say=_say)
-    cases = parts_of(small(args.out) if args.small else Scales(), rows)
+    scales = small(args.out) if args.small else Scales()
+    if args.lanes:
+        scales = replace(scales, engines=replace(scales.engines, lanes=args.lanes))
+    cases = parts_of(scales, rows)
     try:
         for part in args.parts or PARTS:
             rows.make(part, cases[part])
