@@ -70,8 +70,8 @@ def small(out: Path) -> Scales:
     boxes = [box(f"box-{side}", (0.03, 0.03, side / 100), 0.2) for side in (2, 3, 4)]
     pool = str(write_pool(out / "pool", Pool("boxes", tuple(boxes)), overwrite=True))
     ppo = {"num_envs": 4, "num_steps": 4, "num_minibatches": 2, "num_epochs": 1}
-    network = {"object_points": 8, "object_features": 8, "scene_points": 8, "scene_features": 8}
-    network |= {"num_centroids": 4, "group_size": 2}
+    network = {"object_points": 64, "object_features": 8, "scene_points": 64, "scene_features": 8}
+    network |= {"num_centroids": 8, "group_size": 4}
     return Scales(
         gpu_engines.Scale(
             pool=pool,

@@ -1,11 +1,15 @@
 """The MJX engines: MuJoCo in JAX, on Warp kernels or in pure XLA.
 
 One `while_loop` steps the whole batch until every scene is decided; a decided scene is carried along unmoved.
+With Warp, large batches are compacted: once few scenes are left to be decided, those alone are stepped on.
 Overlaps at release and at rest, support margins and who bears whom are read in one pass over the contacts of
 both moments, once the loop has ended.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +29,20 @@ from cluttergen_jax.physics.report import below_top, empty_settling, empty_stand
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 
+class _Batch(struct.PyTreeNode):
+    """The scenes of a batch, as they began.
+
+    Attributes:
+      start: f32[N, K, 7], world frame; is_placed, is_focus: bool[N, K].
+      is_judged: bool[N], there is something to simulate.
+    """
+
+    start: Array
+    is_placed: Array
+    is_focus: Array
+    is_judged: Array
+
+
 class _Attempts(struct.PyTreeNode):
     """A batch of attempts while it runs.
 
@@ -34,18 +52,33 @@ class _Attempts(struct.PyTreeNode):
       overflowed, is_finite: bool[N].
     """
 
+    batch: _Batch
     data: mjx.Data
     track: stability.Track
     trajectory: Array
     overflowed: Array
     is_finite: Array
 
+    @property
+    def is_running(self) -> Array:
+        """bool[N]: not decided yet."""
+        return self.batch.is_judged & ~self.track.is_over & self.is_finite & ~self.overflowed
+
 
 class _Checks(struct.PyTreeNode):
     """A batch of last checks while it runs."""
 
+    batch: _Batch
     data: mjx.Data
     standing: Standing
+
+    @property
+    def is_running(self) -> Array:
+        """bool[N]: not decided yet."""
+        return self.batch.is_judged & (self.standing.verdict == int(Verdict.NONE))
+
+
+_Run = TypeVar("_Run", _Attempts, _Checks)
 
 
 class MjxPhysics(OneScenePhysics):
@@ -76,64 +109,77 @@ class MjxPhysics(OneScenePhysics):
 
     def settle_batch(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
         """`settle` for scenes with one leading axis."""
-        scenes, config = self.scenes, self.config
         start, is_sound = start_poses(self.layout, poses, is_placed, is_active)
         is_focus = jnp.arange(self.layout.num_objects) == focus[:, None]
-        is_neighbour = is_placed & ~is_focus
-        is_judged = is_active & is_sound
-        rows = jnp.arange(len(poses))
+        batch = _Batch(start, is_placed, is_focus, is_active & is_sound)
+        run = self._run_to_end(self._released(batch), self._attempt_step, is_attempt=True)
+        return self._report(run, poses, is_active)
 
-        def is_running(run: _Attempts) -> Array:
-            return is_judged & ~run.track.is_over & run.is_finite & ~run.overflowed
-
-        def step(run: _Attempts) -> _Attempts:
-            running = is_running(run)
-            data = scenes.step(run.data, running[:, None] & is_placed, is_focus)
-            is_finite = scenes.is_finite(data)
-            data = scenes.halted(data, is_finite, start)
-            velocity = scenes.velocity(data, focus)
-            shift, turn = stability.moved(jnp, scenes.poses(data), start)
-            after = stability.advance(
-                jnp, run.track, velocity, shift * is_neighbour, turn * is_neighbour, config
-            )
-            row = jnp.concatenate([scenes.poses(data)[rows, focus], velocity], axis=-1)
-            index = jnp.where(running, after.step, config.last_step + 1)
-            return _Attempts(
-                data=data,
-                track=jax.tree.map(lambda new, old: _where(running, new, old), after, run.track),
-                trajectory=run.trajectory.at[rows, index].set(row, mode="drop"),
-                overflowed=run.overflowed | (running & scenes.overflowed(data)),
-                is_finite=run.is_finite & (is_finite | ~running),
-            )
-
-        first = self._released(start, focus, is_focus & is_judged[:, None])
-        run = jax.lax.while_loop(lambda run: jnp.any(is_running(run)), step, first)
-        return self._report(run, poses, start, is_placed, is_focus, is_judged, is_active)
-
-    def _released(self, start: Array, focus: Array, is_awake: Array) -> _Attempts:
-        num_scenes, num_objects = start.shape[:2]
-        rows = jnp.arange(num_scenes)
+    def _released(self, batch: _Batch) -> _Attempts:
+        num_scenes, num_objects = batch.is_placed.shape
+        rows, focus = jnp.arange(num_scenes), jnp.argmax(batch.is_focus, axis=1)
         trajectory = jnp.zeros((num_scenes, self.config.last_step + 1, 13), jnp.float32)
         return _Attempts(
-            data=self.scenes.release(start, is_awake, is_attempt=True),
+            batch=batch,
+            data=self.scenes.release(batch.start, batch.is_focus & batch.is_judged[:, None], is_attempt=True),
             track=stability.new_track(jnp, (num_scenes,), num_objects, jnp.float32),
-            trajectory=trajectory.at[:, 0, :7].set(start[rows, focus]),
+            trajectory=trajectory.at[:, 0, :7].set(batch.start[rows, focus]),
             overflowed=jnp.zeros(num_scenes, bool),
             is_finite=jnp.ones(num_scenes, bool),
         )
+
+    def _attempt_step(self, run: _Attempts) -> _Attempts:
+        scenes, config, batch, running = self.scenes, self.config, run.batch, run.is_running
+        rows, focus = jnp.arange(len(running)), jnp.argmax(batch.is_focus, axis=1)
+        data = scenes.step(run.data, running[:, None] & batch.is_placed, batch.is_focus)
+        is_finite = scenes.is_finite(data)
+        data = scenes.halted(data, is_finite, batch.start)
+        velocity = scenes.velocity(data, focus)
+        is_neighbour = batch.is_placed & ~batch.is_focus
+        shift, turn = (each * is_neighbour for each in stability.moved(jnp, scenes.poses(data), batch.start))
+        after = stability.advance(jnp, run.track, velocity, shift, turn, config)
+        row = jnp.concatenate([scenes.poses(data)[rows, focus], velocity], axis=-1)
+        index = jnp.where(running, after.step, config.last_step + 1)
+        return _Attempts(
+            batch=batch,
+            data=data,
+            track=jax.tree.map(lambda new, old: _where(running, new, old), after, run.track),
+            trajectory=run.trajectory.at[rows, index].set(row, mode="drop"),
+            overflowed=run.overflowed | (running & scenes.overflowed(data)),
+            is_finite=run.is_finite & (is_finite | ~running),
+        )
+
+    def _run_to_end(self, run: _Run, step: Callable[[_Run], _Run], is_attempt: bool) -> _Run:
+        """Steps until every scene is decided; once few are left, those alone, as a batch of their own."""
+        num_scenes = len(run.batch.start)
+        few = self.scenes.few_of(num_scenes)
+        run = jax.lax.while_loop(lambda run: jnp.sum(run.is_running) > few, step, run)
+        if not few:
+            return run
+        index = jnp.nonzero(run.is_running, size=few, fill_value=num_scenes)[0]
+        whole = run.replace(data=None)
+        part = jax.tree.map(lambda leaf: leaf.at[index].get(mode="clip"), whole)
+        # What fills up the places of a smaller number is no scene.
+        part = part.replace(
+            batch=part.batch.replace(is_judged=part.batch.is_judged & (index < num_scenes)),
+            data=self.scenes.taken(run.data, index, is_attempt),
+        )
+        part = self._run_to_end(part, step, is_attempt)
+        data = run.data.replace(qpos=run.data.qpos.at[index].set(part.data.qpos, mode="drop"))
+        merged = jax.tree.map(
+            lambda leaf, new: leaf.at[index].set(new, mode="drop"), whole, part.replace(data=None)
+        )
+        return merged.replace(batch=run.batch, data=data)
 
     def _report(
         self,
         run: _Attempts,
         poses: Array,
-        start: Array,
-        is_placed: Array,
-        is_focus: Array,
-        is_judged: Array,
         is_active: Array,
     ) -> Settling:
+        start, is_placed, is_focus = run.batch.start, run.batch.is_placed, run.batch.is_focus
         num_scenes, num_objects = is_placed.shape
-        track, is_finite, config = run.track, run.is_finite & is_judged, self.config
+        track, is_finite, config = run.track, run.is_finite & run.batch.is_judged, self.config
         final = jnp.where((is_placed & is_finite[:, None])[..., None], self.scenes.poses(run.data), poses)
         is_at_rest, focus = track.is_quiet & is_finite & ~run.overflowed, jnp.argmax(is_focus, axis=1)
         contacts, lost = self._contacts(self.scenes.poses(run.data), start, is_focus, is_at_rest)
@@ -185,31 +231,11 @@ class MjxPhysics(OneScenePhysics):
 
     def stand_batch(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
         """`stand` for scenes with one leading axis."""
-        scenes, config = self.scenes, self.config
         start, is_sound = start_poses(self.layout, poses, is_placed, is_active)
-        is_judged = is_active & is_sound
-
-        def is_running(run: _Checks) -> Array:
-            return is_judged & (run.standing.verdict == int(Verdict.NONE))
-
-        def step(run: _Checks) -> _Checks:
-            running, before = is_running(run), run.standing
-            may_move = running[:, None] & is_placed
-            data = scenes.step(run.data, may_move, is_awake=may_move)
-            is_finite = scenes.is_finite(data)
-            data = scenes.halted(data, is_finite, start)
-            shift, turn = stability.moved(jnp, scenes.poses(data), start)
-            num_steps = before.num_steps + 1
-            shift, turn = jnp.maximum(before.shift, shift), jnp.maximum(before.turn, turn)
-            verdict = stability.verdict_of_scene(jnp, num_steps, shift, turn, is_placed, config)
-            verdict = jnp.where(scenes.overflowed(data), int(Verdict.OVERFLOW), verdict)
-            verdict = jnp.where(is_finite, verdict, int(Verdict.NON_FINITE))
-            after = Standing(verdict=verdict, num_steps=num_steps, shift=shift, turn=turn)
-            return _Checks(data, jax.tree.map(lambda new, old: _where(running, new, old), after, before))
-
+        batch = _Batch(start, is_placed, jnp.zeros_like(is_placed), is_active & is_sound)
         blank = empty_standing(jnp, (len(poses),), self.layout.num_objects)
-        data = scenes.release(start, is_placed & is_judged[:, None], is_attempt=False)
-        run = jax.lax.while_loop(lambda run: jnp.any(is_running(run)), step, _Checks(data, blank))
+        data = self.scenes.release(start, is_placed & batch.is_judged[:, None], is_attempt=False)
+        run = self._run_to_end(_Checks(batch, data, blank), self._check_step, is_attempt=False)
         standing = run.standing
         diverged = jnp.where(is_active & ~is_sound, int(Verdict.NON_FINITE), standing.verdict)
         return standing.replace(
@@ -217,6 +243,21 @@ class MjxPhysics(OneScenePhysics):
             shift=standing.shift * is_placed,
             turn=standing.turn * is_placed,
         )
+
+    def _check_step(self, run: _Checks) -> _Checks:
+        scenes, batch, running, before = self.scenes, run.batch, run.is_running, run.standing
+        may_move = running[:, None] & batch.is_placed
+        data = scenes.step(run.data, may_move, is_awake=may_move)
+        is_finite = scenes.is_finite(data)
+        data = scenes.halted(data, is_finite, batch.start)
+        shift, turn = stability.moved(jnp, scenes.poses(data), batch.start)
+        num_steps = before.num_steps + 1
+        shift, turn = jnp.maximum(before.shift, shift), jnp.maximum(before.turn, turn)
+        verdict = stability.verdict_of_scene(jnp, num_steps, shift, turn, batch.is_placed, self.config)
+        verdict = jnp.where(scenes.overflowed(data), int(Verdict.OVERFLOW), verdict)
+        verdict = jnp.where(is_finite, verdict, int(Verdict.NON_FINITE))
+        after = Standing(verdict=verdict, num_steps=num_steps, shift=shift, turn=turn)
+        return _Checks(batch, data, jax.tree.map(lambda new, old: _where(running, new, old), after, before))
 
 
 def _where(is_new: Array, new: Array, old: Array) -> Array:

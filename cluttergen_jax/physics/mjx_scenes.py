@@ -34,6 +34,8 @@ _MAX_STATE = 1e10
 # Bits of mujoco_warp's OverflowType that mean that contacts or constraints were lost: nefc, njmax_nnz,
 # broadphase, narrowphase, CCD, nvmax, EPA horizon. The others tell of iteration limits and sensors.
 _LOST = 0b11 | 1 << 2 | 1 << 3 | 1 << 4 | 1 << 7 | 1 << 8
+_FEW = 8
+"""A part of so many is few."""
 _WIDE_AWAKE = -(1 + mujoco.mjMINAWAKE)
 """Of `tree_asleep`: so many quiet steps are left until an object may sleep."""
 
@@ -49,6 +51,8 @@ class WarpOptions:
         are loops, it is many times slower than everything awake.
       num_awake: of those that sleep, so many may be awake in a scene during an attempt, the current object
         included; one in which more wake ends as OVERFLOW. None has room for all.
+      least_batch: once an eighth of a batch is left to be decided it is stepped on by itself, unless that
+        would be fewer scenes than this; 0 never does so.
       graph_mode: how JAX calls Warp's kernels on a GPU, a name of `warp.JaxCallableGraphMode`; None leaves it
         to MJX.
     """
@@ -57,6 +61,7 @@ class WarpOptions:
     num_rows: int | None = None
     sleeps: bool = False
     num_awake: int | None = None
+    least_batch: int = 64
     graph_mode: str | None = None
 
 
@@ -90,9 +95,11 @@ class MjxScenes:
             return
         if not mjx_warp.WARP_INSTALLED:
             raise MissingExtraError("gpu", "the Warp engine")
-        given = options.num_contacts, options.num_rows
-        contacts, rows = given if all(given) else room_for(layout)
-        self._num_contacts, num_rows = options.num_contacts or contacts, options.num_rows or rows
+        contacts, rows = options.num_contacts, options.num_rows
+        if contacts is None or rows is None:
+            measured = room_for(layout)
+            contacts, rows = contacts or measured[0], rows or measured[1]
+        self._num_contacts, num_rows = contacts, rows
         model = _sleeping(layout.model) if options.sleeps else layout.model
 
         def blank(of: mujoco.MjModel, num_awake: int | None = None) -> mjx.Data:
@@ -116,6 +123,29 @@ class MjxScenes:
             return self._released(self._blank, start)
         data = self._released(self._partly if is_attempt else self._whole, start)
         return self._asleep(data, ~is_awake, is_awake) if self._options.sleeps else data
+
+    def few_of(self, num_scenes: int) -> int:
+        """How many of a batch's scenes are few enough to go on by themselves; 0 where none are."""
+        least = self._options.least_batch
+        few = num_scenes // _FEW if least and self._is_warp else 0
+        return few if few >= least else 0
+
+    def taken(self, data: mjx.Data, index: Array, is_attempt: bool) -> mjx.Data:
+        """The scenes `index`, i32[M], of Warp's data by themselves; beyond the last, the last."""
+
+        def of(array: Array) -> Array:
+            return array.at[index].get(mode="clip")
+
+        blank = self._partly if is_attempt else self._whole
+        impl = data._impl
+        return self._released(blank, of(self.poses(data))).tree_replace(
+            {
+                "qvel": of(data.qvel),
+                "qacc_warmstart": of(data.qacc_warmstart),
+                "_impl.tree_asleep": of(impl.tree_asleep),
+                "_impl.tree_awake": of(impl.tree_awake),
+            }
+        )
 
     def _released(self, blank: mjx.Data, start: Array) -> mjx.Data:
         blank = self._with_room(blank, len(start)) if self._is_warp else blank

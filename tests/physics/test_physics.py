@@ -328,6 +328,34 @@ def settled(options):
 
 
 @pytest.mark.slow
+def test_few_that_are_left_go_on_by_themselves_and_come_to_the_same():
+    """Eighths of 64 scenes, then of 8: some are decided at once, some soon, and some at the last step."""
+    names = [each for each in SCENES if each != "over the edge"] * 7 + ["over the edge"]
+    args = batch(names)
+    ours, theirs = (
+        jax.tree.map(np.asarray, jax.jit(jax.vmap(physics.settle))(*args))
+        for physics in (MjxPhysics(duo(), CONFIG, "warp", WarpOptions(least_batch=least)) for least in (1, 0))
+    )
+    assert_close(ours, theirs, False)
+    stands = [
+        jax.jit(
+            jax.vmap(
+                MjxPhysics(
+                    duo(),
+                    dataclasses.replace(CONFIG, stand_full_steps=90),
+                    "warp",
+                    WarpOptions(least_batch=least),
+                ).stand
+            )
+        )(args[0], args[1], args[3])
+        for least in (1, 0)
+    ]
+    np.testing.assert_array_equal(stands[0].verdict, stands[1].verdict)
+    np.testing.assert_array_equal(stands[0].num_steps, stands[1].num_steps)
+    assert {60, 90} <= set(np.asarray(stands[0].num_steps).tolist())
+
+
+@pytest.mark.slow
 def test_sleepers_wake_when_they_are_touched_and_change_no_verdict():
     ours, awake = settled(WarpOptions(sleeps=True)), outcomes("warp")
     np.testing.assert_array_equal(ours.verdict, awake.verdict)
