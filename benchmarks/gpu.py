@@ -21,7 +21,7 @@ import tyro
 from benchmarks import gpu_engines, gpu_training
 from benchmarks.bodies import box
 from benchmarks.rows import Cases, OutOfTimeError, Row, Rows, columns
-from benchmarks.section import README, prose, replace_section, table
+from benchmarks.section import README, prose, replace_section, table, version_of
 from cluttergen_jax.assets.pool import Pool, find_pool, write_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.doctor import Doctor
@@ -100,7 +100,7 @@ def small(out: Path) -> Scales:
     )
 
 
-def doctor(scale: gpu_engines.Scale) -> Cases:
+def doctor(scale: gpu_engines.Scale, is_small: bool) -> Cases:
     """What the machine is, what is installed, and how much room a scene is given."""
 
     def devices() -> Row:
@@ -110,7 +110,8 @@ def doctor(scale: gpu_engines.Scale) -> Cases:
         print(said.getvalue())
         memory = jax.devices()[0].memory_stats() or {}
         return {
-            "machine": sentence(machine()),
+            "machine": f"{sentence(machine())}, warp-lang {version_of('warp-lang')}",
+            "small": is_small,
             "date": datetime.date.today().isoformat(),
             "devices": [str(device) for device in jax.devices()],
             "GB": memory.get("bytes_limit", 0) / 1e9,
@@ -127,12 +128,12 @@ def doctor(scale: gpu_engines.Scale) -> Cases:
     yield "room of a scene", room
 
 
-def parts_of(scales: Scales, rows: Rows) -> dict[str, Cases]:
+def parts_of(scales: Scales, rows: Rows, is_small: bool) -> dict[str, Cases]:
     """The cases of every part, none of them made yet."""
     engines, training = scales.engines, scales.training
     runs, left = rows.file.parent / "runs", lambda: rows.seconds_left
     return {
-        "doctor": doctor(engines),
+        "doctor": doctor(engines, is_small),
         "agreement": gpu_engines.agreement(engines),
         "steps": gpu_engines.steps(engines),
         "scenes": gpu_engines.scenes(engines),
@@ -152,7 +153,7 @@ def measure(args: Gpu) -> Rows:
     scales = small(args.out) if args.small else Scales()
     if args.lanes:
         scales = replace(scales, engines=replace(scales.engines, lanes=args.lanes))
-    cases = parts_of(scales, rows)
+    cases = parts_of(scales, rows, args.small)
     try:
         for part in args.parts or PARTS:
             rows.make(part, cases[part])
@@ -231,7 +232,7 @@ LAYOUTS = {
 def body_of(rows: Rows) -> str:
     """The section of benchmarks/README.md, from the rows that are there."""
     facts = rows.of("doctor").get("machine", {})
-    text = ["## GPU"]
+    text = ["## GPU"] + ["A miniature: its figures say nothing."] * bool(facts.get("small"))
     for part, layout in LAYOUTS.items():
         found = {name: _flat(row) for name, row in rows.of(part).items()}
         if found:

@@ -224,6 +224,7 @@ def test_gpu_is_measured_in_miniature_and_written(tmp_path, capsys):
     assert "12,346" in text
     assert "- steps: warp, 4: no room" in text
     assert rows.of("doctor")["machine"]["machine"] in text
+    assert "miniature" in text
     gpu.main(gpu.Gpu(out=args.out, write=True), readme)
     assert "## GPU" in readme.read_text()
 
