@@ -34,7 +34,7 @@ _MAX_STATE = 1e10
 # Bits of mujoco_warp's OverflowType that mean that contacts or constraints were lost: nefc, njmax_nnz,
 # broadphase, narrowphase, CCD, nvmax, EPA horizon. The others tell of iteration limits and sensors.
 _LOST = 0b11 | 1 << 2 | 1 << 3 | 1 << 4 | 1 << 7 | 1 << 8
-_FEW = 8
+_FEW = 3
 """A part of so many is few."""
 _WIDE_AWAKE = -(1 + mujoco.mjMINAWAKE)
 """Of `tree_asleep`: so many quiet steps are left until an object may sleep."""
@@ -51,7 +51,7 @@ class WarpOptions:
         are loops, it is many times slower than everything awake.
       num_awake: of those that sleep, so many may be awake in a scene during an attempt, the current object
         included; one in which more wake ends as OVERFLOW. None has room for all.
-      least_batch: once an eighth of a batch is left to be decided it is stepped on by itself, unless that
+      least_batch: once a third of a batch is left to be decided it is stepped on by itself, unless that
         would be fewer scenes than this; 0 never does so.
       graph_mode: how JAX calls Warp's kernels on a GPU, a name of `warp.JaxCallableGraphMode`; None leaves it
         to MJX.
