@@ -26,6 +26,7 @@ from cluttergen_jax.types import Verdict
 
 WARP = {
     "warp": WarpOptions(),
+    "warp, not compacted": WarpOptions(least_batch=0),
     "warp, staged": WarpOptions(graph_mode="WARP_STAGED"),
     # `room_for` gives 214 contacts and 1,284 rows to the objects of dining; kernels run over all of them.
     "warp, half the room": WarpOptions(num_contacts=107, num_rows=642),

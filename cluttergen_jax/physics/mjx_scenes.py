@@ -42,7 +42,7 @@ _WIDE_AWAKE = -(1 + mujoco.mjMINAWAKE)
 
 @dataclass(frozen=True)
 class WarpOptions:
-    """How Warp simulates; none of it changes what is simulated, up to rounding.
+    """How Warp simulates; but for too little room nothing of it changes a result, up to rounding.
 
     Attributes:
       num_contacts, num_rows: room for contacts and constraint rows of a scene; None measures the need.

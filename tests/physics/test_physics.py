@@ -329,7 +329,7 @@ def settled(options):
 
 @pytest.mark.slow
 def test_few_that_are_left_go_on_by_themselves_and_come_to_the_same():
-    """A third of 64 scenes, then of those, and so on: some are decided at once, some soon, and some at the last step."""
+    """A third of 64 scenes, then of those: some are decided at once, some soon, some at the last step."""
     names = [each for each in SCENES if each != "over the edge"] * 7 + ["over the edge"]
     args = batch(names)
     ours, theirs = (
