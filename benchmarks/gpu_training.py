@@ -24,6 +24,7 @@ from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.learning.training.presets import gpu as preset_gpu
 from cluttergen_jax.learning.training.presets import paper as preset_paper
+from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 
 
@@ -207,7 +208,8 @@ def _share(scale: Scale, settings: Any) -> Row:
             stability=settings.stability,
         )
     )
-    env, agent = make_agent(problem.rules, settings.network)
+    agent = make_agent(problem.rules, settings.network)
+    env = PlacementEnv(problem.rules, agent.observation)
     ppo = PPO(env, agent.apply, settings.ppo, encode=agent.encode)
     key, number = jax.random.key(0), settings.ppo.num_steps
     params = agent.init(key, jax.eval_shape(env.reset, key).obs)

@@ -34,6 +34,13 @@ _ADVICE = {
 _STRANGE = re.compile(r"[\\:\x00-\x1f\x7f]")
 
 
+def cache_home() -> Path:
+    """The folder of what can be made again: `$CLUTTERGEN_HOME`, else one in the XDG cache home."""
+    if home := os.environ.get("CLUTTERGEN_HOME"):
+        return Path(home)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cluttergen_jax"
+
+
 def inside(folder: str | os.PathLike[str], name: object) -> Path:
     """`folder / name`, where the name comes from a file, an archive or a server: somebody else's word.
 

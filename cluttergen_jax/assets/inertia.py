@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.errors import AssetError
@@ -43,6 +42,9 @@ def mass_properties(mesh: Mesh, density: float, mass: float | None = None) -> Ma
     Raises:
       AssetError: the volume or the mass is not above zero.
     """
+    # Loaded when an object is imported: it takes as long as JAX, and placing objects needs none of it.
+    import trimesh
+
     tri = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     volume = float(tri.volume)
     weight = density * volume if mass is None else mass

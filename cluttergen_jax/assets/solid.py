@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import manifold3d
 import numpy as np
-import trimesh
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
@@ -125,6 +124,9 @@ def _shells(mesh: Mesh) -> list[manifold3d.Manifold]:
 
 def _mended(mesh: Mesh) -> Mesh:
     """The surface with small holes filled and faces turned alike."""
+    # Loaded when an object is imported: it takes as long as JAX, and placing objects needs none of it.
+    import trimesh
+
     mesh = cleaned(mesh)
     if not len(mesh.faces):
         return mesh

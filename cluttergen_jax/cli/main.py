@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import platform
 import signal
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from cluttergen_jax.cli.commands import COMMANDS, all_commands, load, overview
 from cluttergen_jax.cli.flags import removed_name, with_flags
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
-from cluttergen_jax.files import advice_on
+from cluttergen_jax.files import advice_on, cache_home
 from cluttergen_jax.progress import stop_asked
 
 INTERRUPTED = 130
@@ -82,6 +85,7 @@ def _version() -> str:
 
 def run(command: Any) -> int:
     """Runs a command: its exit status, 2 for an error that was explained, 130 for Ctrl-C."""
+    _keep_programs()
     try:
         _check_backend()
         return command.run()
@@ -96,6 +100,18 @@ def run(command: Any) -> int:
     except KeyboardInterrupt:
         print("\nstopped; the same command takes it up again", file=sys.stderr)
         return INTERRUPTED
+
+
+def _keep_programs() -> None:
+    """Lets JAX keep what it compiles for the next command, unless the user has said where, or nowhere.
+
+    A program is made for one kind of processor: machines that share a home have a folder for each kind.
+    """
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
+    kind = {line for line in lines if line.startswith(("model name", "flags", "Features"))}
+    digest = hashlib.sha256("\n".join(sorted(kind) or [platform.processor()]).encode()).hexdigest()
+    folder = cache_home() / "programs" / f"{platform.machine()}-{digest[:12]}"
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
 
 
 def _unread() -> int:

@@ -15,6 +15,7 @@ from typing import Any
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.files import cache_home
 from cluttergen_jax.importing.readers import ObjectFile
 from cluttergen_jax.importing.readers.companions import companions
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
@@ -32,9 +33,7 @@ _COMPANIONS = (".mtl", ".png", ".jpg", ".jpeg", ".bin")
 
 def cache_root() -> Path:
     """The cache's folder: `$CLUTTERGEN_HOME/cache`, else the XDG cache home's."""
-    if home := os.environ.get("CLUTTERGEN_HOME"):
-        return Path(home) / "cache"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cluttergen_jax" / "objects"
+    return cache_home() / ("cache" if os.environ.get("CLUTTERGEN_HOME") else "objects")
 
 
 def source_digest(source: ObjectFile) -> str:

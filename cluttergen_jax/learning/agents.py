@@ -14,7 +14,6 @@ from cluttergen_jax.learning.networks.actor_critic import ActorCritic
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.networks.distributions import ActionDistribution
 from cluttergen_jax.learning.networks.footprint import FootprintFeatures
-from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.types import Array
@@ -53,6 +52,11 @@ class Agent(struct.PyTreeNode, eq=False):
     def network(self) -> ActorCritic:
         """The module; its parameters depend on sizes in the config alone, not on the world."""
         return ActorCritic(self.config, self.max_objects)
+
+    @property
+    def observation(self) -> ObservationConfig:
+        """How much of an episode it has to be shown."""
+        return ObservationConfig(num_cells=self.config.num_cells_read)
 
     @property
     def encoder(self) -> cloud_encoder.CloudEncoder:
@@ -122,14 +126,13 @@ class Agent(struct.PyTreeNode, eq=False):
         return encode
 
 
-def make_agent(rules: Rules, network: NetworkConfig) -> tuple[PlacementEnv, Agent]:
-    """The agent of a network in a world, and the environment that shows it what it reads."""
+def make_agent(rules: Rules, network: NetworkConfig) -> Agent:
+    """The agent of a network in a world."""
     geometry = rules.geometry
-    agent = Agent(
+    return Agent(
         network,
         geometry.cloud,
         geometry.half_extents,
         min(rules.num_slots, geometry.num_objects),
         region_side=2 * float(rules.region.half_extents.max()),
     )
-    return PlacementEnv(rules, ObservationConfig(num_cells=network.num_cells_read)), agent

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics import stability
 from cluttergen_jax.physics.disturbance import disturb
 from cluttergen_jax.physics.host import HostPhysics
@@ -23,10 +24,15 @@ from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.margin import MIN_SHIFT
 from cluttergen_jax.physics.overlap import OverlapProbe
 from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept
-from cluttergen_jax.physics.simulations import Simulations, sleeping_model
+from cluttergen_jax.physics.simulations import Motion, Simulations, sleeping_model
 from cluttergen_jax.types import Settling, Standing, Verdict
 
 MAX_BATCHES = 3
+_FEW = 4
+"""Steps made at once where the next one may decide a scene: some are in vain, but calls cost, too."""
+
+_MOST_NUMBERS = 2_000_000
+"""Recorded at one time, 8 bytes each."""
 
 
 class AtRest(NamedTuple):
@@ -142,21 +148,28 @@ class NativePhysics(HostPhysics):
         start = sims.release(poses, is_placed, never_sleeps=is_placed)
         running = np.arange(len(block))
         while running.size:
-            sims.step(running)
-            overflowed, is_finite = sims.failures(running)
-            shift, turn = stability.moved(np, sims.poses(running), start[running])
-            counts = is_placed[running] & is_finite[:, None]
             at = block[running]
-            result.num_steps[at] += 1
-            result.shift[at] = np.maximum(result.shift[at], np.where(counts, shift, 0.0))
-            result.turn[at] = np.maximum(result.turn[at], np.where(counts, turn, 0.0))
+            motion = sims.run(running, self._steps_to_verdict(int(result.num_steps[at[0]]), len(at)))
+            shift, turn = stability.moved(np, motion.poses, start[running, None])
+            is_made = np.arange(shift.shape[1]) < (motion.num_steps - ~motion.is_finite)[:, None]
+            counts = is_placed[running, None] & is_made[..., None]
+            result.num_steps[at] += motion.num_steps
+            result.shift[at] = np.maximum(result.shift[at], np.where(counts, shift, 0.0).max(1))
+            result.turn[at] = np.maximum(result.turn[at], np.where(counts, turn, 0.0).max(1))
             verdict = stability.verdict_of_scene(
                 np, result.num_steps[at], result.shift[at], result.turn[at], is_placed[running], self.config
             )
-            verdict[overflowed] = Verdict.OVERFLOW
-            verdict[~is_finite] = Verdict.NON_FINITE
+            verdict[motion.overflowed] = Verdict.OVERFLOW
+            verdict[~motion.is_finite] = Verdict.NON_FINITE
             result.verdict[at] = verdict
             running = running[verdict == Verdict.NONE]
+
+    def _steps_to_verdict(self, step: int, num_scenes: int) -> int:
+        """How many steps after `step` a last check may go on unjudged, with room for its records."""
+        config, num_objects = self.config, self.layout.num_objects
+        stages = (config.stand_steps, config.stand_full_steps)
+        until = min(stage for stage in stages if stage > step)
+        return min(until - step, max(1, _MOST_NUMBERS // (13 * num_objects * num_scenes)))
 
 
 class _Attempt:
@@ -174,37 +187,60 @@ class _Attempt:
         self.track = stability.new_track(np, (num,), num_objects, np.float64)
         self.trajectory = np.zeros((num, engine.config.last_step + 1, 13), np.float32)
         self.trajectory[:, 0, :7] = self.start[self.rows, focus]
+        self.final = self.start.copy()
         self.overflowed, self.is_finite = np.zeros(num, bool), np.ones(num, bool)
 
     def run(self) -> None:
         """Steps until every scene of the block is decided."""
         running = self.rows
         while running.size:
-            self.sims.step(running)
-            self._judge(running)
-            is_over = self.track.is_over | self.overflowed | ~self.is_finite
-            running = running[~is_over[running]]
+            running = self._judge(running, self.sims.run(running, self._steps_to_verdict(running)))
 
-    def _judge(self, running: np.ndarray) -> None:
-        focus = self.focus[running]
-        self.overflowed[running], self.is_finite[running] = self.sims.failures(running)
-        poses = self.sims.poses(running)
-        velocity = self.sims.velocity(running, focus)
-        shift, turn = stability.moved(np, poses, self.start[running])
+    def _steps_to_verdict(self, running: np.ndarray) -> int:
+        """How many steps to make at once: until the first scene can be decided, or a few more."""
+        config, track = self.engine.config, self.track
+        left = config.last_step - int(track.step[running[0]])
+        return min(left, max(_FEW, config.quiet_steps - int(track.hold[running].max())))
+
+    def _judge(self, running: np.ndarray, motion: Motion) -> np.ndarray:
+        """Judges the steps that were made, one after another; returns those still running."""
+        num, rows, focus = len(running), np.arange(len(running)), self.focus[running]
+        velocity = motion.velocities[rows, :, focus]
+        velocity[..., 3:] = rotate(np, motion.poses[rows, :, focus, 3:], velocity[..., 3:])
+        shift, turn = stability.moved(np, motion.poses, self.start[running, None])
         is_neighbour = self.is_neighbour[running]
-        before = stability.Track(*(field[running] for field in self.track))
-        after = stability.advance(
-            np, before, velocity, shift * is_neighbour, turn * is_neighbour, self.engine.config
-        )
-        for field, values in zip(self.track, after, strict=True):
+        track = stability.Track(*(field[running] for field in self.track))
+        first, num_steps, is_running = int(track.step[0]), np.zeros(num, int), np.ones(num, bool)
+        for step in range(velocity.shape[1]):
+            after = stability.advance(
+                np,
+                track,
+                velocity[:, step],
+                shift[:, step] * is_neighbour,
+                turn[:, step] * is_neighbour,
+                self.engine.config,
+            )
+            track = stability.Track(*(_where(is_running, *pair) for pair in zip(after, track, strict=True)))
+            num_steps += is_running
+            has_failed = (motion.overflowed | ~motion.is_finite) & (num_steps == motion.num_steps)
+            is_running = is_running & ~track.is_over & ~has_failed
+            if not is_running.any():
+                break
+        for field, values in zip(self.track, track, strict=True):
             field[running] = values
-        self.trajectory[running, after.step, :7] = poses[np.arange(len(running)), focus]
-        self.trajectory[running, after.step, 7:] = velocity
+        has_failed = num_steps == motion.num_steps
+        self.overflowed[running] = motion.overflowed & has_failed
+        self.is_finite[running] = motion.is_finite | ~has_failed
+        self.final[running] = motion.poses[rows, num_steps - 1]
+        made = np.concatenate([motion.poses[rows, :, focus], velocity], axis=-1)
+        made[np.arange(made.shape[1]) >= num_steps[:, None]] = 0.0
+        self.trajectory[running, first + 1 : first + 1 + made.shape[1]] = made
+        return running[is_running]
 
     def report(self, result: Settling, block: np.ndarray) -> None:
         """Writes the block's verdicts and motions into `result`."""
         engine, track = self.engine, self.track
-        final = np.where(self.is_placed[..., None], self.sims.poses(self.rows), self.poses).astype(np.float32)
+        final = np.where(self.is_placed[..., None], self.final, self.poses).astype(np.float32)
         final[~self.is_finite] = self.poses[~self.is_finite]
         penetrates = self._look_at_rest(final, result, block)
         result.verdict[block], result.is_quiet[block] = stability.verdict_of_attempt(
@@ -254,6 +290,11 @@ class _Attempt:
                 result.penetration[at], result.margin[at] = found.penetration, found.margin
                 result.touches[at], result.bears[at] = found.touches, found.bears
         return penetrates
+
+
+def _where(condition: np.ndarray, yes: np.ndarray, no: np.ndarray) -> np.ndarray:
+    """`np.where` by the leading axis, bool[n]."""
+    return np.where(condition.reshape(-1, *(1,) * (yes.ndim - 1)), yes, no)
 
 
 def _is_sound(poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
-from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics.layout import Layout
 
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
@@ -30,6 +31,25 @@ def sleeping_model(model: mujoco.MjModel) -> mujoco.MjModel:
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     model.tree_sleep_policy[:] = mujoco.mjtSleepPolicy.mjSLEEP_INIT
     return model
+
+
+class Motion(NamedTuple):
+    """What n simulations did in T steps.
+
+    Attributes:
+      poses: f64[n, T, K, 7], of all objects after each step.
+      velocities: f64[n, T, K, 6], linear in the world frame, angular in the objects' own.
+      num_steps: i64[n], steps made, 1 to T: the last one is where a simulation failed, if it did. What is
+        told of later ones means nothing.
+      overflowed: bool[n], it failed for want of room.
+      is_finite: bool[n], it did not fail by diverging.
+    """
+
+    poses: np.ndarray
+    velocities: np.ndarray
+    num_steps: np.ndarray
+    overflowed: np.ndarray
+    is_finite: np.ndarray
 
 
 class Simulations:
@@ -98,6 +118,36 @@ class Simulations:
         except SimulationError as error:
             self._raised[error.ids] = True
 
+    def run(self, ids: np.ndarray, num_steps: int) -> Motion:
+        """Several time steps of the simulations `ids` at once, each step recorded.
+
+        A thread keeps one simulation in its cache for all of its steps, and is called once: half the cost of
+        as many calls of `step`.
+        """
+        num, num_objects = len(ids), self._num_objects
+        # What is not recorded, because a step raised an error, stays NaN.
+        qpos = np.full((num, num_steps, 7 * num_objects), np.nan)
+        qvel = np.full((num, num_steps, 6 * num_objects), np.nan)
+        try:
+            self._batch.rollout(num_steps, record=("qpos", "qvel"), ids=ids, out={"qpos": qpos, "qvel": qvel})
+        except SimulationError as error:
+            self._raised[error.ids] = True
+        warned, raised = self._batch.warning[ids, :, 1], self._raised[ids]
+        overflowed, diverged = warned[:, _FULL].any(1) | raised, warned[:, _BAD].any(1)
+        is_finite = np.isfinite(qpos).all(-1) & np.isfinite(qvel).all(-1) | raised[:, None]
+        made = np.where(is_finite.all(1), num_steps, is_finite.argmin(1) + 1)
+        for row in np.flatnonzero(overflowed | diverged):
+            made[row] = min(made[row], _first_like_last(qpos[row], qvel[row]) + 1)
+        last = np.arange(num), made - 1
+        qpos[last] = np.where(raised[:, None], self._qpos[ids], qpos[last])
+        return Motion(
+            poses=qpos.reshape(num, num_steps, num_objects, 7),
+            velocities=qvel.reshape(num, num_steps, num_objects, 6),
+            num_steps=made,
+            overflowed=overflowed,
+            is_finite=is_finite[last] & ~diverged,
+        )
+
     def failures(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of the simulations `ids`: which ran out of room, and which are still finite; bool[n] each."""
         warning = self._batch.warning[ids, :, 1]
@@ -109,9 +159,13 @@ class Simulations:
         """f64[n, K, 7]: where all objects are now."""
         return self._qpos[ids].reshape(len(ids), self._num_objects, 7)
 
-    def velocity(self, ids: np.ndarray, focus: np.ndarray) -> np.ndarray:
-        """f64[n, 6]: linear and angular velocity of one object each, at its origin, world frame."""
-        velocity = self._qvel[ids].reshape(len(ids), self._num_objects, 6)[np.arange(len(ids)), focus]
-        quaternion = self.poses(ids)[np.arange(len(ids)), focus, 3:]
-        velocity[:, 3:] = rotate(np, quaternion, velocity[:, 3:])
-        return velocity
+
+def _first_like_last(*records: np.ndarray) -> int:
+    """The first record that all later ones repeat: a simulation that warns makes no further step.
+
+    Args:
+      records: f64[T, ...] each.
+    """
+    rows = np.concatenate(records, axis=1)
+    differs = ((rows != rows[-1]) & ~(np.isnan(rows) & np.isnan(rows[-1]))).any(1)
+    return int(np.flatnonzero(differs)[-1]) + 1 if differs.any() else 0

@@ -24,7 +24,7 @@ from cluttergen_jax.placement.region import (
 from cluttergen_jax.placement.reward import reward_of
 from cluttergen_jax.placement.ruin import choose_ruin, footprint_area
 from cluttergen_jax.placement.types import Counts, Episode, Geometry, History, Start, Transition
-from cluttergen_jax.types import Array, Settling, Verdict
+from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 _OWN_SHARE = 1 / 3
 """Of what a narrow object has on a flat table: so much support margin is asked of it at most. Of a round face
@@ -189,12 +189,31 @@ class Rules(struct.PyTreeNode, eq=False):
         Returns:
           The episode after the attempt, and what came of it.
         """
+        settling = self.physics.settle(*self.release(episode, action))
+        after, transition, is_filled = self.judge(episode, action, settling)
+        standing = self.physics.stand(after.poses, after.is_placed, is_filled)
+        return self.conclude(after, standing, is_filled), transition
+
+    def release(self, episode: Episode, action: Array) -> tuple[Array, Array, Array, Array]:
+        """What `Physics.settle` is asked in an attempt: its four arguments, in their order."""
+        focus = self.focus(episode)
+        proposed = pose_of_action(action, episode.region, self.height_range(episode))
+        return (
+            episode.poses.at[focus].set(proposed),
+            episode.is_placed.at[focus].set(True),
+            focus,
+            ~episode.is_over,
+        )
+
+    def judge(self, episode: Episode, action: Array, settling: Settling) -> tuple[Episode, Transition, Array]:
+        """Judges what settled, and commits or reverts it.
+
+        Returns:
+          The episode before its last check, what came of the attempt, and bool: whether it filled the last
+          slot, so that the last check is due.
+        """
         is_active = ~episode.is_over
         focus, height_range = self.focus(episode), self.height_range(episode)
-        proposed = pose_of_action(action, episode.region, height_range)
-        settling = self.physics.settle(
-            episode.poses.at[focus].set(proposed), episode.is_placed.at[focus].set(True), focus, is_active
-        )
         verdict = self._judge_place(episode, focus, settling)
         is_stable = verdict == Verdict.STABLE
         is_last = episode.slot + 1 >= episode.num_slots
@@ -204,9 +223,8 @@ class Rules(struct.PyTreeNode, eq=False):
         after = self._commit(after, focus, settling, is_stable)
         after = self._count(after, episode.slot, settling, verdict, reward)
         after = self._take_apart(after)
-        after = self._finish(after, is_stable & is_last & is_active)
         after = jax.tree.map(lambda new, old: jnp.where(is_active, new, old), after, episode)
-        return after, Transition(
+        transition = Transition(
             slot=self._slot(episode),
             object_index=focus,
             ordinal=episode.attempt + 1,
@@ -216,6 +234,7 @@ class Rules(struct.PyTreeNode, eq=False):
             reward=jnp.where(is_active, reward, 0.0),
             is_made=is_active,
         )
+        return after, transition, is_stable & is_last & is_active
 
     def _judge_place(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """The attempt's verdict once margins, queried region and keep-out boxes have their say, i32."""
@@ -355,15 +374,14 @@ class Rules(struct.PyTreeNode, eq=False):
         objects = jnp.arange(self.geometry.num_objects)
         return jnp.any(is_started & (episode.object_index[:, None] == objects), axis=0)
 
-    def _finish(self, episode: Episode, is_filled: Array) -> Episode:
-        """The episode after the last check, which runs only if every slot has just been filled."""
-        standing = self.physics.stand(episode.poses, episode.is_placed, is_filled)
+    def conclude(self, episode: Episode, standing: Standing, is_filled: Array) -> Episode:
+        """The episode after the last check, where it was due (`is_filled`, bool); else as it is."""
         counts = episode.counts
         return episode.replace(
             is_over=episode.is_over | is_filled,
-            is_success=is_filled & (standing.verdict == Verdict.STABLE),
+            is_success=jnp.where(is_filled, standing.verdict == Verdict.STABLE, episode.is_success),
             verdict=jnp.where(is_filled, standing.verdict, episode.verdict),
-            drift=jnp.max(standing.shift),
+            drift=jnp.where(is_filled, jnp.max(standing.shift), episode.drift),
             counts=counts.replace(simulated_steps=counts.simulated_steps + standing.num_steps),
         )
 

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from xml.etree import ElementTree as ET
 
 import numpy as np
+from lxml import etree as ET
 
 from cluttergen_jax.assets.mjcf import COLLISION_GROUP, SHININESS, SPECULAR, VISUAL_GROUP, own_contact
 from cluttergen_jax.assets.obj import part_name
@@ -78,7 +78,7 @@ def _text(values: Sequence[float] | np.ndarray) -> str:
     return " ".join(f"{value:.9g}" for value in np.asarray(values, np.float64).ravel())
 
 
-def _add_options(root: ET.Element, stability: StabilityConfig, contact: ContactConfig) -> None:
+def _add_options(root: ET._Element, stability: StabilityConfig, contact: ContactConfig) -> None:
     option = ET.SubElement(
         root,
         "option",
@@ -112,7 +112,7 @@ def own_contact_attributes(asset: ObjectAsset, contact: ContactConfig) -> dict[s
     return {"friction": _text(friction), "priority": str(priority)}
 
 
-def _add_visual(root: ET.Element) -> None:
+def _add_visual(root: ET._Element) -> None:
     visual = ET.SubElement(root, "visual")
     ET.SubElement(
         visual, "headlight", ambient="0.32 0.32 0.33", diffuse="0.28 0.28 0.28", specular="0.05 0.05 0.05"
@@ -123,7 +123,7 @@ def _add_visual(root: ET.Element) -> None:
     ET.SubElement(visual, "rgba", haze="0.90 0.905 0.915 1")
 
 
-def _add_surroundings(assets: ET.Element, world: ET.Element) -> None:
+def _add_surroundings(assets: ET._Element, world: ET._Element) -> None:
     sky = {"type": "skybox", "builtin": "gradient", "width": "256", "height": "1536"}
     ET.SubElement(assets, "texture", sky, name="sky", rgb1="0.62 0.69 0.78", rgb2="0.90 0.905 0.915")
     ET.SubElement(
@@ -139,7 +139,7 @@ def _add_surroundings(assets: ET.Element, world: ET.Element) -> None:
     ET.SubElement(world, "geom", name="floor", type="plane", size="0 0 0.1", rgba="0.82 0.82 0.83 1")
 
 
-def _add_support(assets: ET.Element, world: ET.Element, support: SupportAsset) -> None:
+def _add_support(assets: ET._Element, world: ET._Element, support: SupportAsset) -> None:
     body = ET.SubElement(world, "body", name="support")
     for index, box in enumerate(support.boxes):
         ET.SubElement(
@@ -159,7 +159,7 @@ def _add_support(assets: ET.Element, world: ET.Element, support: SupportAsset) -
         _add_visual_geom(assets, body, mesh, piece, "support/")
 
 
-def _add_meshes(assets: ET.Element, asset: ObjectAsset) -> None:
+def _add_meshes(assets: ET._Element, asset: ObjectAsset) -> None:
     for index in range(len(asset.parts)):
         file = f"objects/{asset.name}/{part_name(index)}"
         ET.SubElement(assets, "mesh", name=f"{asset.name}/part-{index}", file=file, inertia="convex")
@@ -169,8 +169,8 @@ def _add_meshes(assets: ET.Element, asset: ObjectAsset) -> None:
 
 
 def _add_body(
-    assets: ET.Element,
-    world: ET.Element,
+    assets: ET._Element,
+    world: ET._Element,
     name: str,
     asset: ObjectAsset,
     pose: np.ndarray,
@@ -195,7 +195,7 @@ def _add_body(
         _add_visual_geom(assets, body, f"{asset.name}/visual-{index}", piece, "textures/")
 
 
-def _add_visual_geom(assets: ET.Element, body: ET.Element, mesh: str, piece: Piece, images: str) -> None:
+def _add_visual_geom(assets: ET._Element, body: ET._Element, mesh: str, piece: Piece, images: str) -> None:
     geom = ET.SubElement(body, "geom", _UNSEEN, type="mesh", mesh=mesh, rgba=_text(piece.rgba))
     if piece.texture is None:
         return

@@ -221,6 +221,28 @@ def test_only_remarks_on_missing_packages_are_left_out(capsys):
     assert capsys.readouterr().out == "something else\n"
 
 
+def test_what_samples_scenes_loads_neither_trainers_nor_importers():
+    code = "import sys, cluttergen_jax.generation.generate; print(*sorted(set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "jax" in done.stdout.split()
+    assert not {"brax", "warp", "trimesh", "orbax", "optax"} & set(done.stdout.split())
+
+
+@pytest.mark.slow
+def test_what_a_command_compiles_the_next_one_finds(tmp_path):
+    """All of `generate` is kept on disk: a program that calls back into Python could not be."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
+    environment |= {"CLUTTERGEN_HOME": str(tmp_path), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    programs = []
+    for seed in ("0", "1"):
+        words = ["generate", "--method", "clear", "-n", "1", "--max-files", "0", "--seed", seed]
+        words = [sys.executable, "-m", "cluttergen_jax", *words, "--out", str(tmp_path / seed)]
+        subprocess.run(words, env=environment, capture_output=True, check=True)
+        programs.append({path.name for path in tmp_path.glob("programs/*/*-cache")})
+    assert {"jit__proposed", "jit__judged", "jit_conclude"} <= {name.split("-")[0] for name in programs[0]}
+    assert programs[0] == programs[1]
+
+
 @pytest.mark.slow
 def test_mjx_says_nothing_of_warp():
     code = "import sys; sys.modules['warp'] = None; from cluttergen_jax.placement.brax_env import Env"

@@ -9,6 +9,7 @@ import pytest
 
 from cluttergen_jax.learning.agents import make_agent
 from cluttergen_jax.learning.networks.config import NetworkConfig
+from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import height_grid
 from tests.helpers.problems import made_up_rules
 
@@ -18,7 +19,8 @@ CONFIG = NetworkConfig(head="mixture", num_cells=6, num_turns=4, width=16, num_l
 def made_up(config=CONFIG):
     """Rules of six thin objects, their agent, fresh weights and one observation."""
     rules = made_up_rules()
-    env, agent = make_agent(rules, config)
+    agent = make_agent(rules, config)
+    env = PlacementEnv(rules, agent.observation)
     observation = jax.jit(env.reset)(jax.random.key(0)).obs
     return rules, agent, jax.jit(agent.init)(jax.random.key(1), observation), observation
 

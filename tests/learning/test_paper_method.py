@@ -11,6 +11,7 @@ from cluttergen_jax.learning.agents import make_agent
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.ppo.ppo import PPO
 from cluttergen_jax.learning.training.presets import make_settings
+from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.problem import ProblemConfig, compose
 from tests.helpers.worlds import box
 
@@ -27,7 +28,8 @@ def successes(num_objects, side, num_updates, network=SEEN, **ppo):
     objects = [box(f"box-{k}", (0.05, 0.05, 0.02 + 0.005 * k)) for k in range(num_objects)]
     config = ProblemConfig(placement=placement, stability=settings.stability)
     problem = compose(objects, cuboid_table(side, side), config)
-    env, agent = make_agent(problem.rules, network)
+    agent = make_agent(problem.rules, network)
+    env = PlacementEnv(problem.rules, agent.observation)
     given = {"num_envs": 64, "num_steps": 25, "minibatch_size": 400, "anneals": False}
     learner = PPO(env, agent.apply, replace(settings.ppo, **given | ppo), None, agent.encode)
     params = agent.init(jax.random.key(0), jax.eval_shape(env.reset, jax.random.key(0)).obs)

@@ -13,6 +13,7 @@ from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.policies.policy import load_policy
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
+from cluttergen_jax.placement.env import PlacementEnv
 from tests.helpers.problems import trio_problem
 
 NETWORK = NetworkConfig(width=16, num_layers=2)
@@ -28,7 +29,8 @@ def rules():
 def stored(rules, tmp_path_factory):
     """A fresh policy of poses, trained with up to five attempts."""
     folder = tmp_path_factory.mktemp("policy")
-    env, agent = make_agent(rules, NETWORK)
+    agent = make_agent(rules, NETWORK)
+    env = PlacementEnv(rules, agent.observation)
     seen = jax.eval_shape(env.reset, jax.random.key(0)).obs
     blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), seen)
     params = jax.jit(agent.init)(jax.random.key(0), blank)

@@ -11,6 +11,7 @@ from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.learning.agents import make_agent
 from cluttergen_jax.learning.training.evaluator import Evaluator
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.problem import ProblemConfig, compose
 from tests.helpers.runs import SMALL
 from tests.helpers.worlds import trio
@@ -27,7 +28,8 @@ def problem():
 
 @pytest.fixture(scope="module")
 def params(problem):
-    env, agent = make_agent(problem.rules, SMALL)
+    agent = make_agent(problem.rules, SMALL)
+    env = PlacementEnv(problem.rules, agent.observation)
     seen = jax.eval_shape(env.reset, jax.random.key(0)).obs
     return jax.device_get(agent.init(jax.random.key(0), seen))
 

@@ -14,6 +14,7 @@ from cluttergen_jax.learning.agents import make_agent
 from cluttergen_jax.learning.policies.policy import make_policy
 from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.changes import ChangedRegion, find_change
+from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
 from cluttergen_jax.placement.rollout import run as run_module
 from tests.helpers.problems import HalfTable, made_up_rules
@@ -40,7 +41,8 @@ def sampler_of(method, scale):
     if method in ("random", "drop"):
         return BlockSampler(rules, make_proposer(method, rules))
     network = NETWORKS[method]
-    env, agent = make_agent(rules, network)
+    agent = make_agent(rules, network)
+    env = PlacementEnv(rules, agent.observation)
     seen = jax.eval_shape(env.reset, jax.random.key(0)).obs
     params = agent.init(jax.random.key(int(10 * scale)), seen)
     return BlockSampler(rules, make_policy(rules, network, params, is_sampled=True))

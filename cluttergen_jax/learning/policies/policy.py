@@ -15,7 +15,7 @@ from cluttergen_jax.learning.agents import Agent, make_agent
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.learning.ppo.checkpoint import read_policy
-from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.observation import observe
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
@@ -25,13 +25,13 @@ class TrainedPolicy(struct.PyTreeNode, eq=False):
     """A proposer that draws from an agent's distribution, or takes its mean.
 
     Attributes:
-      env: shows episodes to the agent.
+      rules: of the world.
       agent, params: the network and its weights.
       is_sampled: draw actions; else take the mean.
       num_attempts: how many failed attempts the agent reads; those that the rules do not allow are empty.
     """
 
-    env: PlacementEnv
+    rules: Rules
     agent: Agent
     params: Any
     is_sampled: bool = struct.field(pytree_node=False)
@@ -45,8 +45,8 @@ class TrainedPolicy(struct.PyTreeNode, eq=False):
 
     def observe(self, episode: Episode) -> dict[str, Any]:
         """What the agent sees of an episode."""
-        seen = self.env.observe(episode)
-        missing = self.num_attempts - self.env.rules.config.max_attempts
+        seen = observe(self.rules, episode, self.agent.observation)
+        missing = self.num_attempts - self.rules.config.max_attempts
         if missing == 0:
             return seen
         return seen | {"history": jax.tree.map(lambda rows: _padded(rows, missing), seen["history"])}
@@ -64,8 +64,8 @@ def make_policy(
     Args:
       is_sampled: draw actions; else take the distribution's mean.
     """
-    env, agent = make_agent(rules, network)
-    return TrainedPolicy(env, agent, params, is_sampled, rules.config.max_attempts)
+    agent = make_agent(rules, network)
+    return TrainedPolicy(rules, agent, params, is_sampled, rules.config.max_attempts)
 
 
 def load_policy(checkpoint: Checkpoint, rules: Rules, is_sampled: bool = True) -> TrainedPolicy:

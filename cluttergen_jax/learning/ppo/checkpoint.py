@@ -12,7 +12,6 @@ import flax.traverse_util
 import jax
 import jax.numpy as jnp
 import numpy as np
-import orbax.checkpoint as ocp
 
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import folder_whole, put_back, write_atomically
@@ -27,8 +26,11 @@ _SHOWN = 3
 _FRESH = "a fresh copy of that folder, or training again"
 
 
-def _checkpointer() -> ocp.StandardCheckpointer:
-    """A checkpointer that waits for no other process: where there are several, one alone reads and writes."""
+def _checkpointer() -> Any:
+    """Orbax's, which waits for no other process: where there are several, one alone reads and writes."""
+    # Loaded by training alone: whoever acts reads NumPy's files.
+    import orbax.checkpoint as ocp
+
     here = jax.process_index()
     alone = ocp.options.MultiprocessingOptions(primary_host=here, active_processes={here})
     return ocp.StandardCheckpointer(multiprocessing_options=alone)

@@ -20,6 +20,7 @@ from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.memory import check_memory
 from cluttergen_jax.learning.training.run_logger import Evaluate, Logger, NullLogger, RunConfig, RunLogger
 from cluttergen_jax.learning.training.updates import Updates, num_updates
+from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.rules import Rules
 
 _SET_ENCODER = "PointNet_0"
@@ -58,7 +59,8 @@ class Run:
     ) -> None:
         self.config, self.folder = config, folder
         self.recipe = recipe | {"kind": KIND}
-        env, self.agent = make_agent(rules, network)
+        self.agent = make_agent(rules, network)
+        env = PlacementEnv(rules, self.agent.observation)
         self.ppo = PPO(env, self.agent.apply, ppo, make_mesh(ppo.num_envs), self.agent.encode)
         self._encoder_weights = encoder_weights
         self._evaluate = evaluate

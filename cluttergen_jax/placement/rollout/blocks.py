@@ -42,9 +42,13 @@ class BlockSampler(struct.PyTreeNode, eq=False):
 
     def step_one(self, episode: Episode) -> tuple[Episode, Transition]:
         """One attempt, unless the episode is over."""
+        return self.rules.attempt(*self.proposed(episode))
+
+    def proposed(self, episode: Episode) -> tuple[Episode, Array]:
+        """The episode with its next key, and the action that is proposed."""
         key_propose, key_next = jax.random.split(episode.key)
         action = self.propose(key_propose, episode)
-        return self.rules.attempt(episode.replace(key=key_next), action)
+        return episode.replace(key=key_next), action
 
     def finish(self, episodes: Episode) -> SceneBatch:
         """The scenes of finished episodes."""

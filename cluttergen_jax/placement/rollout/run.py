@@ -9,11 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cluttergen_jax.physics.host import HostPhysics
 from cluttergen_jax.placement.rollout.blocks import BlockSampler
 from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.progress import COMPILING, Progress, interruptible
-from cluttergen_jax.types import Array
+from cluttergen_jax.types import Array, Settling
 
 MAX_PROGRAMS = 16
 """Compiled steps that are kept: a program takes a few hundred of the 65,530 mappings of memory that Linux
@@ -28,6 +29,20 @@ Look = Callable[[Episode, Episode, Transition], Any]
 
 def _nothing(before: Episode, after: Episode, transition: Transition) -> None:
     return None
+
+
+def _proposed(sampler: BlockSampler, episodes: Episode) -> tuple[Any, ...]:
+    """Episodes with their next keys, the actions proposed, and what `Physics.settle` is asked."""
+    episodes, action = jax.vmap(sampler.proposed)(episodes)
+    return episodes, action, *jax.vmap(sampler.rules.release)(episodes, action)
+
+
+def _judged(
+    sampler: BlockSampler, episodes: Episode, action: Array, settling: Settling
+) -> tuple[Episode, Transition, Array]:
+    """`Rules.judge` of a block; what settled is left out of the transitions, whose reader has it."""
+    after, transition, is_filled = jax.vmap(sampler.rules.judge)(episodes, action, settling)
+    return after, transition.replace(settling=None), is_filled
 
 
 class Rollout:
@@ -53,25 +68,52 @@ class Rollout:
         ) -> Episode:
             return _chosen(is_new, sampler.begin(key, indices, is_new), episodes)
 
+        def conclude(
+            sampler: BlockSampler, before: Episode, after: Episode, transition: Transition, *checked: Any
+        ) -> tuple[Episode, Array, Any]:
+            after = jax.vmap(sampler.rules.conclude)(after, *checked)
+            return after, after.is_over, look(before, after, transition)
+
         static = (0,) if is_constant else ()
         self._begin: Any = jax.jit(lambda sampler, *args: sampler.begin(*args), static_argnums=static)
         self._step: Any = jax.jit(step, static_argnums=static, donate_argnums=1)
         self._refill: Any = jax.jit(refill, static_argnums=static, donate_argnums=2)
+        self._propose: Any = jax.jit(_proposed, static_argnums=static)
+        self._judge: Any = jax.jit(_judged, static_argnums=static)
+        self._conclude: Any = jax.jit(conclude, static_argnums=static)
         self._finish: Any = jax.jit(lambda sampler, *args: sampler.finish(*args), static_argnums=static)
 
     @property
     def num_programs(self) -> int:
         """How many steps are compiled."""
-        return self._step._cache_size()
+        return self._step._cache_size() + self._propose._cache_size()
 
     def compile(self, sampler: BlockSampler, key: Array, indices: np.ndarray) -> None:
-        """Compiles for `run` with arguments like these, by a step in which no attempt is made."""
+        """Compiles for `run` and `run_all` with arguments like these, by a step in which no attempt is made."""
         if self.num_programs >= MAX_PROGRAMS:
-            for function in (self._begin, self._step, self._refill, self._finish):
+            pieces = (self._step, self._propose, self._judge, self._conclude, self._refill)
+            for function in (self._begin, *pieces, self._finish):
                 function.clear_cache()
         episodes = interruptible(self._begin, sampler, key, indices, np.zeros(len(indices), bool))
-        episodes, *_ = interruptible(self._step, sampler, episodes)
+        episodes, *_ = interruptible(self._stepped, sampler, episodes)
+        episodes = interruptible(self._refill, sampler, key, episodes, indices, np.zeros(len(indices), bool))
         jax.block_until_ready(interruptible(self._finish, sampler, episodes))
+
+    def _stepped(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, Array, Any]:
+        """One attempt in every episode; which are over, bool[N]; and what `look` sees.
+
+        An engine on the host is called between compiled pieces. As one program with calls back into Python
+        it could not be kept on disk by JAX, and each process would compile it anew.
+        """
+        physics = sampler.rules.physics
+        if not isinstance(physics, HostPhysics):
+            return self._step(sampler, episodes)
+        episodes, action, *asked = self._propose(sampler, episodes)
+        settling = physics.settle_batch(*map(np.asarray, asked))
+        after, transition, is_filled = self._judge(sampler, episodes, action, settling)
+        standing = physics.stand_batch(*map(np.asarray, (after.poses, after.is_placed, is_filled)))
+        transition = transition.replace(settling=settling)
+        return self._conclude(sampler, episodes, after, transition, standing, is_filled)
 
     def run(
         self,
@@ -87,18 +129,18 @@ class Rollout:
           key, indices, is_wanted: of its `begin`.
           on_step: told after each step how many more episodes are over, and what `look` sees, on the host.
         """
-
         episodes = interruptible(self._begin, sampler, key, indices, is_wanted)
         left = int(is_wanted.sum())
         while left:
             before = left
-            episodes, is_over, seen = interruptible(self._stepped, sampler, episodes)
+            episodes, is_over, seen = interruptible(self._told, sampler, episodes)
             left = int((~is_over).sum())
             on_step(before - left, seen)
         return interruptible(self._finished, sampler, episodes)
 
-    def _stepped(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, np.ndarray, Any]:
-        episodes, is_over, seen = self._step(sampler, episodes)
+    def _told(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, np.ndarray, Any]:
+        """`_stepped`, all but the episodes on the host."""
+        episodes, is_over, seen = self._stepped(sampler, episodes)
         return episodes, *jax.device_get((is_over, seen))
 
     def _finished(self, sampler: BlockSampler, episodes: Episode) -> SceneBatch:
@@ -127,7 +169,7 @@ class Rollout:
         episodes = interruptible(self._begin, sampler, key, indices, is_held)
         was_over = ~is_held
         while is_held.any():
-            episodes, is_over, seen = interruptible(self._stepped, sampler, episodes)
+            episodes, is_over, seen = interruptible(self._told, sampler, episodes)
             on_step(indices, int((is_over & ~was_over).sum()), seen)
             was_over, is_done = is_over, is_over & is_held
             if not is_done.any() or (is_done.sum() < REFILL * width and (is_held & ~is_done).any()):
