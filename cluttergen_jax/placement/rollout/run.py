@@ -89,7 +89,7 @@ class Rollout:
         return self._step._cache_size() + self._propose._cache_size()
 
     def compile(self, sampler: BlockSampler, key: Array, indices: np.ndarray) -> None:
-        """Compiles for `run` and `run_all` with arguments like these, by a step in which no attempt is made."""
+        """Compiles for `run` and `run_all` with arguments like these, by a step without an attempt."""
         if self.num_programs >= MAX_PROGRAMS:
             pieces = (self._step, self._propose, self._judge, self._conclude, self._refill)
             for function in (self._begin, *pieces, self._finish):
