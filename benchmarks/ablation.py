@@ -19,6 +19,7 @@ from benchmarks.section import prose, report, table
 from benchmarks.trained import WINDOW
 from cluttergen_jax.config import Preset
 from cluttergen_jax.learning.ppo.checkpoint import read_record
+from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.learning.training.train import TrainConfig, run_training
 
@@ -66,8 +67,21 @@ ROWS = (
 )
 
 
-def train(row: Row, out: Path, pool: str, num_attempts: int, seed: int, encoder: str | None) -> None:
-    """Trains and evaluates one row, or takes it up again."""
+def train(
+    row: Row,
+    out: Path,
+    pool: str,
+    num_attempts: int,
+    seed: int,
+    encoder: str | None,
+    interrupt: Interrupt | None = None,
+    **given: Any,
+) -> None:
+    """Trains and evaluates one row, or takes it up again.
+
+    Args:
+      interrupt: see `run_training`; given: further fields of `TrainConfig`.
+    """
     config = TrainConfig(
         pool=pool,
         preset=row.preset,
@@ -76,6 +90,7 @@ def train(row: Row, out: Path, pool: str, num_attempts: int, seed: int, encoder:
         seed=seed,
         encoder_weights=encoder if row.preset != "cpu" else None,
         out=str(out / row.name),
+        **given,
     )
     settings = config.settings()
     settings = replace(
@@ -85,7 +100,9 @@ def train(row: Row, out: Path, pool: str, num_attempts: int, seed: int, encoder:
         placement=replace(settings.placement, **row.placement),
     )
     run_training(
-        replace(config, encoder_weights=None) if "scene_encoder" in row.network else config, settings
+        replace(config, encoder_weights=None) if "scene_encoder" in row.network else config,
+        settings,
+        interrupt=interrupt,
     )
 
 

@@ -73,9 +73,14 @@ class _Recorder:
 
 
 def record(
-    pool: str, support_name: str, stability: StabilityConfig, contact: ContactConfig, number: int
+    pool: str,
+    support_name: str,
+    stability: StabilityConfig,
+    contact: ContactConfig,
+    number: int,
+    method: str = "clear",
 ) -> tuple[World, Attempts]:
-    """The world of a pool, and `number` attempts of `clear` in it, early and late ones."""
+    """The world of a pool, and `number` attempts of a method in it, early and late ones."""
     support = find_support(support_name)
     world = make_world(find_pool(pool).objects, support, stability, contact)
     physics = TimedPhysics(world.num_objects, stability)
@@ -84,7 +89,7 @@ def record(
     placement = PlacementConfig(num_objects=min(10, world.num_objects), history_stride=0)
     rules = Rules(placement, physics, geometry_of(world), region_of(support.region, support))
     num_scenes = -(-number // placement.num_objects)
-    make_block_sampler(rules, "clear", block_size=num_scenes)(num_scenes, 0)
+    make_block_sampler(rules, method, block_size=num_scenes)(num_scenes, 0)
     parts = recorder.attempts
     return world, Attempts(
         np.concatenate([each.poses for each in parts])[:number],

@@ -50,7 +50,7 @@ def replace_section(readme: Path, name: str, text: str) -> None:
 def provenance(name: str, packages: Sequence[str] = ()) -> str:
     """Command, date and machine, in one paragraph."""
     command = shlex.join(["python", "-m", f"benchmarks.{name}", *sys.argv[1:]])
-    versions = ", ".join(f"{each} {_version(each)}" for each in packages)
+    versions = ", ".join(f"{each} {version_of(each)}" for each in packages)
     return (
         f"`{command}`, {datetime.date.today().isoformat()}; {cpu_model()}, "
         f"{len(os.sched_getaffinity(0))} cores, load {os.getloadavg()[0]:.1f} at the end; "
@@ -69,7 +69,8 @@ def prose(text: str) -> str:
     return " ".join(text.split())
 
 
-def _version(package: str) -> str:
+def version_of(package: str) -> str:
+    """The package's version, or that it is not installed."""
     try:
         return version(package)
     except PackageNotFoundError:

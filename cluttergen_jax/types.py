@@ -57,6 +57,8 @@ _SENTENCES = {
 class Settling(struct.PyTreeNode):
     """One attempt, as the simulator saw it. K objects in the compiled world, T + 1 trajectory rows.
 
+    T is the step at which an attempt ends at the latest (`StabilityConfig.last_step`).
+
     Attributes:
       verdict: i32, a `Verdict`; OUTSIDE, UNSUPPORTED and CREPT are never given here, FRAGILE only where
         `StabilityConfig.robust_tilt` asks for it. NONE if the scene was inactive.

@@ -1,11 +1,15 @@
 """The MJX engines: MuJoCo in JAX, on Warp kernels or in pure XLA.
 
 One `while_loop` steps the whole batch until every scene is decided; a decided scene is carried along unmoved.
-ContactRows are those of the poses from which a step starts, so the loop makes one step more at its end: all
-scenes stand still then, and the contacts are those of the final poses.
+With Warp, large batches are compacted: once few scenes are left to be decided, those alone are stepped on.
+Overlaps at release and at rest, support margins and who bears whom are read in one pass over the contacts of
+both moments, once the loop has ended.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -19,9 +23,24 @@ from cluttergen_jax.physics.batching import one_scene
 from cluttergen_jax.physics.host import OneScenePhysics
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.margin import MIN_SHIFT
-from cluttergen_jax.physics.mjx_scenes import MjxScenes, start_poses
+from cluttergen_jax.physics.mjx_contacts import ContactRows, bearers, margins, overlaps
+from cluttergen_jax.physics.mjx_scenes import WARP_DEFAULTS, MjxScenes, WarpOptions, start_poses
 from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
+
+
+class _Batch(struct.PyTreeNode):
+    """The scenes of a batch, as they began.
+
+    Attributes:
+      start: f32[N, K, 7], world frame; is_placed, is_focus: bool[N, K].
+      is_judged: bool[N], there is something to simulate.
+    """
+
+    start: Array
+    is_placed: Array
+    is_focus: Array
+    is_judged: Array
 
 
 class _Attempts(struct.PyTreeNode):
@@ -29,27 +48,37 @@ class _Attempts(struct.PyTreeNode):
 
     Attributes:
       data: the simulations.
-      track: the rule's memory; trajectory: f32[N, T + 1, 13].
+      track: the rule's memory; trajectory: f32[N, T + 1, 13] (`types.Settling`).
       overflowed, is_finite: bool[N].
-      depth_before: f32[N, K + 1, K + 1], overlap of every pair at release.
-      is_first, goes_on: bool, no step was made yet; another one is wanted.
     """
 
+    batch: _Batch
     data: mjx.Data
     track: stability.Track
     trajectory: Array
     overflowed: Array
     is_finite: Array
-    depth_before: Array
-    is_first: Array
-    goes_on: Array
+
+    @property
+    def is_running(self) -> Array:
+        """bool[N]: not decided yet."""
+        return self.batch.is_judged & ~self.track.is_over & self.is_finite & ~self.overflowed
 
 
 class _Checks(struct.PyTreeNode):
     """A batch of last checks while it runs."""
 
+    batch: _Batch
     data: mjx.Data
     standing: Standing
+
+    @property
+    def is_running(self) -> Array:
+        """bool[N]: not decided yet."""
+        return self.batch.is_judged & (self.standing.verdict == int(Verdict.NONE))
+
+
+_Run = TypeVar("_Run", _Attempts, _Checks)
 
 
 class MjxPhysics(OneScenePhysics):
@@ -60,7 +89,7 @@ class MjxPhysics(OneScenePhysics):
       config: when an object stands still.
       impl: "warp" (an NVIDIA GPU; slowly, a CPU) or "jax" (wherever XLA runs, for few simple objects: it
         compiles a collision function for every pair of distinct meshes).
-      num_contacts, num_rows: room for contacts and constraint rows of a scene; None measures what is needed.
+      options: of Warp.
 
     Raises:
       ConfigError: unknown `impl`.
@@ -72,102 +101,106 @@ class MjxPhysics(OneScenePhysics):
         layout: Layout,
         config: StabilityConfig,
         impl: str = "warp",
-        num_contacts: int | None = None,
-        num_rows: int | None = None,
+        options: WarpOptions = WARP_DEFAULTS,
     ) -> None:
         super().__init__(config, one_scene(self.settle_batch), one_scene(self.stand_batch))
         self.layout = layout
-        self.scenes = MjxScenes(layout, impl, num_contacts, num_rows)
+        self.scenes = MjxScenes(layout, impl, options)
 
     def settle_batch(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
         """`settle` for scenes with one leading axis."""
-        scenes, config = self.scenes, self.config
         start, is_sound = start_poses(self.layout, poses, is_placed, is_active)
         is_focus = jnp.arange(self.layout.num_objects) == focus[:, None]
-        is_neighbour = is_placed & ~is_focus
-        is_judged = is_active & is_sound
-        rows = jnp.arange(len(poses))
+        batch = _Batch(start, is_placed, is_focus, is_active & is_sound)
+        run = self._run_to_end(self._released(batch), self._attempt_step, is_attempt=True)
+        return self._report(run, poses, is_active)
 
-        def is_running(run: _Attempts) -> Array:
-            return is_judged & ~run.track.is_over & run.is_finite & ~run.overflowed
-
-        def step(run: _Attempts) -> _Attempts:
-            running = is_running(run)
-            data = scenes.step(run.data, running[:, None] & is_placed)
-            is_finite = scenes.is_finite(data)
-            data = scenes.halted(data, is_finite, start)
-            velocity = scenes.velocity(data, focus)
-            shift, turn = stability.moved(jnp, scenes.poses(data), start)
-            after = stability.advance(
-                jnp, run.track, velocity, shift * is_neighbour, turn * is_neighbour, config
-            )
-            row = jnp.concatenate([scenes.poses(data)[rows, focus], velocity], axis=-1)
-            index = jnp.where(running, after.step, config.max_steps + 1)
-            # The overlap of a scene at rest is read in the extra step, so that must have lost nothing either.
-            counts = running | (run.track.is_quiet & ~jnp.any(running))
-            return _Attempts(
-                data=data,
-                track=jax.tree.map(lambda new, old: _where(running, new, old), after, run.track),
-                trajectory=run.trajectory.at[rows, index].set(row, mode="drop"),
-                overflowed=run.overflowed | (counts & scenes.overflowed(data)),
-                is_finite=run.is_finite & (is_finite | ~running),
-                depth_before=jax.lax.cond(
-                    run.is_first, lambda: scenes.depths(data), lambda: run.depth_before
-                ),
-                is_first=jnp.asarray(False),
-                goes_on=jnp.any(running),
-            )
-
-        run = jax.lax.while_loop(lambda run: run.goes_on, step, self._released(start, focus, is_judged))
-        return self._report(run, poses, is_placed, is_focus, is_judged, is_active)
-
-    def _released(self, start: Array, focus: Array, is_judged: Array) -> _Attempts:
-        num_scenes, num_objects = start.shape[:2]
-        rows = jnp.arange(num_scenes)
-        trajectory = jnp.zeros((num_scenes, self.config.max_steps + 1, 13), jnp.float32)
+    def _released(self, batch: _Batch) -> _Attempts:
+        num_scenes, num_objects = batch.is_placed.shape
+        rows, focus = jnp.arange(num_scenes), jnp.argmax(batch.is_focus, axis=1)
+        trajectory = jnp.zeros((num_scenes, self.config.last_step + 1, 13), jnp.float32)
         return _Attempts(
-            data=self.scenes.release(start),
+            batch=batch,
+            data=self.scenes.release(batch.start, batch.is_focus & batch.is_judged[:, None], is_attempt=True),
             track=stability.new_track(jnp, (num_scenes,), num_objects, jnp.float32),
-            trajectory=trajectory.at[:, 0, :7].set(start[rows, focus]),
+            trajectory=trajectory.at[:, 0, :7].set(batch.start[rows, focus]),
             overflowed=jnp.zeros(num_scenes, bool),
             is_finite=jnp.ones(num_scenes, bool),
-            depth_before=jnp.zeros((num_scenes, num_objects + 1, num_objects + 1)),
-            is_first=jnp.asarray(True),
-            goes_on=jnp.any(is_judged),
         )
+
+    def _attempt_step(self, run: _Attempts) -> _Attempts:
+        scenes, config, batch, running = self.scenes, self.config, run.batch, run.is_running
+        rows, focus = jnp.arange(len(running)), jnp.argmax(batch.is_focus, axis=1)
+        data = scenes.step(run.data, running[:, None] & batch.is_placed, batch.is_focus)
+        is_finite = scenes.is_finite(data)
+        data = scenes.halted(data, is_finite, batch.start)
+        velocity = scenes.velocity(data, focus)
+        is_neighbour = batch.is_placed & ~batch.is_focus
+        shift, turn = (each * is_neighbour for each in stability.moved(jnp, scenes.poses(data), batch.start))
+        after = stability.advance(jnp, run.track, velocity, shift, turn, config)
+        row = jnp.concatenate([scenes.poses(data)[rows, focus], velocity], axis=-1)
+        index = jnp.where(running, after.step, config.last_step + 1)
+        return _Attempts(
+            batch=batch,
+            data=data,
+            track=jax.tree.map(lambda new, old: _where(running, new, old), after, run.track),
+            trajectory=run.trajectory.at[rows, index].set(row, mode="drop"),
+            overflowed=run.overflowed | (running & scenes.overflowed(data)),
+            is_finite=run.is_finite & (is_finite | ~running),
+        )
+
+    def _run_to_end(self, run: _Run, step: Callable[[_Run], _Run], is_attempt: bool) -> _Run:
+        """Steps until every scene is decided; once few are left, those alone, as a batch of their own."""
+        num_scenes = len(run.batch.start)
+        few = self.scenes.few_of(num_scenes)
+        run = jax.lax.while_loop(lambda run: jnp.sum(run.is_running) > few, step, run)
+        if not few:
+            return run
+        index = jnp.nonzero(run.is_running, size=few, fill_value=num_scenes)[0]
+        whole = run.replace(data=None)
+        part = jax.tree.map(lambda leaf: leaf.at[index].get(mode="clip"), whole)
+        # What fills up the places of a smaller number is no scene.
+        part = part.replace(
+            batch=part.batch.replace(is_judged=part.batch.is_judged & (index < num_scenes)),
+            data=self.scenes.taken(run.data, index, is_attempt),
+        )
+        part = self._run_to_end(part, step, is_attempt)
+        data = run.data.replace(qpos=run.data.qpos.at[index].set(part.data.qpos, mode="drop"))
+        merged = jax.tree.map(
+            lambda leaf, new: leaf.at[index].set(new, mode="drop"), whole, part.replace(data=None)
+        )
+        return merged.replace(batch=run.batch, data=data)
 
     def _report(
         self,
         run: _Attempts,
         poses: Array,
-        is_placed: Array,
-        is_focus: Array,
-        is_judged: Array,
         is_active: Array,
     ) -> Settling:
+        start, is_placed, is_focus = run.batch.start, run.batch.is_placed, run.batch.is_focus
         num_scenes, num_objects = is_placed.shape
-        track, is_finite, config = run.track, run.is_finite & is_judged, self.config
-        depths = self.scenes.depths(run.data) * track.is_quiet[:, None, None]
-        # A pair of the focus object had no resting overlap before the attempt.
-        has_focus = jnp.pad(is_focus, ((0, 0), (0, 1)))
-        before = jnp.where(has_focus[:, :, None] | has_focus[:, None, :], 0.0, run.depth_before)
+        track, is_finite, config = run.track, run.is_finite & run.batch.is_judged, self.config
         final = jnp.where((is_placed & is_finite[:, None])[..., None], self.scenes.poses(run.data), poses)
+        is_at_rest, focus = track.is_quiet & is_finite & ~run.overflowed, jnp.argmax(is_focus, axis=1)
+        contacts, lost = self._contacts(self.scenes.poses(run.data), start, is_focus, is_at_rest)
+        both = overlaps(contacts, self.layout, 2 * num_scenes).reshape(2, num_scenes, -1)
+        # What was lost may be anybody's.
+        overflowed = run.overflowed | (is_at_rest & lost)
         verdict, is_quiet = stability.verdict_of_attempt(
             jnp,
             track,
             is_focus=is_focus,
             is_neighbour=is_placed & ~is_focus,
             is_below=below_top(jnp, final, self.layout.center_of_mass.astype(np.float32), self.layout.top),
-            penetrates=stability.penetrates(
-                jnp, depths.reshape(num_scenes, -1), before.reshape(num_scenes, -1), config
-            ),
-            overflowed=run.overflowed,
+            penetrates=stability.penetrates(jnp, both[0], both[1], config),
+            overflowed=overflowed,
             is_finite=is_finite,
             config=config,
         )
         report = empty_settling(jnp, (num_scenes,), num_objects, config)
-        deepest = jnp.where(run.overflowed, 0.0, depths.max(axis=(1, 2)))
-        is_at_rest, focus = track.is_quiet & is_finite, jnp.argmax(is_focus, axis=1)
+        depths = both[0].reshape(num_scenes, num_objects + 1, num_objects + 1)
+        is_moved = is_placed & (is_focus | (track.shift >= MIN_SHIFT))
+        margin = jnp.where(is_moved, margins(contacts, self.layout, final), jnp.inf)
         return report.replace(
             verdict=jnp.where(is_active, verdict, report.verdict),
             num_steps=track.step,
@@ -177,45 +210,32 @@ class MjxPhysics(OneScenePhysics):
             speed_sum=kept(jnp, track.speed_sum, is_finite),
             shift=kept(jnp, track.shift, is_finite),
             turn=kept(jnp, track.turn, is_finite),
-            penetration=kept(jnp, deepest, is_finite),
+            penetration=kept(jnp, depths.max(axis=(1, 2)), ~overflowed & is_at_rest),
             is_quiet=is_quiet,
-            margin=kept(jnp, self._margins(run, final, is_placed, is_focus), is_at_rest),
+            margin=kept(jnp, margin, is_at_rest),
             touches=kept(jnp, (depths[jnp.arange(num_scenes), focus] > 0)[:, :-1], is_at_rest),
-            bears=kept(jnp, self.scenes.bearers(run.data, focus), is_at_rest),
+            bears=kept(jnp, bearers(contacts, self.layout, focus), is_at_rest),
         )
 
-    def _margins(self, run: _Attempts, final: Array, is_placed: Array, is_focus: Array) -> Array:
-        """f32[N, K]: see `Settling.margin`."""
-        is_moved = is_placed & (is_focus | (run.track.shift >= MIN_SHIFT))
-        return jnp.where(is_moved, self.scenes.margins(run.data, final), jnp.inf)
+    def _contacts(
+        self, final: Array, start: Array, is_focus: Array, is_at_rest: Array
+    ) -> tuple[ContactRows, Array]:
+        """Contacts of 2 N scenes: as they came to rest, then as they were before without the focus object.
+
+        Objects of the others are parked: they touch nothing. See `MjxScenes.contacts`.
+        """
+        parked = jnp.asarray(self.layout.parked, jnp.float32)
+        after = jnp.where(is_at_rest[:, None, None], final, parked)
+        before = jnp.where((is_at_rest[:, None] & ~is_focus)[..., None], start, parked)
+        return self.scenes.contacts(jnp.concatenate([after, before]))
 
     def stand_batch(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
         """`stand` for scenes with one leading axis."""
-        scenes, config = self.scenes, self.config
         start, is_sound = start_poses(self.layout, poses, is_placed, is_active)
-        is_judged = is_active & is_sound
-
-        def is_running(run: _Checks) -> Array:
-            return is_judged & (run.standing.verdict == int(Verdict.NONE))
-
-        def step(run: _Checks) -> _Checks:
-            running, before = is_running(run), run.standing
-            data = scenes.step(run.data, running[:, None] & is_placed)
-            is_finite = scenes.is_finite(data)
-            data = scenes.halted(data, is_finite, start)
-            shift, turn = stability.moved(jnp, scenes.poses(data), start)
-            num_steps = before.num_steps + 1
-            shift, turn = jnp.maximum(before.shift, shift), jnp.maximum(before.turn, turn)
-            verdict = stability.verdict_of_scene(jnp, num_steps, shift, turn, is_placed, config)
-            verdict = jnp.where(scenes.overflowed(data), int(Verdict.OVERFLOW), verdict)
-            verdict = jnp.where(is_finite, verdict, int(Verdict.NON_FINITE))
-            after = Standing(verdict=verdict, num_steps=num_steps, shift=shift, turn=turn)
-            return _Checks(data, jax.tree.map(lambda new, old: _where(running, new, old), after, before))
-
+        batch = _Batch(start, is_placed, jnp.zeros_like(is_placed), is_active & is_sound)
         blank = empty_standing(jnp, (len(poses),), self.layout.num_objects)
-        run = jax.lax.while_loop(
-            lambda run: jnp.any(is_running(run)), step, _Checks(scenes.release(start), blank)
-        )
+        data = self.scenes.release(start, is_placed & batch.is_judged[:, None], is_attempt=False)
+        run = self._run_to_end(_Checks(batch, data, blank), self._check_step, is_attempt=False)
         standing = run.standing
         diverged = jnp.where(is_active & ~is_sound, int(Verdict.NON_FINITE), standing.verdict)
         return standing.replace(
@@ -223,6 +243,21 @@ class MjxPhysics(OneScenePhysics):
             shift=standing.shift * is_placed,
             turn=standing.turn * is_placed,
         )
+
+    def _check_step(self, run: _Checks) -> _Checks:
+        scenes, batch, running, before = self.scenes, run.batch, run.is_running, run.standing
+        may_move = running[:, None] & batch.is_placed
+        data = scenes.step(run.data, may_move, is_awake=may_move)
+        is_finite = scenes.is_finite(data)
+        data = scenes.halted(data, is_finite, batch.start)
+        shift, turn = stability.moved(jnp, scenes.poses(data), batch.start)
+        num_steps = before.num_steps + 1
+        shift, turn = jnp.maximum(before.shift, shift), jnp.maximum(before.turn, turn)
+        verdict = stability.verdict_of_scene(jnp, num_steps, shift, turn, batch.is_placed, self.config)
+        verdict = jnp.where(scenes.overflowed(data), int(Verdict.OVERFLOW), verdict)
+        verdict = jnp.where(is_finite, verdict, int(Verdict.NON_FINITE))
+        after = Standing(verdict=verdict, num_steps=num_steps, shift=shift, turn=turn)
+        return _Checks(batch, data, jax.tree.map(lambda new, old: _where(running, new, old), after, before))
 
 
 def _where(is_new: Array, new: Array, old: Array) -> Array:

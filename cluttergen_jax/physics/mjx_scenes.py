@@ -1,19 +1,20 @@
 """A batch of MJX simulations of one model: release, step, read motions, contacts and failures.
 
-MJX has no sleeping. Objects that are not placed are put back where they are parked after every step, which is
-as good as weightless, and so are the scenes that are decided: they stay where they were when they were.
+Objects that are not placed are put back where they are parked after every step, which is as good as
+weightless, and so are the scenes that are decided: they stay where they were when they were. Warp may let all
+of them sleep besides (`WarpOptions.sleeps`), and what an attempt has not touched yet.
 """
 
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from flax import struct
 from mujoco import mjx
 from mujoco.mjx import warp as mjx_warp
 
@@ -21,9 +22,8 @@ from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.geometry import norm, rotate
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
-from cluttergen_jax.physics.margin import MIN_LIFT
+from cluttergen_jax.physics.mjx_contacts import ContactRows
 from cluttergen_jax.physics.mjx_faces import faces_first
-from cluttergen_jax.physics.mjx_margin import support_margins
 from cluttergen_jax.types import Array
 
 IMPLEMENTATIONS = ("warp", "jax")
@@ -34,22 +34,38 @@ _MAX_STATE = 1e10
 # Bits of mujoco_warp's OverflowType that mean that contacts or constraints were lost: nefc, njmax_nnz,
 # broadphase, narrowphase, CCD, nvmax, EPA horizon. The others tell of iteration limits and sensors.
 _LOST = 0b11 | 1 << 2 | 1 << 3 | 1 << 4 | 1 << 7 | 1 << 8
+_FEW = 3
+"""A part of so many is few."""
+_WIDE_AWAKE = -(1 + mujoco.mjMINAWAKE)
+"""Of `tree_asleep`: so many quiet steps are left until an object may sleep."""
 
 
-class ContactRows(struct.PyTreeNode):
-    """All contacts of a batch as one list.
+@dataclass(frozen=True)
+class WarpOptions:
+    """How Warp simulates; but for too little room nothing of it changes a result, up to rounding.
 
     Attributes:
-      scene: i32[C]; geom: i32[C, 2]; depth: f32[C], overlap in metres, zero for a free place in the list.
-      position: f32[C, 3], world, metres; lift: f32[C], vertical part of the unit normal, which points from
-        the first geom to the second.
+      num_contacts, num_rows: room for contacts and constraint rows of a scene; None measures the need.
+      sleeps: what has not been touched yet, and scenes that are decided, sleep, and cost little on a GPU: it
+        makes no contacts, and the solver sees the objects that are awake alone. On a CPU, where Warp's tiles
+        are loops, it is many times slower than everything awake.
+      num_awake: of those that sleep, so many may be awake in a scene during an attempt, the current object
+        included; one in which more wake ends as OVERFLOW. None has room for all.
+      least_batch: once a third of a batch is left to be decided it is stepped on by itself, unless that
+        would be fewer scenes than this; 0 never does so.
+      graph_mode: how JAX calls Warp's kernels on a GPU, a name of `warp.JaxCallableGraphMode`; None leaves it
+        to MJX.
     """
 
-    scene: Array
-    geom: Array
-    depth: Array
-    position: Array
-    lift: Array
+    num_contacts: int | None = None
+    num_rows: int | None = None
+    sleeps: bool = False
+    num_awake: int | None = None
+    least_batch: int = 64
+    graph_mode: str | None = None
+
+
+WARP_DEFAULTS = WarpOptions()
 
 
 class MjxScenes:
@@ -58,19 +74,18 @@ class MjxScenes:
     Args:
       layout: the compiled world.
       impl: "warp" or "jax".
-      num_contacts, num_rows: room for contacts and constraint rows of a scene (Warp); None measures it.
+      options: of Warp.
 
     Raises:
       ConfigError: unknown `impl`.
       MissingExtraError: Warp is not installed.
     """
 
-    def __init__(
-        self, layout: Layout, impl: str, num_contacts: int | None = None, num_rows: int | None = None
-    ) -> None:
+    def __init__(self, layout: Layout, impl: str, options: WarpOptions = WARP_DEFAULTS) -> None:
         if impl not in IMPLEMENTATIONS:
             raise ConfigError(f"impl = {impl!r}", " or ".join(IMPLEMENTATIONS))
         self._layout, self._is_warp = layout, impl == "warp"
+        self._options = options if self._is_warp else WARP_DEFAULTS
         if not self._is_warp:
             model = layout.model.__copy__()
             # MJX's Newton solver, in float32, throws a box on the table upwards at 7 m/s in one drop of ten
@@ -80,30 +95,90 @@ class MjxScenes:
             return
         if not mjx_warp.WARP_INSTALLED:
             raise MissingExtraError("gpu", "the Warp engine")
-        contacts, rows = (num_contacts, num_rows) if num_contacts and num_rows else room_for(layout)
-        self._num_contacts, num_rows = num_contacts or contacts, num_rows or rows
-        # Warp need not print what is read from `overflow` after every step.
-        self._model = mjx.put_model(layout.model, impl="warp").tree_replace({"opt._impl.warn_overflow": 0})
-        self._blank = mjx.make_data(layout.model, impl="warp", naconmax=self._num_contacts, njmax=num_rows)
+        contacts, rows = options.num_contacts, options.num_rows
+        if contacts is None or rows is None:
+            measured = room_for(layout)
+            contacts, rows = contacts or measured[0], rows or measured[1]
+        self._num_contacts, num_rows = contacts, rows
+        model = _sleeping(layout.model) if options.sleeps else layout.model
 
-    def release(self, start: Array) -> mjx.Data:
-        """Simulations at rest at `start`, f32[N, K, 7]."""
-        blank = self._blank if not self._is_warp else self._with_room(len(start))
+        def blank(of: mujoco.MjModel, num_awake: int | None = None) -> mjx.Data:
+            nvmax = None if num_awake is None else 6 * min(num_awake, layout.num_objects)
+            sizes = {"naconmax": self._num_contacts, "njmax": num_rows, "nvmax": nvmax}
+            return mjx.make_data(of, impl="warp", **sizes)
+
+        self._awake, self._model = (_put(each, options.graph_mode) for each in (layout.model, model))
+        self._blank = blank(layout.model)
+        self._whole = blank(model)
+        self._partly = blank(model, options.num_awake) if options.sleeps else self._whole
+
+    def release(self, start: Array, is_awake: Array, is_attempt: bool) -> mjx.Data:
+        """Simulations at rest at `start`, f32[N, K, 7].
+
+        Args:
+          is_awake: bool[N, K], who does not sleep.
+          is_attempt: `WarpOptions.num_awake` limits who may be awake.
+        """
+        if not self._is_warp:
+            return self._released(self._blank, start)
+        data = self._released(self._partly if is_attempt else self._whole, start)
+        return self._asleep(data, ~is_awake, is_awake) if self._options.sleeps else data
+
+    def few_of(self, num_scenes: int) -> int:
+        """How many of a batch's scenes are few enough to go on by themselves; 0 where none are."""
+        least = self._options.least_batch
+        few = num_scenes // _FEW if least and self._is_warp else 0
+        return few if few >= least else 0
+
+    def taken(self, data: mjx.Data, index: Array, is_attempt: bool) -> mjx.Data:
+        """The scenes `index`, i32[M], of Warp's data by themselves; beyond the last, the last."""
+
+        def of(array: Array) -> Array:
+            return array.at[index].get(mode="clip")
+
+        blank = self._partly if is_attempt else self._whole
+        impl = data._impl
+        return self._released(blank, of(self.poses(data))).tree_replace(
+            {
+                "qvel": of(data.qvel),
+                "qacc_warmstart": of(data.qacc_warmstart),
+                "_impl.tree_asleep": of(impl.tree_asleep),
+                "_impl.tree_awake": of(impl.tree_awake),
+            }
+        )
+
+    def _released(self, blank: mjx.Data, start: Array) -> mjx.Data:
+        blank = self._with_room(blank, len(start)) if self._is_warp else blank
         return jax.vmap(lambda qpos: blank.replace(qpos=qpos))(start.reshape(len(start), -1))
 
-    def _with_room(self, num_scenes: int) -> mjx.Data:
+    def _with_room(self, blank: mjx.Data, num_scenes: int) -> mjx.Data:
         """Warp's blank data with the contact list, which all scenes share, lengthened for them."""
         size = num_scenes * self._num_contacts
         changes: dict[str, Any] = {"_impl.naconmax": size, "_impl.naccdmax": size}
-        for name, array in vars(self._blank._impl).items():
+        for name, array in vars(blank._impl).items():
             if name.startswith("contact__") and array.shape[0] == self._num_contacts:
                 changes[f"_impl.{name}"] = jnp.zeros((size, *array.shape[1:]), array.dtype)
-        return self._blank.tree_replace(changes)
+        return blank.tree_replace(changes)
 
-    def step(self, data: mjx.Data, may_move: Array) -> mjx.Data:
-        """One time step for the objects that may move, bool[N, K]; the others stay, at rest."""
+    def _asleep(self, data: mjx.Data, falls_asleep: Array, is_awake: Array) -> mjx.Data:
+        """The data with some objects, bool[N, K], asleep each by itself, and others wide awake."""
+        tree = jnp.arange(self._layout.num_objects, dtype=jnp.int32)
+        state = jnp.where(falls_asleep, tree, data._impl.tree_asleep)
+        state = jnp.where(is_awake, _WIDE_AWAKE, state)
+        is_up = (state < 0).astype(jnp.int32)
+        return data.tree_replace({"_impl.tree_asleep": state, "_impl.tree_awake": is_up})
+
+    def step(self, data: mjx.Data, may_move: Array, is_awake: Array) -> mjx.Data:
+        """One time step.
+
+        Args:
+          may_move: bool[N, K], the objects that are simulated; the others stay, at rest.
+          is_awake: bool[N, K], those of them that never sleep, where any do.
+        """
         if self._is_warp:
             data = data.tree_replace({"_impl.overflow": jnp.zeros_like(data._impl.overflow)})
+        if self._options.sleeps:
+            data = self._asleep(data, ~may_move, is_awake & may_move)
         with nullcontext() if self._is_warp else faces_first():
             after = jax.vmap(mjx.step, in_axes=(None, 0))(self._model, data)
         # The warm start of those that stay is left as it is, and is right for the next step: with zeros there
@@ -144,66 +219,46 @@ class MjxScenes:
             return jnp.zeros(len(data.qpos), bool)
         return (data._impl.overflow & _LOST) != 0
 
-    def contacts(self, data: mjx.Data) -> ContactRows:
-        """The contacts at the poses from which the last step started."""
+    def contacts(self, poses: Array) -> tuple[ContactRows, Array]:
+        """The contacts of scenes at poses f32[N, K, 7], everything awake, nothing moving.
+
+        Returns:
+          The contacts, and bool: some were lost, nobody knows of which scene.
+        """
+        if not self._is_warp:
+            return self._contacts_in_jax(poses), jnp.asarray(False)
+        # MJX dispatches all but this function to Warp by itself, and it can be imported with Warp alone.
+        from mujoco.mjx.warp.collision_driver import collision
+
+        model, data = self._awake, self._released(self._blank, poses)
+        for stage in (mjx.kinematics, collision):
+            data = jax.vmap(stage, in_axes=(None, 0))(model, data)
         impl = data._impl
-        if self._is_warp:
-            is_used = jnp.arange(impl.naconmax) < impl.nacon[0]
-            depth = jnp.where(is_used, -impl.contact__dist, 0.0)
-            return ContactRows(
-                scene=impl.contact__worldid,
-                geom=impl.contact__geom,
-                depth=jnp.maximum(depth, 0.0),
-                position=impl.contact__pos,
-                lift=impl.contact__frame[:, 0, 2],
-            )
-        num_scenes, num_contacts = impl.contact.dist.shape
+        is_used = jnp.arange(impl.naconmax) < impl.nacon[0]
+        depth = jnp.where(is_used, jnp.maximum(-impl.contact__dist, 0.0), 0.0)
+        contacts = ContactRows(
+            scene=impl.contact__worldid,
+            geom=impl.contact__geom,
+            depth=depth,
+            position=impl.contact__pos,
+            lift=impl.contact__frame[:, 0, 2],
+        )
+        return contacts, jnp.maximum(impl.nacon[0], impl.ncollision[0]) > impl.naconmax
+
+    def _contacts_in_jax(self, poses: Array) -> ContactRows:
+        data = self._released(self._blank, poses)
+        with faces_first():
+            for stage in (mjx.kinematics, mjx.collision):
+                data = jax.vmap(stage, in_axes=(None, 0))(self._model, data)
+        contact = data._impl.contact
+        num_scenes, num_contacts = contact.dist.shape
         return ContactRows(
             scene=jnp.repeat(jnp.arange(num_scenes), num_contacts),
-            geom=impl.contact.geom.reshape(-1, 2),
-            depth=jnp.maximum(-impl.contact.dist, 0.0).ravel(),
-            position=impl.contact.pos.reshape(-1, 3),
-            lift=impl.contact.frame[..., 0, 2].ravel(),
+            geom=contact.geom.reshape(-1, 2),
+            depth=jnp.maximum(-contact.dist, 0.0).ravel(),
+            position=contact.pos.reshape(-1, 3),
+            lift=contact.frame[..., 0, 2].ravel(),
         )
-
-    def depths(self, data: mjx.Data) -> Array:
-        """f32[N, K + 1, K + 1]: overlap of every pair at the start of the last step, K for the support."""
-        contacts, size = self.contacts(data), self._layout.num_objects + 1
-        pair = jnp.asarray(self._layout.geom_object)[contacts.geom]
-        depths = jnp.zeros((len(data.qpos), size, size))
-        depths = depths.at[contacts.scene, pair[:, 0], pair[:, 1]].max(contacts.depth, mode="drop")
-        return jnp.maximum(depths, depths.swapaxes(1, 2))
-
-    def bearers(self, data: mjx.Data, focus: Array) -> Array:
-        """bool[N, K]: who presses each scene's focus object upwards at the start of the last step.
-
-        Args:
-          focus: i32[N].
-        """
-        contacts, num_objects = self.contacts(data), self._layout.num_objects
-        pair = jnp.asarray(self._layout.geom_object)[contacts.geom]
-        is_up = contacts.lift > 0
-        carried, carrier = (jnp.where(is_up, pair[:, i], pair[:, 1 - i]) for i in (1, 0))
-        presses = (contacts.depth > 0) & (jnp.abs(contacts.lift) >= MIN_LIFT)
-        presses &= carried == focus[jnp.minimum(contacts.scene, len(focus) - 1)]
-        bears = jnp.zeros((len(focus), num_objects + 1), bool)
-        return bears.at[contacts.scene, carrier].max(presses, mode="drop")[:, :-1]
-
-    def margins(self, data: mjx.Data, poses: Array) -> Array:
-        """f32[N, K]: every object's support margin, metres, at the poses from which the last step started.
-
-        Args:
-          poses: f32[N, K, 7], those poses.
-        """
-        contacts, num_objects = self.contacts(data), self._layout.num_objects
-        pair = jnp.asarray(self._layout.geom_object)[contacts.geom]
-        carried = jnp.where(contacts.lift > 0, pair[:, 1], pair[:, 0])
-        carries = (contacts.depth > 0) & (jnp.abs(contacts.lift) >= MIN_LIFT) & (carried < num_objects)
-        body = jnp.where(carries, contacts.scene * num_objects + carried, len(poses) * num_objects)
-        center = rotate(jnp, poses[..., 3:], jnp.asarray(self._layout.center_of_mass, jnp.float32))
-        plan = (poses[..., :3] + center)[..., :2].reshape(-1, 2)
-        margins = support_margins(contacts.position[:, :2], body, plan)
-        return margins.reshape(len(poses), num_objects)
 
 
 def start_poses(layout: Layout, poses: Array, is_placed: Array, is_active: Array) -> tuple[Array, Array]:
@@ -217,6 +272,22 @@ def start_poses(layout: Layout, poses: Array, is_placed: Array, is_active: Array
     is_used = (is_placed & (is_active & is_scene_sound)[:, None])[..., None]
     unit = poses.at[..., 3:].divide(jnp.where(is_sound, length, 1.0)[..., None])
     return jnp.where(is_used, unit, jnp.asarray(layout.parked, jnp.float32)), is_scene_sound
+
+
+def _put(model: mujoco.MjModel, graph_mode: str | None) -> mjx.Model:
+    """The model on the device. Warp need not print what is read from `overflow` after every step."""
+    mode = None if graph_mode is None else mjx_warp.types.GraphMode[graph_mode]
+    return mjx.put_model(model, impl="warp", graph_mode=mode).tree_replace({"opt._impl.warn_overflow": 0})
+
+
+def _sleeping(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy whose objects may sleep. Its Jacobian is dense: with a sparse one, Warp 1.18 and MJX 3.17 lose
+    whoever is awake among sleepers to NaN in the step in which nothing touches it.
+    """
+    model = model.__copy__()
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+    model.opt.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
+    return model
 
 
 _ROOM_MARGIN = 2.0

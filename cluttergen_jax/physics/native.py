@@ -185,7 +185,7 @@ class _Attempt:
         self.sims = engine.simulations(num)
         self.start = self.sims.release(poses, is_placed, never_sleeps=is_placed & ~self.is_neighbour)
         self.track = stability.new_track(np, (num,), num_objects, np.float64)
-        self.trajectory = np.zeros((num, engine.config.max_steps + 1, 13), np.float32)
+        self.trajectory = np.zeros((num, engine.config.last_step + 1, 13), np.float32)
         self.trajectory[:, 0, :7] = self.start[self.rows, focus]
         self.final = self.start.copy()
         self.overflowed, self.is_finite = np.zeros(num, bool), np.ones(num, bool)

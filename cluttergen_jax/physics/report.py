@@ -16,7 +16,7 @@ def empty_settling(xp: Any, batch: tuple[int, ...], num_objects: int, config: St
         num_steps=xp.zeros(batch, dtype=xp.int32),
         check_steps=xp.zeros(batch, dtype=xp.int32),
         poses=xp.zeros((*batch, num_objects, 7), dtype=xp.float32),
-        trajectory=xp.zeros((*batch, config.max_steps + 1, 13), dtype=xp.float32),
+        trajectory=xp.zeros((*batch, config.last_step + 1, 13), dtype=xp.float32),
         motion_sum=xp.zeros(batch, dtype=xp.float32),
         speed_sum=xp.zeros(batch, dtype=xp.float32),
         shift=xp.zeros((*batch, num_objects), dtype=xp.float32),

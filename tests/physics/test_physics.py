@@ -12,6 +12,7 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import ENGINES, make_physics
 from cluttergen_jax.physics.mjx import MjxPhysics
+from cluttergen_jax.physics.mjx_scenes import WarpOptions
 from cluttergen_jax.types import Settling, Verdict
 from tests.helpers.worlds import TOP, box, layout_of, prism, scene, tilted, trio
 
@@ -303,7 +304,7 @@ def test_a_diverged_scene_leaves_the_others_alone(name):
 def test_warp_tells_an_overflow_of_constraints_by_scene():
     pytest.importorskip("warp", reason="needs the extra gpu")
     # Sixteen rows hold the four contacts of one box, not those of two bodies.
-    physics = MjxPhysics(duo(), CONFIG, "warp", num_contacts=32, num_rows=16)
+    physics = MjxPhysics(duo(), CONFIG, "warp", WarpOptions(num_contacts=32, num_rows=16))
     names = ["resting", "dropped 1 mm", "resting"]
     verdict = jax.jit(jax.vmap(physics.settle))(*batch(names)).verdict
     np.testing.assert_array_equal(verdict, [Verdict.STABLE, Verdict.OVERFLOW, Verdict.STABLE])
@@ -314,9 +315,103 @@ def test_warp_tells_an_overflow_of_constraints_by_scene():
 
 def test_warp_tells_a_full_contact_list_to_all():
     pytest.importorskip("warp", reason="needs the extra gpu")
-    physics = MjxPhysics(duo(), CONFIG, "warp", num_contacts=3, num_rows=64)
+    physics = MjxPhysics(duo(), CONFIG, "warp", WarpOptions(num_contacts=3, num_rows=64))
     report = jax.jit(jax.vmap(physics.settle))(*batch(["resting", "dropped 1 mm", "inactive"]))
     np.testing.assert_array_equal(report.verdict, [Verdict.OVERFLOW, Verdict.OVERFLOW, Verdict.NONE])
+
+
+def settled(options):
+    """The reports of `SCENES` by Warp with these options."""
+    pytest.importorskip("warp", reason="needs the extra gpu")
+    physics = MjxPhysics(duo(), CONFIG, "warp", options)
+    return jax.tree.map(np.asarray, jax.jit(jax.vmap(physics.settle))(*batch()))
+
+
+@pytest.mark.slow
+def test_few_that_are_left_go_on_by_themselves_and_come_to_the_same():
+    """A third of 64 scenes, then of those: some are decided at once, some soon, some at the last step."""
+    names = [each for each in SCENES if each != "over the edge"] * 7 + ["over the edge"]
+    args = batch(names)
+    ours, theirs = (
+        jax.tree.map(np.asarray, jax.jit(jax.vmap(physics.settle))(*args))
+        for physics in (MjxPhysics(duo(), CONFIG, "warp", WarpOptions(least_batch=least)) for least in (1, 0))
+    )
+    assert_close(ours, theirs, False)
+    stands = [
+        jax.jit(
+            jax.vmap(
+                MjxPhysics(
+                    duo(),
+                    dataclasses.replace(CONFIG, stand_full_steps=90),
+                    "warp",
+                    WarpOptions(least_batch=least),
+                ).stand
+            )
+        )(args[0], args[1], args[3])
+        for least in (1, 0)
+    ]
+    np.testing.assert_array_equal(stands[0].verdict, stands[1].verdict)
+    np.testing.assert_array_equal(stands[0].num_steps, stands[1].num_steps)
+    assert {60, 90} <= set(np.asarray(stands[0].num_steps).tolist())
+
+
+@pytest.mark.slow
+def test_sleepers_wake_when_they_are_touched_and_change_no_verdict():
+    ours, awake = settled(WarpOptions(sleeps=True)), outcomes("warp")
+    np.testing.assert_array_equal(ours.verdict, awake.verdict)
+    calm = np.isin(list(SCENES), ["resting", "dropped 1 mm", "dropped 5 mm", "not a number", "inactive"])
+    np.testing.assert_allclose(ours.num_steps[calm], awake.num_steps[calm], atol=2)
+    np.testing.assert_allclose(ours.poses[calm], awake.poses[calm], atol=1e-4)
+    # As in the native engine, a neighbour that nobody touches does not move at all.
+    row = list(SCENES).index("dropped 1 mm")
+    assert ours.shift[row, PRISM] == 0
+    assert ours.margin[row, PRISM] == np.inf
+    assert ours.shift[list(SCENES).index("pushed"), PRISM] > CONFIG.max_shift
+
+
+@pytest.mark.slow
+def test_more_that_wake_than_there_is_room_for_are_an_overflow():
+    ours = settled(WarpOptions(sleeps=True, num_awake=1))
+    wakes = np.isin(list(SCENES), ["overlapping", "pushed"])
+    assert (ours.verdict[wakes] == Verdict.OVERFLOW).all()
+    np.testing.assert_array_equal(ours.verdict[~wakes], outcomes("warp").verdict[~wakes])
+
+
+@pytest.mark.slow
+def test_the_last_check_keeps_everything_awake_whoever_slept():
+    pytest.importorskip("warp", reason="needs the extra gpu")
+    config = dataclasses.replace(CONFIG, stand_full_steps=90)
+    made = [
+        scene(duo(), {BOX: (0, 0, TOP + 0.04998), PRISM: (0.1, 0, TOP + 0.02998)}),
+        scene(duo(), {PRISM: (0, 0, TOP + 0.036)}),
+    ]
+    poses, is_placed = (np.stack(arrays) for arrays in zip(*made, strict=True))
+    for options in (WarpOptions(), WarpOptions(sleeps=True, num_awake=1)):
+        physics = MjxPhysics(duo(), config, "warp", options)
+        standing = jax.jit(jax.vmap(physics.stand))(poses, is_placed, np.ones(2, bool))
+        np.testing.assert_array_equal(standing.verdict, [Verdict.STABLE, Verdict.CREPT])
+        np.testing.assert_array_equal(standing.num_steps, [60, 90])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_read", [True, False])
+def test_a_trajectory_that_nobody_reads_is_not_in_the_program(is_read):
+    settle = jax.vmap(engine_of("warp").settle)
+
+    def seen(*args):
+        report = settle(*args)
+        return (report.verdict, report.trajectory) if is_read else report.verdict
+
+    text = jax.jit(seen).lower(*batch()).compile().as_text()
+    rows = f"f32[{len(SCENES)},{CONFIG.last_step + 1},13]"
+    assert (rows in text) == is_read
+
+
+@pytest.mark.parametrize(("stops", "rows"), [(True, 61), (False, 241)])
+def test_a_trajectory_has_as_many_rows_as_an_attempt_can_have_steps(stops, rows):
+    physics = make_physics(duo(), dataclasses.replace(CONFIG, stop_when_decided=stops), "native")
+    report = jax.eval_shape(jax.vmap(physics.settle), *batch())
+    assert report.trajectory.shape == (len(SCENES), rows, 13)
 
 
 HALF_HEIGHTS = np.array([0.05, 0.03, 0.1])

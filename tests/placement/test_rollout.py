@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.learning.agents import make_agent
 from cluttergen_jax.learning.policies.policy import make_policy
 from cluttergen_jax.placement.baselines import make_proposer
@@ -122,3 +123,46 @@ def test_region_draws_compare_by_value():
     assert one == same
     assert hash(one) == hash(same)
     assert one != other
+
+
+@pytest.mark.parametrize("method", ["random", pytest.param("policy", marks=pytest.mark.slow)])
+def test_scenes_that_take_the_places_of_others_are_those_of_blocks(method):
+    sampler, key = sampler_of(method, 1.0), jax.random.key(5)
+    rollout = Rollout(lambda before, after, transition: (transition.is_made, transition.reward))
+    blocks = [rollout.run(sampler, key, first + PLACE, ALL) for first in (0, 8, 16)]
+    theirs = jax.tree.map(lambda *leaves: np.concatenate(leaves), *blocks)
+    assert theirs.is_success.any()
+    assert not theirs.is_success.all()
+    for num_scenes in (3, 8, 21):
+        logged: list = []
+        ours = rollout.run_all(sampler, key, num_scenes, 8, lambda *step, logged=logged: logged.append(step))
+        jax.tree.map(lambda a, b, n=num_scenes: np.testing.assert_array_equal(a, b[:n]), ours, theirs)
+        # Each attempt is told with the scene that it was made in, and each end once.
+        assert sum(number for _, number, _ in logged) == num_scenes
+        reward = np.zeros(num_scenes, np.float32)
+        for indices, _, (is_made, paid) in logged:
+            np.add.at(reward, indices[is_made], paid[is_made])
+        np.testing.assert_allclose(reward, theirs.counts.reward[:num_scenes], rtol=1e-6)
+
+
+def test_few_wait_for_the_slowest():
+    sampler, key = sampler_of("random", 1.0), jax.random.key(5)
+    rollout, in_blocks, refilled = Rollout(), [], []
+    for first in range(0, 64, 8):
+        rollout.run(sampler, key, first + PLACE, ALL, lambda number, _: in_blocks.append(number))
+    rollout.run_all(sampler, key, 64, 8, lambda indices, number, _: refilled.append(number))
+    assert sum(refilled) == sum(in_blocks) == 64
+    assert len(refilled) < 0.8 * len(in_blocks)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["guided", "policy"])
+def test_native_scenes_are_the_same_to_the_bit_in_any_place(method):
+    """What banks and evaluations are made of; ten objects, some of whose scenes take longer than others."""
+    steps = make_sampler("dining", "table-0.40x0.50", method=method, engine="native").steps
+    rollout, key, place = Rollout(), jax.random.key(0), np.arange(16)
+    blocks = [rollout.run(steps, key, first + place, place < 16) for first in (0, 16, 32)]
+    theirs = jax.tree.map(lambda *leaves: np.concatenate(leaves), *blocks)
+    ours = rollout.run_all(steps, key, 48, 16)
+    jax.tree.map(np.testing.assert_array_equal, ours, theirs)
+    assert np.ptp(ours.counts.attempts.sum(1)) > 0

@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 
-from benchmarks import bullet, contact, engines, last_check, other_mujoco
+from benchmarks import bullet, contact, engines, gpu, last_check, other_mujoco
 from benchmarks.bodies import apple, box
 from benchmarks.contact_drops import drops
 from benchmarks.contact_scenes import small_scenes
 from benchmarks.recorded import small_attempts
+from benchmarks.rows import OutOfTimeError, Rows
 from benchmarks.section import prose, provenance, replace_section, table
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.types import Verdict
 
@@ -162,3 +164,87 @@ def test_a_saved_scene_stands_or_falls_in_any_mujoco(turn, expected, is_libccd, 
       <freejoint/><geom type="box" size="0.02 0.02 0.05"/></body>
       </worldbody><keyframe><key name="scene" qpos="0 0 0.05 {turn}"/></keyframe></mujoco>""")
     assert other_mujoco.stands(tmp_path / "scene.xml", is_libccd) is expected
+
+
+def test_rows_are_made_once_and_what_failed_or_goes_on_is_made_again(tmp_path):
+    made, said = [], []
+
+    def case(name, row=None, error=None):
+        def make():
+            made.append(name)
+            if error is not None:
+                raise error
+            return {"value": 1.5} if row is None else row
+
+        return name, make
+
+    def cases():
+        return iter(
+            [
+                case("whole"),
+                case("longer", row={"goes_on": True}),
+                case("poor", error=ConfigError("no", "yes")),
+            ]
+        )
+
+    for _ in range(2):
+        Rows(tmp_path / "rows.json", say=said.append).make("part", cases())
+    assert made == ["whole", "longer", "poor", "longer"]
+    assert "part: whole: kept" in said
+    rows = Rows(tmp_path / "rows.json", retries=True, say=said.append)
+    assert set(rows.of("part")) == {"whole", "longer"}
+    rows.make("part", cases())
+    assert made[4:] == ["longer", "poor"]
+
+
+def test_no_row_is_begun_without_time(tmp_path):
+    made = []
+    rows = Rows(tmp_path / "rows.json", minutes=0.0, say=lambda text: None)
+    with pytest.raises(OutOfTimeError, match="part: one"):
+        rows.make("part", iter([("one", lambda: made.append(1) or {})]))
+    assert not made
+    assert not rows.file.exists()
+
+
+def test_gpu_is_measured_in_miniature_and_written(tmp_path, capsys):
+    args = gpu.Gpu(parts=("doctor",), out=tmp_path / "out", small=True)
+    readme = tmp_path / "README.md"
+    for _ in range(2):
+        gpu.main(args, readme)
+    said = capsys.readouterr().out
+    assert said.count("doctor: machine: kept") == 1
+    assert not readme.exists()
+    rows = Rows(args.out / "rows.json")
+    rows.parts["steps"] = {
+        "warp, 2": {"lanes": 2, "steps/s awake": 12345.6},
+        "warp, 4": {"failed": "no room"},
+    }
+    text = gpu.body_of(rows)
+    assert "| warp, 2 |" in text
+    assert "12,346" in text
+    assert "- steps: warp, 4: no room" in text
+    assert rows.of("doctor")["machine"]["machine"] in text
+    assert "miniature" in text
+    gpu.main(gpu.Gpu(out=args.out, write=True), readme)
+    assert "## GPU" in readme.read_text()
+
+
+def test_gpu_says_which_parts_there_are(tmp_path):
+    with pytest.raises(ConfigError, match="Did you mean 'steps'"):
+        gpu.main(gpu.Gpu(parts=("stepz",), out=tmp_path))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("part", gpu.PARTS)
+def test_every_part_about_a_gpu_runs_in_miniature(part, tmp_path):
+    pytest.importorskip("warp", reason="needs the extra gpu")
+    rows = gpu.measure(gpu.Gpu(parts=(part,), out=tmp_path, minutes=25.0, small=True))
+    made = rows.parts[part]
+    assert made
+    assert not [row for row in made.values() if "failed" in row or "goes_on" in row]
+    if part == "agreement":
+        assert all(row["equal"] == row["attempts"] for row in made.values())
+    if part == "scenes":
+        assert {row["success"] for row in made.values()} == {1.0}
+    assert part == "doctor" or f"### {part}" in gpu.body_of(rows)

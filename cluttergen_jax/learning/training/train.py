@@ -17,6 +17,7 @@ from cluttergen_jax.learning.ppo.checkpoint import check_folder
 from cluttergen_jax.placement.config import placement_record
 
 if TYPE_CHECKING:
+    from cluttergen_jax.learning.training.interrupt import Interrupt
     from cluttergen_jax.learning.training.presets import Settings
 
 ACTIONS = get_args(EvalAction)
@@ -99,12 +100,16 @@ def train_config(given: Mapping[str, Any]) -> TrainConfig:
 
 
 def run_training(
-    config: TrainConfig, settings: Settings | None = None, show: Callable[[str], None] = print
+    config: TrainConfig,
+    settings: Settings | None = None,
+    show: Callable[[str], None] = print,
+    interrupt: Interrupt | None = None,
 ) -> Path:
     """One run to its end; the policy's folder. See `cluttergen_jax.train`.
 
     Args:
       settings: in place of `config.settings()`, for an experiment that changes more than an argument does.
+      interrupt: who asks for a stop, in place of Ctrl-C alone.
     """
     # Brax takes seconds to import, and only who trains needs it.
     from cluttergen_jax.learning.training.distributed import is_writer
@@ -143,7 +148,7 @@ def run_training(
         recipe,
         evaluate if config.eval_episodes else None,
         None if config.encoder_weights is None else Path(config.encoder_weights),
-    ).train(show)
+    ).train(show, interrupt)
     say(f"done       policy in {config.folder / 'policy'}, curve in {config.folder / 'curve.png'}")
     return config.folder / "policy"
 

@@ -1,9 +1,8 @@
-"""Blocks run to their end: begin, step until all episodes are over, finish. Ctrl-C ends it between steps."""
+"""Episodes run to their end: begin, step until all are over, finish. Ctrl-C ends it between steps."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from typing import Any
 
 import jax
@@ -20,6 +19,9 @@ from cluttergen_jax.types import Array, Settling
 MAX_PROGRAMS = 16
 """Compiled steps that are kept: a program takes a few hundred of the 65,530 mappings of memory that Linux
 grants a process."""
+
+REFILL = 1 / 8
+"""Share of the episodes side by side that have to be over before the next ones take their places."""
 
 Look = Callable[[Episode, Episode, Transition], Any]
 """Of all episodes before and after a step, and its transitions: what is to be seen of it, a pytree."""
@@ -59,17 +61,23 @@ class Rollout:
     def __init__(self, look: Look = _nothing, is_constant: bool = False) -> None:
         def step(sampler: BlockSampler, episodes: Episode) -> tuple[Episode, Array, Any]:
             after, transition = sampler.step(episodes)
-            return after, jnp.sum(~after.is_over), look(episodes, after, transition)
+            return after, after.is_over, look(episodes, after, transition)
+
+        def refill(
+            sampler: BlockSampler, key: Array, episodes: Episode, indices: Array, is_new: Array
+        ) -> Episode:
+            return _chosen(is_new, sampler.begin(key, indices, is_new), episodes)
 
         def conclude(
             sampler: BlockSampler, before: Episode, after: Episode, transition: Transition, *checked: Any
         ) -> tuple[Episode, Array, Any]:
             after = jax.vmap(sampler.rules.conclude)(after, *checked)
-            return after, jnp.sum(~after.is_over), look(before, after, transition)
+            return after, after.is_over, look(before, after, transition)
 
         static = (0,) if is_constant else ()
         self._begin: Any = jax.jit(lambda sampler, *args: sampler.begin(*args), static_argnums=static)
         self._step: Any = jax.jit(step, static_argnums=static, donate_argnums=1)
+        self._refill: Any = jax.jit(refill, static_argnums=static, donate_argnums=2)
         self._propose: Any = jax.jit(_proposed, static_argnums=static)
         self._judge: Any = jax.jit(_judged, static_argnums=static)
         self._conclude: Any = jax.jit(conclude, static_argnums=static)
@@ -81,17 +89,18 @@ class Rollout:
         return self._step._cache_size() + self._propose._cache_size()
 
     def compile(self, sampler: BlockSampler, key: Array, indices: np.ndarray) -> None:
-        """Compiles for `run` with arguments like these, by a step in which no attempt is made."""
+        """Compiles for `run` and `run_all` with arguments like these, by a step without an attempt."""
         if self.num_programs >= MAX_PROGRAMS:
-            pieces = (self._step, self._propose, self._judge, self._conclude)
+            pieces = (self._step, self._propose, self._judge, self._conclude, self._refill)
             for function in (self._begin, *pieces, self._finish):
                 function.clear_cache()
         episodes = interruptible(self._begin, sampler, key, indices, np.zeros(len(indices), bool))
         episodes, *_ = interruptible(self._stepped, sampler, episodes)
+        episodes = interruptible(self._refill, sampler, key, episodes, indices, np.zeros(len(indices), bool))
         jax.block_until_ready(interruptible(self._finish, sampler, episodes))
 
     def _stepped(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, Array, Any]:
-        """One attempt in every episode; how many are not over yet; and what `look` sees.
+        """One attempt in every episode; which are over, bool[N]; and what `look` sees.
 
         An engine on the host is called between compiled pieces. As one program with calls back into Python
         it could not be kept on disk by JAX, and each process would compile it anew.
@@ -120,19 +129,22 @@ class Rollout:
           key, indices, is_wanted: of its `begin`.
           on_step: told after each step how many more episodes are over, and what `look` sees, on the host.
         """
-
-        def stepped(episodes: Episode) -> tuple[Episode, int, Any]:
-            episodes, num_left, seen = self._stepped(sampler, episodes)
-            return episodes, *jax.device_get((num_left, seen))
-
         episodes = interruptible(self._begin, sampler, key, indices, is_wanted)
         left = int(is_wanted.sum())
         while left:
             before = left
-            episodes, num_left, seen = interruptible(stepped, episodes)
-            left = int(num_left)
+            episodes, is_over, seen = interruptible(self._told, sampler, episodes)
+            left = int((~is_over).sum())
             on_step(before - left, seen)
-        return interruptible(lambda: jax.device_get(self._finish(sampler, episodes)))
+        return interruptible(self._finished, sampler, episodes)
+
+    def _told(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, np.ndarray, Any]:
+        """`_stepped`, all but the episodes on the host."""
+        episodes, is_over, seen = self._stepped(sampler, episodes)
+        return episodes, *jax.device_get((is_over, seen))
+
+    def _finished(self, sampler: BlockSampler, episodes: Episode) -> SceneBatch:
+        return jax.device_get(self._finish(sampler, episodes))
 
     def run_all(
         self,
@@ -142,16 +154,48 @@ class Rollout:
         width: int = BLOCK_SIZE,
         on_step: Callable[[np.ndarray, int, Any], None] = lambda indices, number, seen: None,
     ) -> SceneBatch:
-        """Scenes 0 to num_scenes - 1, in blocks of `width`: NumPy arrays, as those of `run`.
+        """Scenes 0 to num_scenes - 1, `width` side by side: NumPy arrays, as those of `run`.
+
+        Where a scene is over the next one takes its place, so that few wait for the slowest.
 
         Args:
-          on_step: as that of `run`, and before it which scenes the block's are, i64[width].
+          on_step: as that of `run`, and before it which scenes stand in the places, i64[width].
         """
-        place, blocks = np.arange(width), []
-        for first in range(0, num_scenes, width):
-            is_wanted = first + place < num_scenes
-            blocks.append(self.run(sampler, key, first + place, is_wanted, partial(on_step, first + place)))
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:num_scenes], *blocks)
+        indices, following = np.arange(width), width
+        # Scenes that are not stored yet, by place; those that were never wanted are over from the beginning.
+        is_held = indices < num_scenes
+        parts: list[SceneBatch] = []
+        order: list[np.ndarray] = []
+        episodes = interruptible(self._begin, sampler, key, indices, is_held)
+        was_over = ~is_held
+        while is_held.any():
+            episodes, is_over, seen = interruptible(self._told, sampler, episodes)
+            on_step(indices, int((is_over & ~was_over).sum()), seen)
+            was_over, is_done = is_over, is_over & is_held
+            if not is_done.any() or (is_done.sum() < REFILL * width and (is_held & ~is_done).any()):
+                continue
+            rows = np.flatnonzero(is_done)
+            scenes = interruptible(self._finished, sampler, episodes)
+            parts.append(jax.tree.map(lambda leaf, rows=rows: leaf[rows], scenes))
+            order.append(indices[rows])
+            rows = rows[: num_scenes - following] if following < num_scenes else rows[:0]
+            is_new = np.isin(np.arange(width), rows)
+            is_held = is_held & ~is_done | is_new
+            if len(rows):
+                indices = indices.copy()
+                indices[rows] = following + np.arange(len(rows))
+                following += len(rows)
+                episodes = interruptible(self._refill, sampler, key, episodes, indices, is_new)
+                was_over = is_over & ~is_new
+        by_scene = np.argsort(np.concatenate(order))
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[by_scene], *parts)
+
+
+def _chosen(is_new: Array, new: Episode, old: Episode) -> Episode:
+    """Episode by episode, the new one or the old one."""
+    return jax.vmap(lambda new_one, *both: jax.tree.map(lambda a, b: jnp.where(new_one, a, b), *both))(
+        is_new, new, old
+    )
 
 
 def blocks_of(num_scenes: int) -> list[tuple[int, int]]:
