@@ -9,9 +9,9 @@ minutes are over; the same command goes on. `--small` is the miniature that any 
 
 from __future__ import annotations
 
-import contextlib
 import datetime
-import io
+import subprocess
+import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -24,7 +24,6 @@ from benchmarks.rows import Cases, OutOfTimeError, Row, Rows, columns
 from benchmarks.section import README, prose, replace_section, table, version_of
 from cluttergen_jax.assets.pool import Pool, find_pool, write_pool
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.cli.doctor import Doctor
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.machine import machine, sentence
@@ -104,10 +103,9 @@ def doctor(scale: gpu_engines.Scale, is_small: bool) -> Cases:
     """What the machine is, what is installed, and how much room a scene is given."""
 
     def devices() -> Row:
-        said = io.StringIO()
-        with contextlib.redirect_stdout(said):
-            Doctor().run()
-        print(said.getvalue())
+        command = [sys.executable, "-m", "cluttergen_jax", "doctor"]
+        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        print(said)
         memory = jax.devices()[0].memory_stats() or {}
         return {
             "machine": f"{sentence(machine())}, warp-lang {version_of('warp-lang')}",
@@ -115,7 +113,7 @@ def doctor(scale: gpu_engines.Scale, is_small: bool) -> Cases:
             "date": datetime.date.today().isoformat(),
             "devices": [str(device) for device in jax.devices()],
             "GB": memory.get("bytes_limit", 0) / 1e9,
-            "says": said.getvalue().splitlines(),
+            "says": said.splitlines(),
         }
 
     def room() -> Row:
