@@ -29,11 +29,11 @@ $(VENV)/.core: pyproject.toml constraints.txt | prerequisites
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.core
-	$(INSTALL) -e '.[dev,ycb]'
+	$(INSTALL) -e '.[dev,ycb,ray]'
 	@touch $@
 
 $(VENV)/.all: $(VENV)/.dev
-	$(INSTALL) -e '.[dev,ycb,peers,usd,viewer,video,browser,fuzz,hub,docs,ray,remote]'
+	$(INSTALL) -e '.[dev,ycb,ray,peers,usd,viewer,video,browser,fuzz,hub,docs,remote]'
 	@touch $@
 
 demo: $(VENV)/.core ## generate, draw, save and verify 20 scenes of ten dining objects in out/demo
@@ -54,7 +54,7 @@ lint: $(VENV)/.dev ## ruff, mypy, undeclared dependencies and the import contrac
 	$(RUN)/lint-imports
 
 $(VENV)/.docs: $(VENV)/.dev
-	$(INSTALL) -e '.[dev,ycb,docs]'
+	$(INSTALL) -e '.[dev,ycb,ray,docs]'
 	@touch $@
 
 docs: $(VENV)/.docs ## build the documentation in out/site; a broken link is an error
@@ -69,7 +69,7 @@ test-wheel: dist ## the quick tests against the built wheel, in an environment o
 	@set -e; away=$$(mktemp -d); trap 'rm -rf "$$away"' EXIT; echo "in $$away, with $$($(PYTHON) --version)"; \
 	tar -xzf dist/*.tar.gz --strip-components=1 -C "$$away"; rm -r "$$away/cluttergen_jax" "$$away/scenes"; \
 	$(PYTHON) -m venv "$$away/.venv"; \
-	"$$away/.venv/bin/pip" install --quiet -c constraints.txt "$$(echo dist/*.whl)[dev,ycb]"; \
+	"$$away/.venv/bin/pip" install --quiet -c constraints.txt "$$(echo dist/*.whl)[dev,ycb,ray]"; \
 	cd "$$away" && .venv/bin/pytest -n auto --maxprocesses 4 --dist loadfile -m "not slow" $(TESTS)
 
 format: $(VENV)/.dev ## let ruff mend what it can
