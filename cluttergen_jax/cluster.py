@@ -10,7 +10,6 @@ import hashlib
 import logging
 import math
 import os
-import pickle
 import platform
 import socket
 import sys
@@ -200,7 +199,10 @@ class _Actor:
             os.environ.pop(_PROGRAMS, None)
         if os.path.isdir(folder):
             os.chdir(folder)
-        self._function = pickle.loads(make)()
+        # What the driver sends comes through Ray, which unpickles all that it carries: no file is read.
+        from ray.cloudpickle import loads
+
+        self._function = loads(make)()
 
     def run(self, item: Any) -> Any:
         """The result of one item."""

@@ -239,7 +239,7 @@ def test_what_a_command_compiles_the_next_one_finds(tmp_path):
         words = [sys.executable, "-m", "cluttergen_jax", *words, "--out", str(tmp_path / seed)]
         subprocess.run(words, env=environment, capture_output=True, check=True)
         programs.append({path.name for path in tmp_path.glob("programs/*/*-cache")})
-    assert {"jit__proposed", "jit__judged", "jit_conclude"} <= {name.split("-")[0] for name in programs[0]}
+    assert {"jit_propose", "jit_judge", "jit_conclude"} <= {name.split("-")[0] for name in programs[0]}
     assert programs[0] == programs[1]
 
 

@@ -34,9 +34,9 @@ def faults_of(text: str) -> list[str]:
     faults = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
-            faults += [a.name for a in node.names if a.name.split(".")[0] in _MODULES]
+            faults += [a.name for a in node.names if _MODULES & set(a.name.split("."))]
         elif isinstance(node, ast.ImportFrom):
-            faults += [node.module] if (node.module or "").split(".")[0] in _MODULES else []
+            faults += [node.module] if _MODULES & set((node.module or "").split(".")) else []
         elif isinstance(node, ast.Call):
             faults += _fault_of_call(node)
     return faults
@@ -65,6 +65,7 @@ def _is_off(value: ast.expr | None) -> bool:
     [
         "import pickle",
         "from pickle import loads",
+        "from ray.cloudpickle import loads",
         "import joblib.numpy_pickle",
         "np.load(path)",
         "numpy.load(path, allow_pickle=True)",
@@ -81,9 +82,10 @@ def test_the_test_sees_a_pickle(text):
 def test_nothing_can_unpickle_a_file():
     files = _files()
     assert len(files) > 100
-    assert {str(path.relative_to(REPOSITORY)): faults_of(path.read_text()) for path in files} == {
-        str(path.relative_to(REPOSITORY)): [] for path in files
-    }
+    faults = {str(path.relative_to(REPOSITORY)): faults_of(path.read_text()) for path in files}
+    # Work travels between the processes of a Ray cluster, never through a file.
+    assert faults.pop("cluttergen_jax/cluster.py") == ["ray.cloudpickle"]
+    assert faults == dict.fromkeys(faults, [])
 
 
 def test_no_stored_file_is_a_pickle():

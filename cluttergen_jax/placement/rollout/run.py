@@ -14,7 +14,7 @@ from cluttergen_jax.placement.rollout.blocks import BlockSampler
 from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.progress import COMPILING, Progress, interruptible
-from cluttergen_jax.types import Array, Settling
+from cluttergen_jax.types import Array
 
 MAX_PROGRAMS = 16
 """Compiled steps that are kept: a program takes a few hundred of the 65,530 mappings of memory that Linux
@@ -29,20 +29,6 @@ Look = Callable[[Episode, Episode, Transition], Any]
 
 def _nothing(before: Episode, after: Episode, transition: Transition) -> None:
     return None
-
-
-def _proposed(sampler: BlockSampler, episodes: Episode) -> tuple[Any, ...]:
-    """Episodes with their next keys, the actions proposed, and what `Physics.settle` is asked."""
-    episodes, action = jax.vmap(sampler.proposed)(episodes)
-    return episodes, action, *jax.vmap(sampler.rules.release)(episodes, action)
-
-
-def _judged(
-    sampler: BlockSampler, episodes: Episode, action: Array, settling: Settling
-) -> tuple[Episode, Transition, Array]:
-    """`Rules.judge` of a block; what settled is left out of the transitions, whose reader has it."""
-    after, transition, is_filled = jax.vmap(sampler.rules.judge)(episodes, action, settling)
-    return after, transition.replace(settling=None), is_filled
 
 
 class Rollout:
@@ -63,6 +49,16 @@ class Rollout:
             after, transition = sampler.step(episodes)
             return after, after.is_over, look(episodes, after, transition)
 
+        # Functions of this rollout alone: JAX counts and clears programs by the function.
+        def propose(sampler: BlockSampler, episodes: Episode) -> tuple[Any, ...]:
+            episodes, action = jax.vmap(sampler.proposed)(episodes)
+            return episodes, action, *jax.vmap(sampler.rules.release)(episodes, action)
+
+        def judge(sampler: BlockSampler, *settled: Any) -> tuple[Episode, Transition, Array]:
+            after, transition, is_filled = jax.vmap(sampler.rules.judge)(*settled)
+            # Who reads the transition has what settled, and does not need it back.
+            return after, transition.replace(settling=None), is_filled
+
         def refill(
             sampler: BlockSampler, key: Array, episodes: Episode, indices: Array, is_new: Array
         ) -> Episode:
@@ -78,8 +74,8 @@ class Rollout:
         self._begin: Any = jax.jit(lambda sampler, *args: sampler.begin(*args), static_argnums=static)
         self._step: Any = jax.jit(step, static_argnums=static, donate_argnums=1)
         self._refill: Any = jax.jit(refill, static_argnums=static, donate_argnums=2)
-        self._propose: Any = jax.jit(_proposed, static_argnums=static)
-        self._judge: Any = jax.jit(_judged, static_argnums=static)
+        self._propose: Any = jax.jit(propose, static_argnums=static)
+        self._judge: Any = jax.jit(judge, static_argnums=static)
         self._conclude: Any = jax.jit(conclude, static_argnums=static)
         self._finish: Any = jax.jit(lambda sampler, *args: sampler.finish(*args), static_argnums=static)
 
