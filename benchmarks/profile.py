@@ -23,7 +23,6 @@ import tyro
 
 from benchmarks.section import prose, report, table
 from cluttergen_jax.evaluation.plots import add_legend, new_figure, prepare, save
-from cluttergen_jax.generation import generate as writing
 from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.learning.agents import make_agent
 from cluttergen_jax.learning.ppo.ppo import PPO
@@ -32,6 +31,7 @@ from cluttergen_jax.physics import native, simulations
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, Rollout, blocks_of, sample_blocks
+from cluttergen_jax.scene.bank.table import table_of
 
 STEPS, CONTACTS = "MuJoCo's steps", "contacts at rest"
 PHYSICS = "judging and copying (NumPy)"
@@ -103,7 +103,7 @@ def sampling(method: str, pool: str, num_blocks: int) -> dict[str, float]:
     """CPU-milliseconds a finished scene that stands, by piece."""
     clock, sampler = Clock(), make_sampler(pool=pool, method=method)
     geometry = sampler.problem.rules.geometry
-    to_rows = clock.counting(writing.table_of, ROWS)
+    to_rows = clock.counting(table_of, ROWS)
     made = Rollout.__init__
 
     def watched(rollout: Rollout, *args: Any, **given: Any) -> None:

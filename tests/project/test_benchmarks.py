@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks import bullet, contact, engines, gpu, last_check, other_mujoco
+from benchmarks import bullet, contact, engines, gpu, last_check, other_mujoco, profile
 from benchmarks.bodies import apple, box
 from benchmarks.contact_drops import drops
 from benchmarks.contact_scenes import small_scenes
@@ -248,3 +248,19 @@ def test_every_part_about_a_gpu_runs_in_miniature(part, tmp_path):
     if part == "scenes":
         assert {row["success"] for row in made.values()} == {1.0}
     assert part == "doctor" or f"### {part}" in gpu.body_of(rows)
+
+
+@pytest.mark.slow
+def test_the_pieces_of_a_profile_add_up_to_the_whole():
+    shares = profile.sampling("random", "dining", 1)
+    assert set(shares) == {
+        profile.SEARCH,
+        profile.RULES,
+        profile.STEPS,
+        profile.CONTACTS,
+        profile.PHYSICS,
+        profile.ROWS,
+        profile.REST,
+    }
+    assert min(shares[name] for name in pieces) > 0
+    assert abs(shares[profile.REST]) < 0.2 * sum(shares.values())
