@@ -35,6 +35,7 @@ def test_height_grid_sees_what_stands_where():
     np.testing.assert_allclose(heights, expected, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_draws_lie_about_rest_on_what_is_below():
     rules, agent, params, observation = made_up()
     # A wall 3 cm high stands under the half of the region with x > 0.

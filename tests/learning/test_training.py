@@ -92,6 +92,7 @@ def test_damaged_record_is_named(trained, tmp_path):
     assert json.loads((trained[0] / "policy" / "record.json").read_text())["format"] == 1
 
 
+@pytest.mark.slow
 def test_renumbering_the_objects_leaves_actions_unchanged():
     rules = made_up_rules(history_stride=12)
     cloud = jax.random.normal(jax.random.key(5), (6, 8, 3)) * 0.03

@@ -132,6 +132,7 @@ def test_what_is_done_is_left_alone_and_other_settings_are_refused(tmp_path, cap
     assert contents(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_the_papers_runs_begin_with_an_encoder_of_their_own(tmp_path, monkeypatch):
     """Pretrained once for all of them, unless another is given or it is to be trained along."""
     made = []

@@ -42,6 +42,7 @@ def test_memory_is_what_the_compiled_program_reports():
     assert free_bytes() > 10_000_000
 
 
+@pytest.mark.slow
 def test_run_refuses_before_its_first_update(tmp_path):
     run = make_run(tmp_path / "run", memory_limit=1000)
     with pytest.raises(ConfigError, match="a run that needs"):

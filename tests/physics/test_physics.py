@@ -161,7 +161,7 @@ def test_objects_that_are_not_placed_are_returned_as_given(name):
     np.testing.assert_array_equal(report.poses[PRISM], start[PRISM])
 
 
-@pytest.mark.parametrize("name", ["warp", "jax"])
+@pytest.mark.parametrize("name", ["warp", pytest.param("jax", marks=pytest.mark.slow)])
 def test_every_report_is_the_native_engines(name):
     ours, native = outcomes(name), outcomes("native")
     np.testing.assert_array_equal(ours.verdict, native.verdict)
@@ -235,6 +235,7 @@ def test_what_is_not_mapped_is_shared(name):
     assert_close(jax.tree.map(lambda array: array[1, 2], shared), once, name == "native")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", QUICK)
 def test_cond_while_loop_and_scan_under_vmap(name):
     """A small episode: a box is let go from above, lower each time, until it is stable; then once more."""

@@ -92,6 +92,7 @@ def test_shortfall_is_the_way_to_the_nearest_value(asked, far):
     assert jnp.isinf(shortfall(jnp.array(asked), values, jnp.zeros(3, bool))).all()
 
 
+@pytest.mark.slow
 def test_trust_is_lowered_only_for_what_brings_a_scene_nearer():
     # With nothing placed no candidate can lie on an object, whatever is asked.
     problem = trio_problem(clutter="stack=2", history_stride=0)
