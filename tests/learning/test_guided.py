@@ -134,6 +134,7 @@ def test_features_are_finite_and_know_neither_the_object_nor_its_number(rules):
     np.testing.assert_allclose(features, again, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_attempts_are_labelled_with_what_the_rules_said(rules):
     explorer = Explorer(
         LowestFit(rules), params=blank_params(SMALL), network=SMALL, exploration=np.float32(1)

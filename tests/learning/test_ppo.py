@@ -27,6 +27,7 @@ def test_value_follows_the_observation():
     assert value(state, [0.0, 0.0]) == pytest.approx(-1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_later_reward_is_discounted():
     state = train(learner(Late()), 60)
     assert value(state, [1.0, 0.0]) == pytest.approx(1.0, abs=0.05)

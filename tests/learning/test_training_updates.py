@@ -70,6 +70,7 @@ def test_three_at_once_are_one_by_one(sick):
     assert not same_bits(at_once.params, state.params)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("illness", "where"),
     [
