@@ -171,7 +171,7 @@ def _text(unit: str, found: dict[str, dict[str, float]]) -> str:
         total = sum(shares.values())
         cells = [f"{shares[each]:.2f}" if each in shares else "-" for each in pieces]
         rows.append([name, f"{1e3 / total:,.0f}", f"{total:.2f}", *cells])
-    return table(["", f"{unit}s per CPU-second", f"CPU ms a {unit}", *pieces], rows)
+    return table(["", f"{unit}s per CPU-second", f"CPU ms per {unit}", *pieces], rows)
 
 
 def _draw(found: dict[str, dict[str, dict[str, float]]], stem: Path) -> None:

@@ -27,7 +27,7 @@ from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, merge_shards
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.lock import BankLock
-from cluttergen_jax.scene.bank.remote import url_of
+from cluttergen_jax.scene.bank.remote import check_is_here
 from cluttergen_jax.scene.bank.scene import config_of
 from cluttergen_jax.scene.bank.table import CERTIFICATE, CLUTTER, SCHEMA, is_fully_certified
 from cluttergen_jax.scene.bank.writer import write_rows
@@ -53,8 +53,7 @@ def certify_bank(
 ) -> Certification:
     """The certificates of a bank's scenes, written into it; see `cluttergen_jax.certify`."""
     horizons_of((seconds,))
-    if (url := url_of(bank.path)) is not None:
-        raise BankError(f"{url} is not on this machine", "a bank in a folder", "copying it to a folder first")
+    check_is_here(bank.path)
     with writing(bank.path):
         lock = BankLock(bank.path)
     try:

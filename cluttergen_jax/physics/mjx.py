@@ -25,7 +25,7 @@ from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.margin import MIN_SHIFT
 from cluttergen_jax.physics.mjx_contacts import ContactRows, bearers, margins, overlaps
 from cluttergen_jax.physics.mjx_scenes import WARP_DEFAULTS, MjxScenes, WarpOptions, start_poses
-from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept
+from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept, where
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 
@@ -143,7 +143,7 @@ class MjxPhysics(OneScenePhysics):
         return _Attempts(
             batch=batch,
             data=data,
-            track=jax.tree.map(lambda new, old: _where(running, new, old), after, run.track),
+            track=jax.tree.map(lambda new, old: where(jnp, running, new, old), after, run.track),
             trajectory=run.trajectory.at[rows, index].set(row, mode="drop"),
             overflowed=run.overflowed | (running & scenes.overflowed(data)),
             is_finite=run.is_finite & (is_finite | ~running),
@@ -257,9 +257,6 @@ class MjxPhysics(OneScenePhysics):
         verdict = jnp.where(scenes.overflowed(data), int(Verdict.OVERFLOW), verdict)
         verdict = jnp.where(is_finite, verdict, int(Verdict.NON_FINITE))
         after = Standing(verdict=verdict, num_steps=num_steps, shift=shift, turn=turn)
-        return _Checks(batch, data, jax.tree.map(lambda new, old: _where(running, new, old), after, before))
-
-
-def _where(is_new: Array, new: Array, old: Array) -> Array:
-    """Scene by scene, `new` or `old`, f[N, ...]."""
-    return jnp.where(is_new.reshape(is_new.shape + (1,) * (new.ndim - 1)), new, old)
+        return _Checks(
+            batch, data, jax.tree.map(lambda new, old: where(jnp, running, new, old), after, before)
+        )

@@ -23,7 +23,7 @@ from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.margin import MIN_SHIFT
 from cluttergen_jax.physics.overlap import OverlapProbe
-from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept
+from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept, where
 from cluttergen_jax.physics.simulations import Motion, Simulations, sleeping_model
 from cluttergen_jax.types import Settling, Standing, Verdict
 
@@ -220,7 +220,9 @@ class _Attempt:
                 turn[:, step] * is_neighbour,
                 self.engine.config,
             )
-            track = stability.Track(*(_where(is_running, *pair) for pair in zip(after, track, strict=True)))
+            track = stability.Track(
+                *(where(np, is_running, *pair) for pair in zip(after, track, strict=True))
+            )
             num_steps += is_running
             has_failed = (motion.overflowed | ~motion.is_finite) & (num_steps == motion.num_steps)
             is_running = is_running & ~track.is_over & ~has_failed
@@ -290,11 +292,6 @@ class _Attempt:
                 result.penetration[at], result.margin[at] = found.penetration, found.margin
                 result.touches[at], result.bears[at] = found.touches, found.bears
         return penetrates
-
-
-def _where(condition: np.ndarray, yes: np.ndarray, no: np.ndarray) -> np.ndarray:
-    """`np.where` by the leading axis, bool[n]."""
-    return np.where(condition.reshape(-1, *(1,) * (yes.ndim - 1)), yes, no)
 
 
 def _is_sound(poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:

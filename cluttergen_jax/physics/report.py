@@ -52,6 +52,11 @@ def below_top(xp: Any, poses: Array, center_of_mass: Array, top: float) -> Array
     return poses[..., 2] + center[..., 2] < top
 
 
+def where(xp: Any, condition: Array, yes: Array, no: Array) -> Array:
+    """`xp.where` scene by scene: a condition bool[N], arrays f[N, ...]."""
+    return xp.where(condition.reshape(condition.shape + (1,) * (yes.ndim - 1)), yes, no)
+
+
 def kept(xp: Any, array: Array, is_kept: Array) -> Array:
     """`array`, f[N, ...], with zeros for scenes that are not kept: a diverged scene reports no motion."""
-    return xp.where(is_kept.reshape(is_kept.shape + (1,) * (array.ndim - 1)), array, xp.zeros_like(array))
+    return where(xp, is_kept, array, xp.zeros_like(array))

@@ -198,12 +198,8 @@ class Rules(struct.PyTreeNode, eq=False):
         """What `Physics.settle` is asked in an attempt: its four arguments, in their order."""
         focus = self.focus(episode)
         proposed = pose_of_action(action, episode.region, self.height_range(episode))
-        return (
-            episode.poses.at[focus].set(proposed),
-            episode.is_placed.at[focus].set(True),
-            focus,
-            ~episode.is_over,
-        )
+        poses, is_placed = episode.poses.at[focus].set(proposed), episode.is_placed.at[focus].set(True)
+        return poses, is_placed, focus, ~episode.is_over
 
     def judge(self, episode: Episode, action: Array, settling: Settling) -> tuple[Episode, Transition, Array]:
         """Judges what settled, and commits or reverts it.

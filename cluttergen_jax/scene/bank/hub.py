@@ -18,7 +18,7 @@ from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.digests import changes_of
 from cluttergen_jax.scene.bank.hubs import FolderHub, Hub, HuggingFaceHub, is_of_a_bank
 from cluttergen_jax.scene.bank.lock import BankLock
-from cluttergen_jax.scene.bank.remote import is_url, mirrored, url_of
+from cluttergen_jax.scene.bank.remote import check_is_here, is_url, mirrored
 
 HUB_VARIABLE = "CLUTTERGEN_HUB"
 _DATASET = re.compile(r"\w[\w-]*(\.[\w-]+)*/\w[\w-]*(\.[\w-]+)*", re.ASCII)
@@ -31,8 +31,7 @@ def push(path: str | Path, name: str, hub: str | None, is_private: bool) -> str:
     _check_name(name)
     place = hub_of(hub)
     bank = read_bank(path)
-    if (url := url_of(bank.path)) is not None:
-        raise BankError(f"{url} is not on this machine", "a bank in a folder", "copying it to a folder first")
+    check_is_here(bank.path)
     with writing(bank.path):
         lock = BankLock(bank.path)
     try:

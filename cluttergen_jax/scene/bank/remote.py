@@ -51,6 +51,16 @@ def url_of(path: Path) -> str | None:
     return (path / MARK).read_text()
 
 
+def check_is_here(path: Path) -> None:
+    """Refuses the mirror of a bank at a URL, for what wants all files of a bank.
+
+    Raises:
+      BankError: it names the URL.
+    """
+    if (url := url_of(path)) is not None:
+        raise BankError(f"{url} is not on this machine", "a bank in a folder", "copying it to a folder first")
+
+
 def _root() -> Path:
     return user_root().parent / "mirrors"
 
