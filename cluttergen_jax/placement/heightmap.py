@@ -107,7 +107,7 @@ class HeightMapper(struct.PyTreeNode):
         if radius is None:
             radius = np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max()
         half = np.asarray(region.half_extents, np.float64)
-        inverse = region.T_world_region.inverse().as_matrix()
+        inverse = np.asarray(region.T_world_region.inverse().as_matrix())
         cell, shape = map_cells(
             half + reach_beyond(_top_boxes(geometry), inverse, half, radius), _FINEST_CELL
         )

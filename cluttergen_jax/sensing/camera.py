@@ -76,14 +76,14 @@ class Camera:
         """
         forward = np.asarray(target, np.float64) - np.asarray(eye, np.float64)
         right = np.cross(forward, up)
-        lengths = np.linalg.norm(forward), np.linalg.norm(right)
-        if not lengths[1] > 1e-9 * max(lengths[0], 1e-9):
+        length, across = float(np.linalg.norm(forward)), float(np.linalg.norm(right))
+        if not across > 1e-9 * max(length, 1e-9):
             raise ConfigError(
                 f"a camera at {np.round(eye, 4).tolist()} that looks at {np.round(target, 4).tolist()}",
                 "two places, not one above the other along `up`",
                 "another `up`",
             )
-        forward, right = forward / lengths[0], right / lengths[1]
+        forward, right = forward / length, right / across
         T = np.eye(4)
         T[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
         T[:3, 3] = eye
