@@ -156,8 +156,8 @@ def levelled(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
     The top is known, so that most of the error of a camera's stated pose can be told from it (least squares
     with weights that end at a distance, Tukey's). Returned as it was where too little of the top is seen,
     where more of what is seen lies at 0 as it is, or where it would move by more than 1 cm or turn by more
-    than a degree: then it looks at something else. Large flat things a few millimetres thick are taken for the
-    top in part, and so are best left to a camera whose pose is known.
+    than a degree: then it looks at something else. Large flat things a few millimetres thick are taken for
+    the top in part, and so are best left to a camera whose pose is known.
 
     Args:
       depth: f32[H, W], metres; nan and inf are left out.
