@@ -47,6 +47,10 @@ Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 Tier = Literal["standard", "light"]
 CameraName = Literal["overhead", "front", "side", "wrist"]
 FilmFormat = Literal["gif", "mp4"]
+PlacerHead = Literal["scored", "mixture", "regression"]
+PlacerPreset = Literal["cpu", "paper"]
+PlacerLoss = Literal["printed", "symmetric"]
+PlacerNoise = Literal["on", "off", "both"]
 ExportFormat = Literal["mjcf", "urdf", "sdf", "usd", "glb", "maniskill", "robosuite", "libero"]
 
 REMOVED = {

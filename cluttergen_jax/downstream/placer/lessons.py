@@ -11,6 +11,7 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
+from cluttergen_jax.config import PlacerNoise
 from cluttergen_jax.downstream.placer.head import Lesson
 from cluttergen_jax.downstream.placer.pairs import PairLabels, PairSet, load_queries, read_pairs
 from cluttergen_jax.downstream.placer.query import PlacementQuery, padded
@@ -18,7 +19,6 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.search.fit import UnderSide
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
 
-Noise = Literal["on", "off", "both"]
 _HELD_OUT = 10
 """Where there is no validation split, every tenth scene of the training split is one."""
 _SAME = 1e-6
@@ -36,7 +36,7 @@ class LessonSource:
     """
 
     data: tuple[Path, ...]
-    noise: Noise = "both"
+    noise: PlacerNoise = "both"
     seed: int = 0
     num_pairs: int | None = None
 

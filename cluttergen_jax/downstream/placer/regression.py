@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from flax import struct
 
+from cluttergen_jax.config import PlacerLoss
 from cluttergen_jax.downstream.placer.head import Lesson
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Proposals, without_scores
 from cluttergen_jax.learning.networks.cloud_encoder import CloudNet
+from cluttergen_jax.learning.ppo.checkpoint import read_policy
 from cluttergen_jax.types import Array
-
-Loss = Literal["printed", "symmetric"]
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class RegressionConfig:
     num_centroids: int = 128
     group_size: int = 16
     widths: tuple[int, ...] = (256, 128, 64)
-    loss: Loss = "printed"
+    loss: PlacerLoss = "printed"
 
 
 class Clouds(struct.PyTreeNode):
@@ -119,9 +120,14 @@ class RegressionLesson(struct.PyTreeNode):
 
 @dataclass(frozen=True)
 class RegressionHead:
-    """Learns to name the pose at which the object stands in the scene."""
+    """Learns to name the pose at which the object stands in the scene.
+
+    Attributes:
+      encoder_weights: folder of `pretrain` whose weights both encoders begin with; drawn if None.
+    """
 
     config: RegressionConfig = field(default_factory=RegressionConfig)
+    encoder_weights: Path | None = None
     kind = "regression"
 
     def prepare(self, lesson: Lesson) -> RegressionLesson:
@@ -129,12 +135,21 @@ class RegressionHead:
         return RegressionLesson(clouds_of(lesson.query, self.config), lesson.target)
 
     def init(self, key: Array) -> Any:
-        """See `head.Head`."""
+        """See `head.Head`.
+
+        Raises:
+          PoolError: `encoder_weights` holds none, or weights of other sizes.
+        """
         scene, own = self.config.scene_points, self.config.object_points
         blank = Clouds(
             jnp.zeros((scene, 3)), jnp.ones(scene, bool), jnp.zeros((own, 3)), jnp.ones(2), jnp.ones(3)
         )
-        return RegressionNet(self.config).init(key, blank)
+        params: Any = RegressionNet(self.config).init(key, blank)
+        if self.encoder_weights is None:
+            return params
+        inner = params["params"]
+        read = {name: read_policy(self.encoder_weights, inner[name]) for name in ("scene", "object")}
+        return {"params": inner | read}
 
     def loss(self, params: Any, lessons: RegressionLesson, key: Array) -> tuple[Array, dict[str, Array]]:
         """See `head.Head`."""

@@ -57,6 +57,7 @@ class PlacerTraining:
             "network": asdict(head.config),
             "fit": asdict(config),
             "data": source.record,
+            "encoder_weights": str(getattr(head, "encoder_weights", None) or ""),
         }
         checkpoint.check_folder(folder, self.recipe)
         folder.mkdir(parents=True, exist_ok=True)
@@ -102,7 +103,7 @@ class PlacerTraining:
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
     def _started(self, fit: Fit) -> FitState:
-        state = jax.jit(fit.start)()
+        state = fit.start()
         last = self.folder / "last"
         return checkpoint.read_state(last, state) if checkpoint.has_state(last) else state
 
