@@ -8,11 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.downstream.placer.map_search import draw, look, search
+from cluttergen_jax.downstream.placer.map_search import draw, finalists, look
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.heightmap import HeightMap
 from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig, draw_candidates
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
@@ -22,9 +23,10 @@ TRUE_MAP, PARTIAL_MAP, RANDOM = 0, 1, 2
 
 _NUM_TRUE, _NUM_SEEN, _NUM_CEILING = 12, 6, 6
 _NUM_RANDOM_SEEN, _NUM_RANDOM_CEILING = 5, 3
-_SEARCH = SearchConfig(num_candidates=256, num_finalists=24)
-_SPREAD = 0.03
-"""Metres of cost: so much dearer, and a finalist is drawn a third as often."""
+_SEARCH = SearchConfig(num_candidates=192, num_finalists=6)
+_NUM_UNIFORM = 24
+_HIGHEST_COST = 0.5
+"""Metres: candidates that cost so much or more are drawn a third as often as those that cost nothing."""
 
 SOURCES = np.repeat(
     np.array([TRUE_MAP, PARTIAL_MAP, RANDOM], np.uint8),
@@ -36,9 +38,11 @@ SOURCES = np.repeat(
 class CandidateDraw:
     """Draws the candidates of many pairs at once.
 
-    Twelve are found by a search on the true map and twelve on the partial maps (half of them as if what is
-    hidden were free, half as if it were taken), drawn among the cheapest of many; eight are uniform over
-    region and turn, lowered onto a partial map. All are let go `CLEARANCE` above first contact.
+    Twelve are of a search on the true map and twelve of one on the partial maps, half of these as if what is
+    hidden were free, half as if it were taken. A search draws among uniform poses that are lowered to first
+    contact, and the finalists of many such, with chances that fall with the cost of `drop`: few of its best
+    ever fail. Eight are uniform over region and turn, lowered onto a partial map. All are let go `CLEARANCE`
+    above first contact.
 
     Args:
       rules: of the world.
@@ -66,17 +70,25 @@ def _drawn(true: LowestFit, key: Array, episode: Episode, query: PlacementQuery)
 
 
 def _by_search(key: Array, true: LowestFit, episode: Episode) -> Array:
-    key_draw, key_choice = jax.random.split(key)
-    candidates = draw_candidates(key_draw, episode.region, _SEARCH.num_candidates)
-    found = true.closely(true.scene(episode), candidates, _SEARCH.num_finalists)
-    pose = jnp.column_stack([found.candidates.xy, found.scores.fit.rest + CLEARANCE, found.candidates.yaw])
+    key_many, key_few, key_choice = jax.random.split(key, 3)
+    scene = true.scene(episode)
+    many = draw_candidates(key_many, episode.region, _SEARCH.num_candidates)
+    few = draw_candidates(key_few, episode.region, _NUM_UNIFORM)
+    found = true.closely(scene, _joined(true.best(scene, many, _SEARCH.num_finalists), few))
+    height = found.scores.fit.rest + CLEARANCE
+    pose = jnp.column_stack([found.candidates.xy, height, found.candidates.yaw])
     return pose[_chosen(key_choice, found.cost, _NUM_TRUE)]
 
 
 def _by_map(key: Array, query: PlacementQuery, heights: HeightMap, number: int) -> Array:
-    key_draw, key_choice = jax.random.split(key)
-    found = search(key_draw, query, heights, _SEARCH)
+    key_many, key_few, key_choice = jax.random.split(key, 3)
+    best = finalists(key_many, query, heights, _SEARCH)
+    found = look(query, heights, _joined(best, draw(key_few, query, _NUM_UNIFORM)))
     return found.pose[_chosen(key_choice, found.cost, number)]
+
+
+def _joined(first: Candidates, second: Candidates) -> Candidates:
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), first, second)
 
 
 def _random(key: Array, query: PlacementQuery) -> Array:
@@ -93,5 +105,6 @@ def _random(key: Array, query: PlacementQuery) -> Array:
 
 def _chosen(key: Array, cost: Array, number: int) -> Array:
     """i32[number]: a draw without repetition, the cheaper the likelier (Gumbel's trick)."""
+    cost = jnp.clip(cost, 0.0, _HIGHEST_COST)
     noise = jax.random.gumbel(key, cost.shape)
-    return jax.lax.top_k(noise - cost / _SPREAD, number)[1]
+    return jax.lax.top_k(noise - cost / _HIGHEST_COST, number)[1]

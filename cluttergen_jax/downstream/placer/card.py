@@ -22,7 +22,6 @@ _COLUMNS = {
     "object": "its name",
     "pool": "the pool that the scene was made of",
     "num_standing": "objects that stand already",
-    "unseen": "share of the region's cells in which something 1 cm high or more may be hidden",
     "camera_K": "intrinsics, 3 x 3, row by row; a pixel's middle is at (column + .5, row + .5)",
     "T_region_camera": "the camera's pose, 4 x 4, row by row, metres; x right, y down, z forward",
     "width": "pixels",
@@ -39,9 +38,9 @@ _COLUMNS = {
 }
 
 _ABOUT = (
-    "Pairs for stable placement: what one depth camera sees of a partial scene, where the scene's next object "
-    "rests, and 32 poses at which it was let go, with what became of each in physics. Scenes of different "
-    "splits have different keys."
+    "Pairs for stable placement: what one depth camera sees of a partial scene, where the scene's next "
+    "object rests, and 32 poses at which it was let go, with what became of each in physics. Scenes of "
+    "different splits have different keys."
 )
 _FRAME = "The region frame has its origin at the middle of the queried region on the support's top, z up."
 

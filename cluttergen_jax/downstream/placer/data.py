@@ -55,12 +55,11 @@ _VIEWS = 20
 
 
 class Look(NamedTuple):
-    """One pair as it was sensed: camera, bytes of `pairs.SCHEMA`, share unseen, and the query."""
+    """One pair as it was sensed: camera, bytes of `pairs.SCHEMA`, and the query."""
 
     camera: Camera
     depth: bytes
     labels: bytes
-    unseen: float
     query: PlacementQuery
 
 
@@ -115,7 +114,8 @@ class PairMaker:
         scene = np.repeat(np.arange(num_rows), candidates.shape[1])
         judged = self._judge.settle(episodes, scene, candidates.reshape(-1, 4))
         verdict = judged.verdict.reshape(candidates.shape[:2])
-        rows = [self._row(*each) for each in zip(pairs, places, looks, candidates, verdict, strict=True)]
+        each = zip(pairs.tolist(), places, looks, candidates, verdict, strict=True)
+        rows = [self._row(*one) for one in each]
         return pa.Table.from_pylist(rows, schema=SCHEMA)
 
     def _candidates(self, block: int, episodes: Episode, queries: PlacementQuery) -> np.ndarray:
@@ -142,16 +142,14 @@ class PairMaker:
             )
         stored = depth_bytes(image.depth)
         depth = depth_of(stored, camera.width, camera.height)
-        exact = self._maker.see(depth, camera, NOISE_OFF, rng)
         # A placer that is given noisy maps proposes poses that fit them, so every other pair has such.
-        sight = self._maker.see(depth, camera, REALSENSE, rng) if pair % 2 else exact
+        sight = self._maker.see(depth, camera, REALSENSE if pair % 2 else NOISE_OFF, rng)
         scene, slot = place
         order = self.scenes.object_index[scene]
         return Look(
             camera,
             stored,
             _labels(image.label, order[:slot]),
-            exact.unseen,
             self._maker.query(sight, int(order[slot])),
         )
 
@@ -166,13 +164,12 @@ class PairMaker:
             changed_frame(T_region_world, self.scenes.poses[scene]),
         )
         return {
-            "pair": int(pair),
+            "pair": pair,
             "scene": int(self.scenes.number[scene]),
             "slot": int(slot),
             "object": names[order[slot]],
             "pool": str(self.scenes.problem.config.pool),
             "num_standing": int(slot),
-            "unseen": look.unseen,
             "camera_K": camera.K.ravel().tolist(),
             "T_region_camera": (T_region_world @ camera.T_world_camera).ravel().tolist(),
             "width": camera.width,

@@ -59,6 +59,17 @@ class Judge:
         parts = [self._settle(episodes, *chunk) for chunk in _chunks(scene, pose)]
         return Judged(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
+    def released(
+        self, episodes: Episode, scene: np.ndarray, pose: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The scenes at the moment of release: f32[P, K, 7], world; bool[P, K]; i32[P], the object's index.
+
+        Args: as those of `settle`.
+        """
+        chosen = jax.tree.map(lambda leaf: leaf[scene], episodes)
+        poses, is_placed, focus = (np.asarray(each) for each in self._release(self.rules, chosen, pose))
+        return poses, is_placed, focus
+
     def _settle(self, episodes: Episode, scene: np.ndarray, pose: np.ndarray, num: int) -> Judged:
         chosen = jax.tree.map(lambda leaf: leaf[scene], episodes)
         asked = [np.asarray(each) for each in self._release(self.rules, chosen, pose)]

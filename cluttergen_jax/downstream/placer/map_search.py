@@ -64,12 +64,16 @@ def look(query: PlacementQuery, heights: HeightMap, candidates: Candidates) -> L
     return Looked(candidates, scores, cost_of_lowest_fit(scores))
 
 
-def search(key: Array, query: PlacementQuery, heights: HeightMap, config: SearchConfig) -> Looked:
-    """The finalists of many random poses, as the baseline `drop` finds them, on any map of the query."""
+def finalists(key: Array, query: PlacementQuery, heights: HeightMap, config: SearchConfig) -> Candidates:
+    """The cheapest of many random poses, looked at coarsely, on any map of the query."""
     candidates = draw(key, query, config.num_candidates)
     coarse = _scores(query, heights, candidates, query.under.first(config.num_coarse))
-    best = jax.lax.top_k(-cost_of_lowest_fit(coarse), config.num_finalists)[1]
-    return look(query, heights, candidates.take(best))
+    return candidates.take(jax.lax.top_k(-cost_of_lowest_fit(coarse), config.num_finalists)[1])
+
+
+def search(key: Array, query: PlacementQuery, heights: HeightMap, config: SearchConfig) -> Looked:
+    """The finalists of many random poses, wholly looked at, as the baseline `drop` finds them."""
+    return look(query, heights, finalists(key, query, heights, config))
 
 
 def best_apart(cost: Array, xy: Array, number: int, distance: float = APART) -> Array:

@@ -52,7 +52,6 @@ SCHEMA = pa.schema(
         ("object", pa.string()),
         ("pool", pa.string()),
         ("num_standing", pa.int32()),
-        ("unseen", pa.float32()),
         ("camera_K", pa.list_(pa.float64(), 9)),
         ("T_region_camera", pa.list_(pa.float64(), 16)),
         ("width", pa.int32()),
@@ -76,21 +75,20 @@ class PairLabels(NamedTuple):
     """What is known of P pairs beside the queries: the truth, for learning and judging alone.
 
     Attributes:
-      pair, scene, slot: i32[P]; num_standing: i32[P], objects that stand; unseen: f32[P], share of the region
-        in which something may be hidden.
+      pair, scene, slot: i32[P]; num_standing: i32[P], objects that stand.
       object_index: i32[P], of the object to be placed, in the world of `PairSet.setup`.
       order: i32[P, N], the objects that stand, then the one to be placed, then -1.
       poses: f32[P, N, 7], T_region_object of those that stand; the identity elsewhere.
       target: f32[P, 7], T_region_object where the scene's own object rests.
       candidate: f32[P, 32, 4], x, y, z and yaw of T_region_object; source: u8[P, 32], of `candidate_draw`.
       verdict: u8[P, 32], `types.Verdict` of each.
+      unseen: f32[P], share of the region's cells in which something may be hidden from the query.
     """
 
     pair: np.ndarray
     scene: np.ndarray
     slot: np.ndarray
     num_standing: np.ndarray
-    unseen: np.ndarray
     object_index: np.ndarray
     order: np.ndarray
     poses: np.ndarray
@@ -98,6 +96,7 @@ class PairLabels(NamedTuple):
     candidate: np.ndarray
     source: np.ndarray
     verdict: np.ndarray
+    unseen: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,15 +234,13 @@ def load_queries(
         for table in pairs.tables(split):
             table = table.slice(0, total - progress.done)
             part = labels_of(table, names, problem.rules.num_slots)
-            rows = zip(images_of(table, maker.T_world_region), part.pair, part.object_index, strict=True)
-
-            def query(row: Any) -> PlacementQuery:
-                (depth, camera), pair, index = row
-                sight = see_pair(maker, depth, camera, noise, seed, pair)
-                return maker.query(sight, index)
-
-            queries.append(stacked(list(pool.map(query, rows))))
-            labels.append(part)
+            images = images_of(table, maker.T_world_region)
+            sights = list(
+                pool.map(lambda image, pair: see_pair(maker, image, noise, seed, pair), images, part.pair)
+            )
+            seen = zip(sights, part.object_index, strict=True)
+            queries.append(stacked([maker.query(sight, index) for sight, index in seen]))
+            labels.append(part._replace(unseen=np.array([sight.unseen for sight in sights], np.float32)))
             progress.update(len(part.pair))
             if progress.done >= total:
                 break
@@ -251,10 +248,10 @@ def load_queries(
 
 
 def see_pair(
-    maker: QueryMaker, depth: np.ndarray, camera: Camera, noise: NoiseConfig, seed: int, pair: int
+    maker: QueryMaker, image: tuple[np.ndarray, Camera], noise: NoiseConfig, seed: int, pair: int
 ) -> Sight:
-    """What a pair's image shows with noise drawn for it."""
-    return maker.see(depth, camera, noise, np.random.default_rng((seed, pair)))
+    """What a pair's depth image shows its camera with noise drawn for it."""
+    return maker.see(*image, noise, np.random.default_rng((seed, pair)))
 
 
 def stacked(queries: Sequence[PlacementQuery]) -> PlacementQuery:
@@ -268,7 +265,7 @@ def joined(queries: Sequence[PlacementQuery]) -> PlacementQuery:
 
 
 def labels_of(table: pa.Table, names: dict[str, int], num_slots: int) -> PairLabels:
-    """The labels of some rows; names: the world's objects by their number.
+    """The labels of some rows, but for what is unseen; names: the world's objects by their number.
 
     Raises:
       BankError: an object is not of that world.
@@ -294,7 +291,6 @@ def labels_of(table: pa.Table, names: dict[str, int], num_slots: int) -> PairLab
         scene=np.array(table["scene"], np.int32),
         slot=np.array(table["slot"], np.int32),
         num_standing=num_standing,
-        unseen=np.array(table["unseen"], np.float32),
         object_index=order[np.arange(num_pairs), num_standing],
         order=order,
         poses=poses,
@@ -302,6 +298,7 @@ def labels_of(table: pa.Table, names: dict[str, int], num_slots: int) -> PairLab
         candidate=numbers("candidate", np.float32),
         source=numbers("candidate_source", np.uint8),
         verdict=numbers("candidate_verdict", np.uint8),
+        unseen=np.full(num_pairs, np.nan, np.float32),
     )
 
 

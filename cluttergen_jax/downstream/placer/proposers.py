@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -20,7 +20,8 @@ from cluttergen_jax.downstream.placer.query import (
     without_scores,
 )
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.learning.methods import checkpoint_of, proposer_of
+from cluttergen_jax.learning.methods import checkpoint_of, proposer_of, suited
+from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.region import pose_of_action
 from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig
@@ -67,13 +68,15 @@ class FullState:
 
     method: str
 
-    def proposer(self, rules: Rules, pool: str) -> Proposer:
-        """The method in a world.
+    def in_world(self, problem: Problem) -> tuple[Rules, Proposer]:
+        """The method in a world, and rules whose episodes look back on as much as it was trained with.
 
         Raises:
           PoolError: no checkpoint of it is embedded for the pool.
         """
-        return proposer_of(self.method, checkpoint_of(self.method, pool), rules)
+        checkpoint = checkpoint_of(self.method, problem.config.pool)
+        rules = replace(problem.rules, config=suited(problem.rules.config, checkpoint))
+        return rules, proposer_of(self.method, checkpoint, rules)
 
 
 def proposals_of(propose: Proposer, key: Array, episode: Episode, rules: Rules) -> Proposals:
