@@ -1,4 +1,4 @@
-"""Heads of placers: what they read, that they learn, propose, are stored, and refused where they do not fit."""
+"""Heads of placers: what they read, that they learn, what they propose, how they are stored and refused."""
 
 import dataclasses
 import json
@@ -82,7 +82,10 @@ def test_features_and_pictures_do_not_change_when_all_is_turned():
     features = np.array(features_of(query, poses))
     # The distances to the region's sides along x and y change places.
     features[:, [7, 8]] = features[:, [8, 7]]
-    np.testing.assert_allclose(features_of(other, after.astype(np.float32)), features, atol=2e-3)
+    # Columns at the border of two cells may fall to either side, and crowding looks around by 8 x 8 cells.
+    found = np.asarray(features_of(other, after.astype(np.float32)))
+    np.testing.assert_allclose(found, features, atol=0.1)
+    assert (np.abs(found - features) < 1e-3).mean() > 0.85
     pictures = [crops_of(q.heights, q.ceilings, shape, p) for q, p in ((query, poses), (other, after))]
     # A point at the border of two cells may fall to either side.
     assert np.mean(np.abs(np.subtract(*pictures)) > 1e-3) < 0.01
@@ -118,7 +121,7 @@ def test_what_is_hidden_is_seen_in_the_features():
     assert into[1] > 0.9
     assert TALL > UNSEEN
     # Over what may be there, it would rest on top of that.
-    np.testing.assert_allclose(features[1, 17], -3.0)
+    np.testing.assert_allclose(features[1, 16:18], [-3.0, 10 * (0.001 - TALL)], atol=1e-5)
 
 
 def test_a_lowered_object_just_clears_what_was_seen():
@@ -198,42 +201,52 @@ def test_placers_propose_under_jit_and_vmap(name, lessons):
         assert np.isnan(scores).all()
 
 
-def test_the_printed_loss_weighs_each_error_by_the_others_share():
-    head = HEADS["regression"]
-    params = head.init(jax.random.key(0))
+def one_lesson(yaw):
     clouds = Clouds(
-        np.zeros((2, 64, 3)), np.ones((2, 64), bool), np.zeros((2, 32, 3)), np.ones((2, 2)), np.ones((2, 3))
+        *(np.zeros((1, 64, 3)), np.ones((1, 64), bool)),
+        np.zeros((1, 32, 3)),
+        np.ones((1, 2)),
+        np.ones((1, 3)),
     )
-    placed = np.asarray(head.placer(params).params["params"]["Dense_1"]["bias"])
-    assert placed.shape == (4,)
-    lesson = RegressionLesson(clouds, np.array([[0.1, 0.0, 0.2, 0.5], [0.0, 0.1, 0.0, -2.0]], np.float32))
-    total, parts = head.loss(params, lesson, jax.random.key(0))
-    a, b = float(parts["position"]), float(parts["turn"])
-    assert float(total) == pytest.approx(2 * a * b / (a + b), rel=1e-5)
-    slope = jax.grad(lambda params: head.loss(params, lesson, None)[0])(params)
-    apart = [
-        jax.grad(lambda params, name=name: head.loss(params, lesson, None)[1][name])(params)
-        for name in ("position", "turn")
-    ]
-    expected = jax.tree.map(lambda p, t: b / (a + b) * p + a / (a + b) * t, *apart)
-    jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=1e-6), slope, expected)
+    return RegressionLesson(clouds, np.array([[0.1, 0.0, 0.2, yaw]], np.float32))
 
 
-def test_a_whole_turn_makes_no_difference_to_the_symmetric_loss():
+@pytest.fixture(scope="module")
+def params():
+    return jax.jit(HEADS["regression"].init)(jax.random.key(0))
+
+
+def test_the_printed_loss_weighs_each_error_by_the_others_share(params):
+    head = HEADS["regression"]
+
+    def of(name):
+        def part(params):
+            total, parts = head.loss(params, one_lesson(0.5), jax.random.key(0))
+            return parts.get(name, total)
+
+        return part
+
+    slopes = jax.jit(
+        lambda params: {name: jax.value_and_grad(of(name))(params) for name in ("total", "position", "turn")}
+    )(params)
+    a, b = float(slopes["position"][0]), float(slopes["turn"][0])
+    assert float(slopes["total"][0]) == pytest.approx(2 * a * b / (a + b), rel=1e-5)
+    expected = jax.tree.map(
+        lambda p, t: b / (a + b) * p + a / (a + b) * t, slopes["position"][1], slopes["turn"][1]
+    )
+    jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=1e-6), slopes["total"][1], expected)
+
+
+def test_a_whole_turn_makes_no_difference_to_the_symmetric_loss(params):
     printed = HEADS["regression"]
     symmetric = dataclasses.replace(printed, config=dataclasses.replace(printed.config, loss="symmetric"))
-    params = printed.init(jax.random.key(0))
-    clouds = Clouds(
-        np.zeros((1, 64, 3)), np.ones((1, 64), bool), np.zeros((1, 32, 3)), np.ones((1, 2)), np.ones((1, 3))
+    parts = jax.jit(
+        lambda params, lesson: [head.loss(params, lesson, None)[1]["turn"] for head in (printed, symmetric)]
     )
-    turn = [np.array([[0.1, 0.0, 0.2, 0.5 + each]], np.float32) for each in (0, 2 * np.pi)]
-    losses = {
-        head.config.loss: [float(head.loss(params, RegressionLesson(clouds, each), None)[0]) for each in turn]
-        for head in (printed, symmetric)
-    }
-    assert losses["symmetric"][0] == pytest.approx(losses["symmetric"][1], rel=1e-4)
+    once, again = (np.array(parts(params, one_lesson(0.5 + turn))) for turn in (0, 2 * np.pi))
+    assert once[1] == pytest.approx(again[1], rel=1e-4)
     # q and -q turn alike and are told apart by the printed one.
-    assert abs(np.subtract(*losses["printed"])) > 1e-2
+    assert abs(once[0] - again[0]) > 0.1
 
 
 @pytest.mark.parametrize("true", [0.5, 1.0, 3.0])

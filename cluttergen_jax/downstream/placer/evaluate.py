@@ -17,6 +17,7 @@ from cluttergen_jax.downstream.placer.figures import MANY, figures_of
 from cluttergen_jax.downstream.placer.pairs import PairLabels, PairSet, load_queries
 from cluttergen_jax.downstream.placer.proposers import FullState, find_placer
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Placer
+from cluttergen_jax.downstream.placer.trained import placer_folder
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.store import Store, json_bytes
 from cluttergen_jax.files import write_atomically
@@ -120,7 +121,8 @@ class Trials:
             checkpoint = checkpoint_of(found.method, self.made["recipe"]["pool"])
             weights = None if checkpoint is None else checkpoint.hash
         else:
-            weights = _folder_hash(Path(placer)) if Path(placer).is_dir() else None
+            folder = placer_folder(placer)
+            weights = None if folder is None else _folder_hash(folder)
         told = {name: value for name, value in self.made.items() if name != "num_pairs"}
         text = json.dumps([told, self.pairs.record["assets"]], sort_keys=True)
         return {

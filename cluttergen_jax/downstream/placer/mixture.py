@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.downstream.placer.features import UNSEEN
+from cluttergen_jax.downstream.placer.features import UNSEEN, taken_around
 from cluttergen_jax.downstream.placer.head import Lesson
 from cluttergen_jax.downstream.placer.map_search import best_apart
 from cluttergen_jax.downstream.placer.query import (
@@ -23,7 +23,7 @@ from cluttergen_jax.downstream.placer.query import (
 from cluttergen_jax.learning.networks.distributions import EDGE, Mixture
 from cluttergen_jax.placement.heightmap import VOID
 from cluttergen_jax.placement.search.fit import Candidates, cells_under, lower_onto, mean_under
-from cluttergen_jax.placement.search.search import CLEARANCE, crowding
+from cluttergen_jax.placement.search.search import CLEARANCE
 from cluttergen_jax.types import Array
 
 NUM_CELL_FEATURES = 13
@@ -89,7 +89,7 @@ def cell_features(query: PlacementQuery, config: MixtureConfig) -> Array:
             10 * jnp.clip(fit.rest - query.half_extents[2], -0.05, 0.3),
             fit.blocked,
             100 * jnp.clip(fit.gap, 0.0, 0.03),
-            mean_under(under, crowding(surface), cells),
+            mean_under(under, taken_around(surface), cells),
         ]
     below = cells_under(under, query.heights, cells)
     hidden = query.ceilings.at(below) - query.heights.at(below)

@@ -63,6 +63,18 @@ def head_of(record: Mapping[str, Any], path: Path, wanted: str | None = None) ->
         ) from error
 
 
+def placer_folder(placer: str | Path) -> Path | None:
+    """Where a trained placer is: that of a name that comes with the package, a folder of its own, or a run's.
+
+    None if it is neither a name nor a folder.
+    """
+    path = embedded_placers().get(str(placer), Path(placer))
+    inner = path / "placer"
+    if (inner / "record.json").is_file():
+        return inner
+    return path if path.is_dir() else None
+
+
 def load_placer(path: Path, wanted: str | None = None) -> Placer:
     """The placer in a folder.
 
