@@ -29,6 +29,12 @@ _AT_ONCE = 32
 """Pairs that are prepared by one compiled call."""
 _SAVE_EVERY = 60.0
 
+# Fits and heads are values: equal ones share what is compiled.
+_start: Any = jax.jit(Fit.start, static_argnums=0)
+_step: Any = jax.jit(Fit.step, static_argnums=0)
+_loss: Any = jax.jit(Fit.loss, static_argnums=0)
+_prepare: Any = jax.jit(lambda head, lessons: jax.vmap(head.prepare)(lessons), static_argnums=0)
+
 
 class PlacerTraining:
     """A run in a folder: `metrics.csv`, `last/` (to go on from), `placer/` (the checkpoint).
@@ -61,7 +67,6 @@ class PlacerTraining:
         }
         checkpoint.check_folder(folder, self.recipe)
         folder.mkdir(parents=True, exist_ok=True)
-        self._prepare: Any = jax.jit(jax.vmap(head.prepare))
 
     def run(self) -> Path:
         """The checkpoint's folder, after the last step.
@@ -96,14 +101,14 @@ class PlacerTraining:
             for first in range(0, number, _AT_ONCE):
                 # The last call is filled up with its last pair, so that one program serves all.
                 index = np.minimum(np.arange(first, first + _AT_ONCE), number - 1)
-                made = jax.device_get(self._prepare(taken(lessons, index)))
+                made = jax.device_get(_prepare(self.head, taken(lessons, index)))
                 count = min(_AT_ONCE, number - first)
                 parts.append(jax.tree.map(lambda leaf, n=count: leaf[:n], made))
                 progress.update(count)
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
     def _started(self, fit: Fit) -> FitState:
-        state = fit.start()
+        state: FitState = _start(fit)
         last = self.folder / "last"
         return checkpoint.read_state(last, state) if checkpoint.has_state(last) else state
 
@@ -113,8 +118,6 @@ class PlacerTraining:
     def _learn(
         self, fit: Fit, state: FitState, lessons: Any, held_out: Any, interrupt: Interrupt
     ) -> FitState:
-        step: Any = jax.jit(fit.step)
-        loss: Any = jax.jit(fit.loss)
         batches, first = fit.num_steps // self.config.num_epochs, int(state.step)
         log = MetricsLog(self.folder / "metrics.csv", first // batches)
         seen: list[dict[str, Array]] = []
@@ -125,10 +128,10 @@ class PlacerTraining:
                 if interrupt.is_asked:
                     break
                 index = self._batch(number, num_lessons(lessons), batches)
-                state, parts = step(state, taken(lessons, index))
+                state, parts = _step(fit, state, taken(lessons, index))
                 seen.append(parts)
                 if (number + 1) % batches == 0:
-                    state, note = self._end_epoch(state, loss, held_out, seen, log, number // batches)
+                    state, note = self._end_epoch(fit, state, held_out, seen, log, number // batches)
                     seen = []
                 progress.update(note=note)
                 if time.monotonic() - saved > _SAVE_EVERY:
@@ -138,8 +141,8 @@ class PlacerTraining:
 
     def _end_epoch(
         self,
+        fit: Fit,
         state: FitState,
-        loss: Any,
         held_out: Any,
         seen: list[dict[str, Array]],
         log: MetricsLog,
@@ -149,7 +152,7 @@ class PlacerTraining:
         row = {name: float(np.mean([float(each[name]) for each in seen])) for name in seen[0]}
         parts = list(_batches_of(held_out, self.config.batch_size))
         weights = [num_lessons(part) for part in parts]
-        found = float(np.average([float(loss(state.params, part)) for part in parts], weights=weights))
+        found = float(np.average([float(_loss(fit, state.params, part)) for part in parts], weights=weights))
         log.add({"update": epoch, **row, "val_loss": found})
         if found < float(state.best_loss):
             best = jax.tree.map(jnp.array, state.params)
