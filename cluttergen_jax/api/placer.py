@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cluttergen_jax.config import Method, SensedFrom, Split, check_workers
 from cluttergen_jax.errors import ConfigError
@@ -79,15 +79,15 @@ def placer_data(
         "support": support,
         "num_objects": num_objects,
     }
-    given = {name: value for name, value in asked.items() if value is not None}
+    given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     if bank is None:
         name = split or "train"
         settings = {"pool": "household", "num_scenes": 500, **given, "seed": SPLITS[name] + seed}
         place = Path(out) / f"bank-{name}"
-        found: Bank = generate(place, render=False, max_files=0, num_threads=num_threads, **settings)  # type: ignore[arg-type]
+        found: Bank = generate(place, render=False, max_files=0, num_threads=num_threads, **settings)
     elif given:
-        name = next(iter(given))
-        raise ConfigError(f"`{name}` together with `bank`", "one or the other", f"leaving out `{name}`")
+        first = next(iter(given))
+        raise ConfigError(f"`{first}` together with `bank`", "one or the other", f"leaving out `{first}`")
     else:
         found = read_bank(bank)
     of_split = split_of(found, split)

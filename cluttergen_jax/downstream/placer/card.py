@@ -62,7 +62,7 @@ def card_text(pairs: PairSet) -> str:
         f"[{', '.join(files)}]",
     )
     columns = markdown_table(
-        ("column", "type", "meaning"), [(f.name, f"`{f.type}`", _COLUMNS[f.name]) for f in SCHEMA]
+        ("column", "type", "meaning"), [(f"`{f.name}`", f"`{f.type}`", _COLUMNS[f.name]) for f in SCHEMA]
     )
     sections = [
         head,

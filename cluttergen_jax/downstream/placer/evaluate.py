@@ -205,7 +205,7 @@ def tables_of(rows: Sequence[Row]) -> list[Table]:
         "other",
     )
     notes = [
-        "stands: the first proposal comes to rest as docs/contract.md asks, and then the scene stands as a whole",
+        "stands: the first proposal comes to rest as docs/contract.md asks, and then the whole scene stands",
         "z error: median distance of the proposed height from that of a release on the true map",
         "full state: a method that sees the scene itself, five attempts; it is no placer",
     ]

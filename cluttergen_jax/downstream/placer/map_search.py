@@ -85,12 +85,14 @@ def best_apart(cost: Array, xy: Array, number: int, distance: float = APART) -> 
       cost: f32[N]; xy: f32[N, 2], metres; number: N at most.
     """
 
+    place = jnp.asarray(xy)
+
     def step(taken: Array, _: None) -> tuple[Array, Array]:
         index = jnp.argmin(taken)
-        near = jnp.linalg.norm(xy - xy[index], axis=1) < distance
+        near = jnp.linalg.norm(place - place[index], axis=1) < distance
         return jnp.where(near, taken + _TAKEN, taken).at[index].set(jnp.inf), index
 
-    return jax.lax.scan(step, cost, None, number)[1]
+    return jax.lax.scan(step, jnp.asarray(cost), None, number)[1]
 
 
 def _scores(
