@@ -15,7 +15,7 @@ from cluttergen_jax.downstream.placer.features import (
     features_of,
     own_shape,
 )
-from cluttergen_jax.downstream.placer.fitting import Fit, FitConfig, best_temperature
+from cluttergen_jax.downstream.placer.fitting import FitConfig, best_temperature
 from cluttergen_jax.downstream.placer.lessons import joined_lessons, num_lessons, taken
 from cluttergen_jax.downstream.placer.map_search import APART
 from cluttergen_jax.downstream.placer.mixture import MixtureConfig, MixtureHead
@@ -28,11 +28,12 @@ from cluttergen_jax.downstream.placer.regression import (
     RegressionLesson,
 )
 from cluttergen_jax.downstream.placer.scored import ScoredConfig, ScoredHead, lowered
-from cluttergen_jax.downstream.placer.trained import head_of, load_placer
+from cluttergen_jax.downstream.placer.trained import head_of, load_placer, placer_folder
 from cluttergen_jax.downstream.placer.training import PlacerTraining
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.policies.embedded import list_policies
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
+from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.search import CLEARANCE
 from tests.helpers.queries import HALF, TALL, made_up_lessons, made_up_query, stacked
@@ -172,22 +173,6 @@ def _wider(heights):
 
 
 @pytest.mark.parametrize("name", HEADS)
-def test_gradient_steps_lower_the_loss(name, lessons):
-    head = HEADS[name]
-    fit = Fit(head, FitConfig(learning_rate=1e-2), 12)
-    prepared = jax.jit(jax.vmap(head.prepare))(lessons)
-    state = jax.jit(fit.start)()
-    step = jax.jit(fit.step)
-    losses = []
-    for _ in range(12):
-        state, parts = step(state, prepared)
-        losses.append(float(parts["loss"]))
-    assert int(state.step) == 12
-    # Each step's pairs are the same; what is drawn at each is small beside what is learned.
-    assert losses[-1] < losses[0] - 1e-3
-
-
-@pytest.mark.parametrize("name", HEADS)
 def test_placers_propose_under_jit_and_vmap(name, lessons):
     head = HEADS[name]
     found = proposed(head.placer(jax.jit(head.init)(jax.random.key(1)), 1.5), lessons)
@@ -278,15 +263,41 @@ class Taught:
         return made_up_lessons(4) if split == "val" else made_up_lessons(8)
 
 
-CONFIG = FitConfig(num_epochs=3, batch_size=4)
+CONFIG = FitConfig(num_epochs=4, batch_size=4, learning_rate=1e-2)
 
 
 def run(folder, head="mixture", config=CONFIG):
     return PlacerTraining(HEADS[head], config, Taught(), folder, lambda line: None)
 
 
-def test_a_run_that_was_stopped_ends_as_one_that_was_not(tmp_path, monkeypatch):
-    whole = run(tmp_path / "whole").run()
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """A short run of each head."""
+    return {name: run(tmp_path_factory.mktemp(name), name).run() for name in HEADS}
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_gradient_steps_lower_the_loss(name, runs):
+    rows = read_rows(runs[name].parent / "metrics.csv")
+    assert [row["update"] for row in rows] == [0, 1, 2, 3]
+    assert rows[-1]["loss"] < rows[0]["loss"] - 1e-3
+    record = json.loads((runs[name] / "record.json").read_text())
+    assert (record["kind"], record["head"]) == ("placer", name)
+    assert record["validation"]["loss"] == pytest.approx(min(row["val_loss"] for row in rows), rel=1e-5)
+
+
+def test_a_run_leaves_a_placer_that_tells_chances(runs):
+    record = json.loads((runs["scored"] / "record.json").read_text())
+    assert record["validation"]["calibration"]["number"] == 4 * 6
+    assert (runs["scored"] / "calibration.png").stat().st_size > 1000
+    # A run's folder will do as well as that of its placer.
+    placer = load_placer(placer_folder(runs["scored"].parent))
+    assert placer.config == HEADS["scored"].config
+    assert float(placer.temperature) == pytest.approx(record["temperature"])
+
+
+def test_a_run_that_was_stopped_ends_as_one_that_was_not(runs, tmp_path, monkeypatch):
+    whole = runs["mixture"]
     stopped = run(tmp_path / "stopped")
     batch = PlacerTraining._batch
 
@@ -309,22 +320,11 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(tmp_path, monkeypatch):
     for name in weights[0].files:
         np.testing.assert_array_equal(weights[0][name], weights[1][name])
     rows = [(folder.parent / "metrics.csv").read_text().splitlines() for folder in (whole, again)]
-    assert len(rows[0]) == len(rows[1]) == 4
+    assert len(rows[0]) == len(rows[1]) == 5
     with pytest.raises(ConfigError, match="another fit"):
-        run(tmp_path / "stopped", config=FitConfig(num_epochs=4, batch_size=4))
+        run(tmp_path / "stopped", config=dataclasses.replace(CONFIG, num_epochs=5))
     with pytest.raises(ConfigError, match=r"8 pairs in batches of 9"):
         run(tmp_path / "large", config=FitConfig(num_epochs=1, batch_size=9)).run()
-
-
-def test_a_run_leaves_a_placer_that_tells_chances(tmp_path, lessons):
-    folder = run(tmp_path, "scored").run()
-    record = json.loads((folder / "record.json").read_text())
-    assert (record["kind"], record["head"]) == ("placer", "scored")
-    assert record["validation"]["calibration"]["number"] == 4 * 6
-    assert (folder / "calibration.png").stat().st_size > 1000
-    placer = load_placer(folder)
-    assert placer.config == HEADS["scored"].config
-    assert float(placer.temperature) == pytest.approx(record["temperature"])
 
 
 @pytest.mark.parametrize("name", HEADS)
