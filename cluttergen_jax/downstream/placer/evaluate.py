@@ -175,7 +175,7 @@ def compare_placers(
         # Before an hour of work.
         find_placer(placer)
     total = len(placers) * len(noises) * trials.num_pairs
-    with Progress("judging", total, "query") as progress:
+    with Progress("placing", total, "proposal") as progress:
         rows = [trials.row(placer, noise, progress.update) for noise in noises for placer in placers]
     found = PlacerComparison(rows, tables_of(rows))
     if folder is not None:
