@@ -26,15 +26,17 @@ class Lesson(struct.PyTreeNode):
 
 
 class Head(Protocol):
-    """A network, what it learns from a pair, and the placer that acts by it; a frozen value.
+    """A network, what it learns from a pair, and the placer that acts by it; a frozen value."""
 
-    Attributes:
-      kind: its name in records and on the command line.
-      config: sizes of the network, a frozen dataclass of JSON values.
-    """
+    @property
+    def kind(self) -> str:
+        """Its name in records and on the command line."""
+        ...
 
-    kind: str
-    config: Any
+    @property
+    def config(self) -> Any:
+        """Sizes of the network, a frozen dataclass of JSON values."""
+        ...
 
     def prepare(self, lesson: Lesson) -> Any:
         """What a gradient step reads of one pair, made once; a pytree, to be mapped."""

@@ -74,9 +74,8 @@ def cells_of(query: PlacementQuery, config: MixtureConfig) -> Candidates:
     """The middles of all cells and turns, in the order of the mixture's components."""
     place = (np.arange(config.num_cells) + 0.5) / config.num_cells * 2 - 1
     turn = (np.arange(config.num_turns) + 0.5) / config.num_turns * 2 * np.pi
-    grid = np.stack(np.meshgrid(place, place, turn, indexing="ij"), axis=-1).reshape(-1, 3)
-    grid = jnp.asarray(grid, jnp.float32)
-    return Candidates(grid[:, :2] * query.region_half_extents, grid[:, 2])
+    grid = np.stack(np.meshgrid(place, place, turn, indexing="ij"), axis=-1, dtype=np.float32).reshape(-1, 3)
+    return Candidates(grid[:, :2] * query.region_half_extents, jnp.asarray(grid[:, 2]))
 
 
 def cell_features(query: PlacementQuery, config: MixtureConfig) -> Array:

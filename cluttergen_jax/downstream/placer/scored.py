@@ -36,6 +36,7 @@ _AUXILIARY = 0.3
 _NUM_COARSE = 24
 _GAP_SCALE = 0.01
 _DOUBT_COST = 0.5
+_LIFTED = 0.005
 _STEP, _TURN = 0.01, 0.2
 _INSIDE = 0.002
 
@@ -153,16 +154,22 @@ class ScoredLesson(struct.PyTreeNode):
     """What the network learns from one pair of L labelled poses.
 
     Attributes:
-      heights, ceilings: the maps; shape: of the object.
+      heights, ceilings: the maps; shape: of the object; half_height: f32, its own, metres.
       pose: f32[L, 4]; features: f32[L, NUM_FEATURES]; verdict: u8[L].
     """
 
     heights: HeightMap
     ceilings: HeightMap
     shape: OwnShape
+    half_height: Array
     pose: Array
     features: Array
     verdict: Array
+
+    @property
+    def is_on(self) -> Array:
+        """bool[L], where it would be let go above other objects."""
+        return self.pose[..., 2] > self.half_height[..., None] + _LIFTED
 
 
 @dataclass(frozen=True)
@@ -179,6 +186,7 @@ class ScoredHead:
             heights=query.heights,
             ceilings=query.ceilings,
             shape=own_shape(query),
+            half_height=query.half_extents[2],
             pose=lesson.candidate,
             features=features_of(query, lesson.candidate),
             verdict=lesson.verdict,

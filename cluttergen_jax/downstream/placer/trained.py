@@ -49,7 +49,7 @@ def head_of(record: Mapping[str, Any], path: Path, wanted: str | None = None) ->
     if record.get("kind") != KIND:
         kind = record.get("kind", "pose")
         raise PoolError(f"{path} holds a network of kind {kind!r}, and no placer", hint=_HINT)
-    name = record.get("head")
+    name = str(record.get("head"))
     if name not in HEADS or wanted not in (None, name):
         raise PoolError(f"{path} holds a placer with the head {name!r}", wanted or ", ".join(HEADS), _HINT)
     head, config = HEADS[name]

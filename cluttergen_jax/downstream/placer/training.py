@@ -194,7 +194,7 @@ class PlacerTraining:
         logits = np.concatenate(parts).ravel()
         stood = (held_out.verdict == int(Verdict.STABLE)).ravel()
         temperature = best_temperature(logits, stood)
-        return temperature, calibration(logits / temperature, stood, np.zeros(len(stood), bool))
+        return temperature, calibration(logits / temperature, stood, held_out.is_on.ravel())
 
 
 def _batches_of(lessons: Any, size: int) -> Iterator[Any]:
