@@ -131,6 +131,7 @@ def test_noise_is_drawn_by_the_seed_when_pairs_are_read(made, loaded):
     assert np.median(np.abs(noisy[0] - quiet.heights.height[:4])[is_top]) < 0.004
 
 
+@pytest.mark.slow
 def test_candidates_are_judged_as_the_bench_judges_proposals(made, loaded):
     labels = loaded[1]
     assert (labels.verdict == int(Verdict.STABLE)).mean() > 0.4

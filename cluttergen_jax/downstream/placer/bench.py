@@ -76,7 +76,7 @@ class Bench:
         """
         keys = jax.vmap(lambda pair: jax.random.fold_in(jax.random.key(seed), pair))(self.labels.pair)
         if not isinstance(placer, FullState):
-            return interruptible(_in_parts, _answers, placer, keys, queries)
+            return answers(placer, keys, queries)
         rules, propose = placer.in_world(self.problem)
         answer: Any = jax.jit(jax.vmap(partial(proposals_of, rules=rules), in_axes=(None, 0, 0)))
         return interruptible(_in_parts, answer, propose, keys, self._of(rules))
@@ -144,6 +144,11 @@ def _height_above(mapper: HeightMapper, rules: Rules, episode: Episode, pose: Ar
 
 _answers: Any = jax.jit(jax.vmap(lambda placer, key, query: placer(key, query), in_axes=(None, 0, 0)))
 """Placers are arguments: those of equal sizes share what is compiled."""
+
+
+def answers(placer: Placer, keys: Array, queries: PlacementQuery) -> Proposals:
+    """What a placer proposes for many queries, NumPy arrays; one key for each."""
+    return interruptible(_in_parts, _answers, placer, keys, queries)
 
 
 def _in_parts(answer: Any, placer: Any, keys: Array, asked: Any) -> Proposals:
