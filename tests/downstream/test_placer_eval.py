@@ -2,20 +2,26 @@
 
 import json
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import struct
 
 import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.placer import bench as bench_module
 from cluttergen_jax.downstream.placer import data, pairs
 from cluttergen_jax.downstream.placer.bench import Bench, Outcome
+from cluttergen_jax.downstream.placer.chain import Chains
 from cluttergen_jax.downstream.placer.figures import figures_of
 from cluttergen_jax.downstream.placer.pairs import SPLITS, load_queries
-from cluttergen_jax.downstream.placer.query import Proposals
+from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
+from cluttergen_jax.downstream.placer.proposers import GeometryPlacer
+from cluttergen_jax.downstream.placer.query import Proposals, without_scores
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.placement.search.search import CLEARANCE
+from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig
 from cluttergen_jax.proportions import wilson
+from cluttergen_jax.sensing.noise import NOISE_OFF
 from cluttergen_jax.types import Verdict
 from tests.helpers.placing import write_bank
 
@@ -115,6 +121,31 @@ def test_methods_that_see_the_scene_fill_the_table_and_say_so(made):
     assert "guided (full state)" in str(found)
 
 
+@pytest.mark.slow
+def test_a_chain_fills_a_table_by_what_the_camera_sees(tmp_path):
+    scenes = PartialScenes(write_bank(tmp_path / "bank", 2, SPLITS["test"]))
+    made = Chains(scenes, 5, "overhead", NOISE_OFF, seed=0)
+    found = made.run(GeometryPlacer("occupied", SearchConfig(64, 16, 8)))
+    assert made.num_chains == 2
+    assert found["success"]["share"] == 1
+    assert found["placed"] == 3
+    assert [each["standing"] for each in found["by_slot"]] == [0, 1, 2]
+    # Who lets everything go at one place gets no farther than the first object.
+    stubborn = made.run(OnePlace())
+    assert stubborn["success"]["share"] == 0
+    assert stubborn["placed"] == 1
+    assert stubborn["by_slot"][1] == {"standing": 1, "chains": 2, "share": 0.0}
+
+
+class OnePlace(struct.PyTreeNode):
+    """Proposes the middle of the table, five times."""
+
+    def __call__(self, key, query):
+        return without_scores(
+            jnp.tile(jnp.array([0.0, 0.0, 0.001, 0.0]).at[2].add(query.half_extents[2]), (5, 1))
+        )
+
+
 def test_what_cannot_be_compared_is_refused(made, tmp_path):
     with pytest.raises(ConfigError, match="placer 'nobody'"):
         cg.placer_eval(made.path, ("random", "nobody"))
@@ -124,6 +155,8 @@ def test_what_cannot_be_compared_is_refused(made, tmp_path):
         cg.placer_eval(made.path, split="val")
     with pytest.raises(ConfigError, match="a sequence of names"):
         cg.placer_eval(made.path, "geometry")
+    with pytest.raises(ConfigError, match="does not hold the bank behind 'test'"):
+        cg.placer_eval(made.path, ("random",), chains=2)
     with pytest.raises(BankError, match="holds no pairs"):
         cg.placer_eval(tmp_path)
 

@@ -50,6 +50,7 @@ def random_proposals(scenes, half_heights, number):
     return row, np.column_stack([xy, height, rng.uniform(0, 6.28, number)]).astype(np.float32)
 
 
+@pytest.mark.slow
 def test_verdicts_are_those_of_an_attempt_of_the_decision_process(scenes, judge, half_heights):
     episodes = scenes.episodes(scenes.places())
     row, pose = random_proposals(scenes, half_heights, 40)
