@@ -34,6 +34,7 @@ FUNCTIONS = (
     "certify",
     "placer_data",
     "placer_eval",
+    "placer_train",
 )
 # Options and defaults as `--help` told them before commands were made from functions.
 OPTIONS = json.loads((Path(__file__).parent / "options.json").read_text())
