@@ -181,7 +181,7 @@ class PlacerTraining:
         checkpoint.save_policy(folder, jax.device_get(state.best), record)
         if found is not None:
             self._show(f"validation {found}")
-            draw_calibration({"validation split": found}, folder / "calibration.png")
+            draw_calibration({"stands": found}, folder / "calibration.png", "poses of the validation split")
         return folder
 
     def _calibrated(self, params: Any, held_out: Any) -> tuple[float, Calibration | None]:
