@@ -20,6 +20,7 @@ from cluttergen_jax.downstream.placer.lessons import joined_lessons, num_lessons
 from cluttergen_jax.downstream.placer.map_search import APART
 from cluttergen_jax.downstream.placer.mixture import MixtureConfig, MixtureHead
 from cluttergen_jax.downstream.placer.presets import preset
+from cluttergen_jax.downstream.placer.proposers import find_placer
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
 from cluttergen_jax.downstream.placer.regression import (
     Clouds,
@@ -28,7 +29,7 @@ from cluttergen_jax.downstream.placer.regression import (
     RegressionLesson,
 )
 from cluttergen_jax.downstream.placer.scored import ScoredConfig, ScoredHead, lowered
-from cluttergen_jax.downstream.placer.trained import head_of, load_placer, placer_folder
+from cluttergen_jax.downstream.placer.trained import embedded_placers, head_of, load_placer, placer_folder
 from cluttergen_jax.downstream.placer.training import PlacerTraining
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.policies.embedded import list_policies
@@ -376,3 +377,18 @@ def test_presets_take_the_options_of_their_head_alone():
         preset("score", "cpu", "printed", None)
     with pytest.raises(ConfigError, match="num_epochs = 0"):
         preset("scored", "cpu", "printed", None, num_epochs=0)
+
+
+def test_the_placer_that_comes_with_the_package_is_small_and_proposes():
+    folder = placer_folder("scored")
+    assert folder == embedded_placers()["scored"]
+    assert sum(path.stat().st_size for path in folder.iterdir()) <= 600_000
+    query = made_up_query()
+    found = jax.jit(find_placer("scored"))(jax.random.key(0), query)
+    assert float(found.score.min()) > 0.9
+    # Beside the box, or in the middle of its top, which is as large as the object.
+    place = np.abs(np.asarray(found.pose)[:, :2] - np.array([0.05, 0.0])).max(1)
+    is_on = place < 0.02
+    assert (is_on | (place > 0.04)).all()
+    assert not is_on[0]
+    np.testing.assert_allclose(found.pose[:, 2], np.where(is_on, TALL, 0.0) + 0.04 + CLEARANCE, atol=1e-5)

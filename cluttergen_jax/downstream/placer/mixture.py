@@ -102,7 +102,7 @@ def cell_features(query: PlacementQuery, config: MixtureConfig) -> Array:
     return jnp.stack(columns, axis=1)
 
 
-class MixturePlacer(struct.PyTreeNode):
+class MixturePlacer(struct.PyTreeNode, eq=False):
     """Proposes the likeliest cells and turns, lowered onto what was seen.
 
     Attributes:

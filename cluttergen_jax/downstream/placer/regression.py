@@ -82,7 +82,7 @@ class RegressionNet(nn.Module):
         return net(cloud / jnp.maximum(radius, 1e-6), mask, centroids)
 
 
-class RegressionPlacer(struct.PyTreeNode):
+class RegressionPlacer(struct.PyTreeNode, eq=False):
     """Proposes the one pose that the network names, as often as proposals are asked for.
 
     Attributes:

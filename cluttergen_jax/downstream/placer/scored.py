@@ -87,7 +87,7 @@ class ScoreNet(nn.Module):
         return nn.Dense(3)(hidden)
 
 
-class ScoredPlacer(struct.PyTreeNode):
+class ScoredPlacer(struct.PyTreeNode, eq=False):
     """Proposes those candidates of a search that the network thinks most likely to stand.
 
     Attributes:
