@@ -5,7 +5,4 @@ scene: what a person may do. types: what they hold and are told. clock: the seco
 
 from cluttergen_jax.placement.hand.scene import HandError, HandScene
 
-__all__ = ["METHOD", "HandError", "HandScene"]
-
-METHOD = "hand"
-"""The method of scenes that people made, where banks name one."""
+__all__ = ["HandError", "HandScene"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -177,7 +178,7 @@ class HandScene:
         self.clock.touch()
         half = self.setup.problem.region.half_extents
         x, y = (float(np.clip(value, -side, side)) for value, side in zip((x, y), half, strict=True))
-        self.held = Held(x, y, float(self._rules.height_range(self._episode)), float(yaw % (2 * np.pi)))
+        self.held = Held(x, y, float(self._rules.height_range(self._episode)), math.remainder(yaw, math.tau))
 
     def hold_at(self, position: np.ndarray, wxyz: np.ndarray) -> None:
         """`hold` at a world pose; its height and whatever leans do not count."""

@@ -149,6 +149,16 @@ class BankWriter:
         ):
             self._loose -= set(blocks)
 
+    def extend(self, num_scenes: int) -> None:
+        """The bank is asked for at least so many scenes from now on.
+
+        Raises:
+          BankError: it cannot be written.
+        """
+        self._num_scenes = max(self._num_scenes, num_scenes)
+        with writing(self.path):
+            self._write_index()
+
     def keep_digests(self, files: dict[str, str]) -> None:
         """Enters the digests of scene files, by path within the bank, into `bank.json`.
 
