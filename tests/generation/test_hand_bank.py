@@ -47,10 +47,12 @@ def fill(bank, y=0.0):
 
 
 def give_up(bank):
-    """A scene of one object, after a drop from high up."""
+    """A scene of one object; the next was let go high up."""
     scene = bank.begin()
     scene.lower()
     scene.drop()
+    scene.hold(0.15, 0.1, 0.0)
+    scene.held = replace(scene.held, z=0.5)
     scene.drop()
     return scene
 

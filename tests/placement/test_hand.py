@@ -172,7 +172,7 @@ def test_lowering_touches_what_is_there(setup):
     # Moved again it is held high, so that it is not dragged through others.
     scene.hold(0.1, 0.1, 0.0)
     assert not scene.held.is_lowered
-    assert scene.held.z > 0.15
+    assert scene.held.z > 2 * HALF_HEIGHT[PRISM] + HALF_HEIGHT[BOX]
 
 
 def test_nothing_is_let_go_higher_than_an_action_reaches(setup):

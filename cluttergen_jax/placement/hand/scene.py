@@ -30,6 +30,9 @@ from cluttergen_jax.types import Array, Settling, Verdict
 
 
 
+_CLEAR = 0.03
+
+
 class HandError(ClutterGenError):
     """What a person asked for cannot be done now."""
 
@@ -168,7 +171,7 @@ class HandScene:
         self.hold(self.held.x, self.held.y, self.held.yaw)
 
     def hold(self, x: float, y: float, yaw: float) -> None:
-        """Holds the current object as high as it may be let go; within the region, wherever it is asked for.
+        """Holds the current object above all that stands; within the region, wherever it is asked for.
 
         Args:
           x, y: metres, region frame; yaw: radians, from the region's x.
@@ -178,7 +181,7 @@ class HandScene:
         self.clock.touch()
         half = self.setup.problem.region.half_extents
         x, y = (float(np.clip(value, -side, side)) for value, side in zip((x, y), half, strict=True))
-        self.held = Held(x, y, float(self._rules.height_range(self._episode)), math.remainder(yaw, math.tau))
+        self.held = Held(x, y, self._clear_height(), math.remainder(yaw, math.tau))
 
     def hold_at(self, position: np.ndarray, wxyz: np.ndarray) -> None:
         """`hold` at a world pose; its height and whatever leans do not count."""
@@ -303,6 +306,13 @@ class HandScene:
         self.clock.touch()
         if not self.left:
             raise HandError("every object is placed", hint="saving the scene, or taking an object back")
+
+    def _clear_height(self) -> float:
+        """Metres: where the current object is clear of all others, as far as it may be let go there."""
+        top, tall = self.setup.problem.world.support.top, np.asarray(self._rules.geometry.half_extents)[:, 2]
+        highest = np.max((self.poses[:, 2] - top + tall)[self.is_placed], initial=0.0)
+        own = 0.0 if self.current is None else tall[self.current]
+        return min(float(highest + own + _CLEAR), float(self._rules.height_range(self._episode)))
 
     def _half_height(self) -> float:
         return float(self._rules.geometry.half_extents[self.left[0], 2])
