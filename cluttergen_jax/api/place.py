@@ -36,7 +36,7 @@ def place_by_hand(
     browser: bool = True,
     show: Callable[[str], None] = print,
 ) -> GeneratedBank:
-    """Lets a person place objects in a browser until Ctrl-C, and keeps the scenes (`cluttergen view --place`).
+    """Has a person place objects in a browser until Ctrl-C, and keeps the scenes (`cluttergen view --place`).
 
     Each object is dragged and turned, lowered to first contact and let go; the attempt is judged by the rules
     that methods obey, as often as the person likes. A scene is kept as soon as it is saved or given up, in a

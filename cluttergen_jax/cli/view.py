@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-
 from typing import Annotated
 
 from tyro.conf import Positional, arg
@@ -20,7 +19,10 @@ from cluttergen_jax.cli.options import Options, options_from
     source=Positional[str | None],  # type: ignore[misc]
     region=str | None,
     keep_out=tuple[str, ...],
-    place=Annotated[bool, arg(help="place objects by hand, and keep the scenes as a bank.")],
+    place=Annotated[
+        bool,
+        arg(help="place objects by hand (by default of dining, on the paper's table), and keep the scenes."),
+    ],
 )
 class View(Options):
     """Look at scenes in a browser: objects, hulls, clouds, attempts, and new scenes when asked for.

@@ -36,7 +36,7 @@ _LOST = "a copy of that file: what was made by hand cannot be made again"
 
 
 class HandBank:
-    """A bank in which a person's scenes are kept one by one, successes and failures, with the seconds they took.
+    """A bank in which a person's scenes are kept one by one, failures included, with the seconds they took.
 
     A context manager: it holds the bank's lock until it is closed. Scene i is drawn with the key
     fold_in(key(seed), i), as by any method; a bank that is continued goes on with the next.
@@ -117,7 +117,7 @@ class HandBank:
         self._row(scratch)
 
     def keep(self, scene: HandScene) -> None:
-        """Stores a scene that `begin` gave, whatever became of it, and closes it; all on disk when it returns.
+        """Stores a scene that `begin` gave, whatever became of it, and closes it; all is on disk then.
 
         Raises:
           BankError: it cannot be written; it may be kept later.

@@ -1,6 +1,9 @@
 """Banks of scenes made by hand: any bank's readers read them, and they grow scene by scene."""
 
 import shutil
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 
 import jax
@@ -9,6 +12,7 @@ import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation import hand
 from cluttergen_jax.generation.hand import HandBank, hand_setup
@@ -257,3 +261,44 @@ def test_the_problem_is_the_one_asked_for():
     )
     np.testing.assert_allclose(setup.keep_out.center, [[0.1, 0.0]])
     assert hand_setup(given | {"min_margin": 0.0}).problem.config.placement.min_margin == 0
+
+
+def test_options_of_the_two_uses_of_view_are_kept_apart(tmp_path, capsys):
+    assert main(["view", "--region", "0.2x0.2"]) == 2
+    assert "--region without --place" in capsys.readouterr().err
+    assert main(["view", "--place", "--method", "drop"]) == 2
+    assert "--method with --place" in capsys.readouterr().err
+    assert (
+        main(["view", "--place", "--pool", "no_such_pool", "--port", "0", "--out", str(tmp_path / "x")]) == 2
+    )
+    assert "no_such_pool" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_a_good_bank_that_the_same_command_continues(tmp_path):
+    options = ["--objects", "mug", "bowl", "--num-objects", "1", "--support", "table-0.40x0.40"]
+    command = [
+        sys.executable,
+        "-m",
+        "cluttergen_jax",
+        "view",
+        "--place",
+        *options,
+        "--port",
+        "0",
+        "--no-browser",
+    ]
+    for _ in range(2):
+        with subprocess.Popen(
+            [*command, "--out", str(tmp_path / "bank")], stdout=subprocess.PIPE, text=True
+        ) as run:
+            lines = []
+            while not lines or not lines[-1].startswith("viewer"):
+                lines.append(run.stdout.readline())
+                assert lines[-1], lines
+            assert "which holds 0 scenes" in "".join(lines)
+            run.send_signal(signal.SIGINT)
+            rest = run.stdout.read()
+            assert run.wait(60) == 0
+        assert "scenes     none was kept" in rest

@@ -197,7 +197,7 @@ def test_what_is_held_stays_within_the_region(setup):
     assert pose[2] == pytest.approx(TOP + held.z)
     # The handle of the page gives the pose back.
     scene.hold(0.0, 0.0, 0.0)
-    scene.hold_at(pose[:3] + [0, 0, 0.3], pose[3:])
+    scene.hold_at(pose[:3], pose[3:])
     assert (scene.held.x, scene.held.y) == pytest.approx((0.2, -0.1))
     assert np.cos(scene.held.yaw - 4.0) == pytest.approx(1.0)
 

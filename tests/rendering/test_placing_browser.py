@@ -41,7 +41,9 @@ class PlacingPage(Page):
         """Drags the object by its square, and waits until it is there."""
         start, grip = np.array(self.panel.handle.position), self.on_handle(SQUARE, SQUARE)
         self.drag(self.client, grip, grip + by)
-        self.until(lambda: np.linalg.norm(self.panel.scene.held_pose[:2] - start[:2]) > 0.5 * np.linalg.norm(by))
+        self.until(
+            lambda: np.linalg.norm(self.panel.scene.held_pose[:2] - start[:2]) > 0.5 * np.linalg.norm(by)
+        )
         return self.panel.scene.held_pose[:2] - start[:2]
 
 

@@ -13,6 +13,7 @@ from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rollout.record import Recorder
 from tests.helpers.browser import PATIENCE, Page, browsers
 
+
 class Scenes:
     """Three scenes of three objects on a small table, some attempts failing, made when they are asked for."""
 

@@ -89,7 +89,8 @@ def replay(bank: Bank, context: ReplayContext, index: int, stored: Replay, num_p
     """Scene number `index` of a bank with its attempts, made once more; see `Recorder.record`.
 
     Raises:
-      BankError: a person made it; or made again it ends elsewhere: other versions, another machine, changed assets.
+      BankError: a person made it; or made again it ends elsewhere: other versions, another machine, changed
+        assets.
     """
     recipe = bank.record["recipe"]
     if recipe["method"] == HAND:

@@ -1,4 +1,4 @@
-"""One scene as a person fills it: the current object, where it is held, what stands, and what may be done next."""
+"""One scene as a person fills it: the current object, where it is held, what stands and what can be done."""
 
 from __future__ import annotations
 
@@ -27,8 +27,6 @@ from cluttergen_jax.placement.search.search import CLEARANCE, under_side
 from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.placement.types import Bearing, Episode
 from cluttergen_jax.types import Array, Settling, Verdict
-
-
 
 _CLEAR = 0.03
 
@@ -288,8 +286,8 @@ class HandScene:
     def result(self) -> SceneBatch:
         """The scene as banks store it, NumPy arrays without leading axes.
 
-        A success is what `check` found to stand. The verdict of any other scene is that of its latest failure,
-        NONE where nothing failed.
+        A success is what `check` found to stand. The verdict of any other scene is that of its latest
+        failure, NONE where nothing failed.
         """
         scene = jax.device_get(scene_of(self._episode))
         verdict = Verdict.STABLE if scene.is_success else self._failure

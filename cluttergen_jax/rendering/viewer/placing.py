@@ -14,7 +14,6 @@ from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.placement.hand import HandScene
 from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.rendering.viewer.scene_nodes import (
-    RED,
     FailedAttempt,
     ObjectNodes,
     SceneNodes,
@@ -123,12 +122,13 @@ class PlacingPanel:
             return "nothing was tried in this scene yet"
         with self.server.gui.add_modal(f"Give up scene {self.scene.number}?") as modal:
             self.server.gui.add_markdown(
-                "It is not saved. Given up, it is kept in the bank as one that failed, unless all its objects "
-                "are placed and stand together."
+                "It is not saved. Given up, it is kept in the bank as one that failed, unless all its "
+                "objects are placed and stand together."
             )
             for label, act in (("Give up", self.give_up), ("Go on with it", lambda: "")):
                 button = self.server.gui.add_button(label)
-                button.on_click(self._ordered(lambda act=act: (modal.close(), act())[1]))
+                button.on_click(lambda _: modal.close())
+                button.on_click(self._ordered(act))
         return ""
 
     def give_up(self) -> str:

@@ -206,7 +206,7 @@ class SceneNodes:
 
 
 class ObjectNodes:
-    """One object: a frame called `root`, its surfaces, its hulls, whose colours `index` varies, and its cloud."""
+    """One object: a frame called `root`, its surfaces, its hulls in colours by `index`, and its cloud."""
 
     def __init__(self, server: viser.ViserServer, root: str, asset: ObjectAsset, index: int = 0) -> None:
         self.frame = server.scene.add_frame(root, show_axes=False)
@@ -314,7 +314,7 @@ def outline(rectangle: Rectangle, height: float) -> np.ndarray:
 
 
 def aim(camera: Any, region: Rectangle, top: float) -> None:
-    """Puts a browser's camera, or where cameras begin, so that the whole region on a top at `top` m is seen."""
+    """Puts a browser's camera, or where cameras begin, so that the whole region at `top` metres is seen."""
     reach = 1.25 * float(np.hypot(*region.half_extents)) + 0.25
     target = np.array([*region.center, top + 0.05])
     camera.fov = float(np.radians(42))

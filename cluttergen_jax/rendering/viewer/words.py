@@ -97,7 +97,9 @@ def drop_words(scene: HandScene, drop: Drop) -> str:
 def check_words(scene: HandScene, check: Check) -> str:
     """What came of the last check."""
     if check.verdict == Verdict.STABLE:
-        return f"all {len(scene.all)} objects stand together (none moved more than {small_length(check.drift)})"
+        return (
+            f"all {len(scene.all)} objects stand together (none moved more than {small_length(check.drift)})"
+        )
     name, moved = _name(scene, check.mover), small_length(check.drift)
     return (
         f"**not saved: {check.verdict.label}**: {check.verdict.sentence} ({name}: by {moved}). Take objects "

@@ -60,7 +60,9 @@ class Bank:
           BankError: there are none, or a block is damaged; the message names its file.
         """
         rows = list(self.tables())
-        names = [name for name in schema_of(rows[0]).names if all(name in schema_of(each).names for each in rows)]
+        names = [
+            name for name in schema_of(rows[0]).names if all(name in schema_of(each).names for each in rows)
+        ]
         return pa.concat_tables([each.select(names).replace_schema_metadata(None) for each in rows])
 
     def tables(self, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:

@@ -301,9 +301,8 @@ def stats_text(bank: Bank, stats: BankStats) -> str:
         facts = stats.certificate.lines()
         lines += [f"{'' if place else 'certified':11}{fact}" for place, fact in enumerate(facts)]
     if stats.hand_median is not None and stats.hand_total is not None:
-        lines.append(
-            f"by hand    {stats.hand_median:.0f} s a scene in the median, {time_text(stats.hand_total)} in all"
-        )
+        median, total = time_text(stats.hand_median), time_text(stats.hand_total)
+        lines.append(f"by hand    {median} a scene in the median, {total} in all")
     runs = ", ".join(f"{first} to {last}" if first < last else f"{first}" for first, last in stats.missing)
     lines.append(f"missing    {runs or 'nothing'} of the {stats.asked} scenes asked for")
     lines.append(f"duplicates {_duplicates_text(stats)}")

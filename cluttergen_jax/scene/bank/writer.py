@@ -91,6 +91,8 @@ class BankWriter:
             self.close()
             raise
 
+    _num_scenes: int
+
     def __enter__(self) -> BankWriter:
         return self
 
