@@ -1,6 +1,5 @@
 """The panel for placing by hand on a real server: what its buttons do, say and allow."""
 
-import time
 from dataclasses import replace
 
 import jax
@@ -63,13 +62,6 @@ def panel(scenes):
     server.stop()
 
 
-def until(condition):
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
 def press(panel, act):
     """What the panel says once it has done something in its own thread."""
     panel._worker.submit(panel._do, act).result(PATIENCE)
@@ -78,7 +70,7 @@ def press(panel, act):
 
 def hold(panel, x):
     pose = panel.scene.held_pose
-    press(panel, lambda: panel._moved(np.array([x, 0.0, pose[2]]), pose[3:]))
+    panel._worker.submit(panel._move, np.array([x, 0.0, pose[2]]), pose[3:]).result(PATIENCE)
 
 
 def test_only_what_can_be_done_is_offered(panel):
@@ -130,6 +122,9 @@ def test_a_failure_is_told_drawn_and_cleared_away(panel):
     name = panel.scene.names[panel.scene.current]
     assert said.startswith(f"**{name}: unsettled**: did not come to rest in time")
     assert panel._failed is not None
+    # Why it failed is still to be seen while the object is moved.
+    hold(panel, -0.05)
+    assert (panel._failed is not None, panel._said.content) == (True, said)
     np.testing.assert_array_equal(panel.scene.poses, stood)
     press(panel, panel.skip)
     assert panel._failed is None
@@ -155,15 +150,19 @@ def test_a_scene_is_given_up_only_when_that_is_confirmed(panel):
     press(panel, panel.drop)
     press(panel, panel.new)
     assert (panel.scene.number, panel.scenes.kept) == (0, [])
-    assert "scene 0 was kept as one that failed" in press(panel, panel.give_up)
+    given_up = panel.scene
+    assert "scene 0 was kept as one that failed" in press(panel, lambda: panel.give_up(given_up))
     assert panel.scene.number == 1
+    # Asked twice, it is given up once, and the next scene goes on.
+    press(panel, lambda: panel.give_up(given_up))
+    assert (panel.scene.number, len(panel.scenes.kept)) == (1, 1)
     (kept,) = panel.scenes.kept
     assert (bool(kept.is_success), kept.is_placed.tolist()) == (False, [True, False])
     # What stands is no failure, whatever it is called.
     for x in (0.1, 0.2):
         hold(panel, x)
         press(panel, panel.drop)
-    assert "scene 1 stands, and was saved" in press(panel, panel.give_up)
+    assert "scene 1 stands, and was saved" in press(panel, lambda: panel.give_up(panel.scene))
 
 
 def test_undo_brings_the_object_back_into_the_hand(panel):

@@ -89,12 +89,13 @@ def _serve(
 ) -> None:
     """Says where the server is, opens a browser if wanted, and returns at Ctrl-C."""
     url = f"http://{'localhost' if host == '0.0.0.0' else host}:{server.get_port()}"
-    show(f"viewer     {url} (Ctrl-C ends it)")
-    if notice:
-        show(f"first      {notice}")
-    if browser:
-        webbrowser.open(url)
+    # As soon as the address is known, Ctrl-C may come.
     with suppress(KeyboardInterrupt):
+        show(f"viewer     {url} (Ctrl-C ends it)")
+        if notice:
+            show(f"first      {notice}")
+        if browser:
+            webbrowser.open(url)
         threading.Event().wait()
     show("\nviewer     ended")
 

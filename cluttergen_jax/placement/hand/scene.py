@@ -140,6 +140,11 @@ class HandScene:
 
     # What a person does.
 
+    def touch(self) -> None:
+        """There was an input, of whatever kind: the clock runs on."""
+        if not self.is_closed:
+            self.clock.touch()
+
     def choose(self, object_index: int) -> None:
         """Makes another of the objects left the current one.
 
@@ -174,9 +179,7 @@ class HandScene:
         Args:
           x, y: metres, region frame; yaw: radians, from the region's x.
         """
-        if self.is_closed:
-            return
-        self.clock.touch()
+        self.touch()
         half = self.setup.problem.region.half_extents
         x, y = (float(np.clip(value, -side, side)) for value, side in zip((x, y), half, strict=True))
         self.held = Held(x, y, self._clear_height(), math.remainder(yaw, math.tau))
@@ -268,7 +271,7 @@ class HandScene:
                 "a scene whose every object stands",
                 "placing them, or giving the scene up",
             )
-        self.clock.touch()
+        self.touch()
         episode = self._episode
         standing = self._rules.physics.stand(episode.poses, episode.is_placed, jnp.bool_(True))
         self._episode = _conclude(self._rules, episode, standing).replace(is_over=jnp.bool_(False))
@@ -301,7 +304,7 @@ class HandScene:
 
     def _check_current(self) -> None:
         self._check_open()
-        self.clock.touch()
+        self.touch()
         if not self.left:
             raise HandError("every object is placed", hint="saving the scene, or taking an object back")
 

@@ -125,14 +125,17 @@ class PlacingPanel:
                 "It is not saved. Given up, it is kept in the bank as one that failed, unless all its "
                 "objects are placed and stand together."
             )
-            for label, act in (("Give up", self.give_up), ("Go on with it", lambda: "")):
+            scene = self.scene
+            for label, act in (("Give up", lambda: self.give_up(scene)), ("Go on with it", lambda: "")):
                 button = self.server.gui.add_button(label)
                 button.on_click(lambda _: modal.close())
                 button.on_click(self._ordered(act))
         return ""
 
-    def give_up(self) -> str:
-        """Keeps the scene as it is, and begins the next."""
+    def give_up(self, scene: HandScene) -> str:
+        """Keeps the scene as it is, and begins the next; a scene that is over stays what it is."""
+        if scene is not self.scene or scene.is_closed:
+            return ""
         if not self.scene.left:
             self.scene.check()
         self.scenes.keep(self.scene)
@@ -266,14 +269,15 @@ class PlacingPanel:
         self.handle.on_update(self._on_drag)
 
     async def _on_drag(self, event: Any) -> None:
-        self.scene.clock.touch()
+        self.scene.touch()
         if event.phase == "end" and not self._closed.is_set():
             position, wxyz = np.array(event.target.position), np.array(event.target.wxyz)
-            self._worker.submit(self._do, lambda: self._moved(position, wxyz))
+            self._worker.submit(self._move, position, wxyz)
 
-    def _moved(self, position: np.ndarray, wxyz: np.ndarray) -> str:
+    def _move(self, position: np.ndarray, wxyz: np.ndarray) -> None:
+        """In the worker's thread: the object is held elsewhere; why it failed before is still to be seen."""
         self.scene.hold_at(position, wxyz)
-        return ""
+        self._show(self._said.content)
 
     def _enter(self, client: viser.ClientHandle) -> None:
         seen = np.zeros(7)
@@ -282,8 +286,8 @@ class PlacingPanel:
         async def _(camera: viser.CameraHandle) -> None:
             # Looking around is work, too; a window that changes its size is not.
             pose = np.array([*camera.position, *camera.wxyz])
-            if not np.allclose(pose, seen) and not self.scene.is_closed:
-                self.scene.clock.touch()
+            if not np.allclose(pose, seen):
+                self.scene.touch()
             seen[:] = pose
 
     def _tick(self) -> None:
