@@ -1,9 +1,12 @@
 """Banks of scenes made by hand: any bank's readers read them, and they grow scene by scene."""
 
+import _thread
 import shutil
 import signal
 import subprocess
 import sys
+import threading
+import webbrowser
 from dataclasses import replace
 
 import jax
@@ -16,7 +19,7 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation import hand
 from cluttergen_jax.generation.hand import HandBank, hand_setup
-from cluttergen_jax.generation.sources import BankSource
+from cluttergen_jax.generation.sources import BankSource, viewing
 from cluttergen_jax.placement.region import no_keep_out
 from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.placement.setup import Setup
@@ -276,29 +279,55 @@ def test_options_of_the_two_uses_of_view_are_kept_apart(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_ctrl_c_leaves_a_good_bank_that_the_same_command_continues(tmp_path):
-    options = ["--objects", "mug", "bowl", "--num-objects", "1", "--support", "table-0.40x0.40"]
-    command = [
-        sys.executable,
-        "-m",
-        "cluttergen_jax",
-        "view",
-        "--place",
-        *options,
-        "--port",
-        "0",
-        "--no-browser",
-    ]
-    for _ in range(2):
-        with subprocess.Popen(
-            [*command, "--out", str(tmp_path / "bank")], stdout=subprocess.PIPE, text=True
-        ) as run:
-            lines = []
-            while not lines or not lines[-1].startswith("viewer"):
-                lines.append(run.stdout.readline())
-                assert lines[-1], lines
-            assert "which holds 0 scenes" in "".join(lines)
-            run.send_signal(signal.SIGINT)
-            rest = run.stdout.read()
-            assert run.wait(60) == 0
-        assert "scenes     none was kept" in rest
+def test_ctrl_c_ends_the_command_in_good_order(tmp_path):
+    words = "view --place --objects mug bowl --num-objects 1 --support table-0.40x0.40 --port 0 --no-browser"
+    command = [sys.executable, "-m", "cluttergen_jax", *words.split(), "--out", str(tmp_path / "bank")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as run:
+        lines = []
+        while not lines or not lines[-1].startswith("viewer"):
+            lines.append(run.stdout.readline())
+            assert lines[-1], lines
+        run.send_signal(signal.SIGINT)
+        rest = run.stdout.read()
+        assert run.wait(60) == 0
+    assert "scenes     none was kept" in rest
+    assert read_bank(tmp_path / "bank").num_scenes == 1
+
+
+@pytest.mark.slow
+def test_a_session_ends_with_the_scenes_that_were_saved_and_the_next_adds_to_them(tmp_path, monkeypatch):
+    panels = []
+
+    class Panel(viewing.PlacingPanel):
+        def __init__(self, *given):
+            super().__init__(*given)
+            panels.append(self)
+
+    def person(url):
+        """Saves a scene, begins another, and goes."""
+
+        def work():
+            panel = panels[-1]
+            for act in (panel.lower, panel.drop, panel.save, panel.new, panel.lower, panel.drop):
+                panel._worker.submit(panel._do, act).result()
+            _thread.interrupt_main()
+
+        threading.Thread(target=work).start()
+
+    monkeypatch.setattr(viewing, "PlacingPanel", Panel)
+    monkeypatch.setattr(webbrowser, "open", person)
+    for number in (1, 2):
+        told = []
+        bank = cg.place_by_hand(
+            tmp_path / "bank",
+            objects=("mug", "bowl"),
+            num_objects=1,
+            support="table-0.40x0.40",
+            port=0,
+            show=told.append,
+        )
+        assert f"which holds {number - 1} scenes" in told[0]
+        assert told[1].startswith("viewer     http://localhost:")
+        assert f"scenes     {number}, of which {number} succeed" in str(bank)
+        assert bank.table["is_success"].to_pylist() == [True] * number
+    assert cg.verify(tmp_path / "bank").is_sound
