@@ -1,6 +1,5 @@
 """Banks of scenes made by hand: any bank's readers read them, and they grow scene by scene."""
 
-import _thread
 import shutil
 import signal
 import subprocess
@@ -310,7 +309,7 @@ def test_a_session_ends_with_the_scenes_that_were_saved_and_the_next_adds_to_the
             panel = panels[-1]
             for act in (panel.lower, panel.drop, panel.save, panel.new, panel.lower, panel.drop):
                 panel._worker.submit(panel._do, act).result()
-            _thread.interrupt_main()
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
 
         threading.Thread(target=work).start()
 
