@@ -27,7 +27,7 @@ from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank import BankWriter, read_bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks
 from cluttergen_jax.scene.bank.card import write_card
-from cluttergen_jax.scene.bank.remote import publish_all
+from cluttergen_jax.scene.bank.remote import publish_all, url_of
 from cluttergen_jax.scene.bank.table import BY_HAND, schema_of, table_of
 from cluttergen_jax.scene.bank.totals import totals_of
 from cluttergen_jax.scene.bank.writer import names_of
@@ -141,7 +141,8 @@ class HandBank:
         """The bank as it is now; printed, it tells how well it went."""
         bank = read_bank(self._writer.path)
         text = totals_of(bank.tables()).text() if self.num_kept else "scenes     none was kept"
-        return GeneratedBank(bank.path, bank.record, summary=f"{text}\nbank       {bank.path}")
+        place = url_of(bank.path) or bank.path
+        return GeneratedBank(bank.path, bank.record, summary=f"{text}\nbank       {place}")
 
     def _rows_with(self, scene: HandScene, index: int) -> pa.Table:
         """The rows of the scene's block, with the scene's own as the last one."""

@@ -76,6 +76,9 @@ def test_what_a_person_does_counts_and_pauses_do_not(setup):
     hours = Hours()
     scene = begun(setup, now=hours)
     hours.now += 20.0
+    assert scene.clock.seconds == 0
+    scene.touch()
+    hours.now += 20.0
     scene.hold(0.1, 0.0, 0.0)
     hours.now += 1000.0
     scene.lower()

@@ -74,6 +74,9 @@ def hold(panel, x):
 
 
 def test_only_what_can_be_done_is_offered(panel):
+    # Nobody has come yet, so no time is spent.
+    assert panel.scene.clock.seconds == 0
+
     def offered():
         return {
             name
@@ -150,6 +153,7 @@ def test_a_scene_is_given_up_only_when_that_is_confirmed(panel):
     press(panel, panel.drop)
     press(panel, panel.new)
     assert (panel.scene.number, panel.scenes.kept) == (0, [])
+    assert panel.scene.clock.seconds > 0
     given_up = panel.scene
     assert "scene 0 was kept as one that failed" in press(panel, lambda: panel.give_up(given_up))
     assert panel.scene.number == 1

@@ -74,6 +74,8 @@ class HandScene:
         self._failure = Verdict.NONE
         self.is_closed = False
         self.hold(0.0, 0.0, 0.0)
+        # Nobody has done anything yet.
+        self.clock = ActiveClock(now)
 
     held: Held
 

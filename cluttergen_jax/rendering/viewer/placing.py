@@ -117,6 +117,7 @@ class PlacingPanel:
         """The next scene; one that is under way is given up only if that is confirmed."""
         if self.scene.is_closed:
             self._begin()
+            self.scene.touch()
             return _HELP
         if not self.scene.num_attempts:
             return "nothing was tried in this scene yet"
@@ -143,6 +144,7 @@ class PlacingPanel:
         if self.scene.result().is_success:
             said = f"scene {self.scene.number} stands, and was saved"
         self._begin()
+        self.scene.touch()
         return said
 
     # How it is done.
