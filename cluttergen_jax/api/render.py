@@ -51,8 +51,9 @@ def render(
       replay: a film of the placement as it happened, failed attempts in red.
       figure: the closed-loop figure: an object's failed attempts ringed in red, until it stands.
       density: where the method would put the object of the last attempt, as a heat map on the table.
-      depth: a 16-bit PNG in millimetres along the optical axis (0: nothing there), and the NPZ file.
-      segmentation: an indexed PNG: 0 floor or nothing, 1 support, 2 + k object k; and the NPZ file.
+      depth: a 16-bit PNG in millimetres along the optical axis (0: nothing there), and beside it a JSON file
+        with the camera, the names and the poses, and all of it in an NPZ file.
+      segmentation: an indexed PNG: 0 floor or nothing, 1 support, 2 + k object k; and the same two files.
       points: a PLY point cloud of all surfaces: metres, world frame, colours, labels as above.
       size: of pictures, WIDTHxHEIGHT in pixels; 1280x960, and 640x480 for films, if not given. In Python also
         a pair.

@@ -168,6 +168,7 @@ def test_render_writes_what_is_asked_for(bank, source, tmp_path):
         ".png",
         "-depth.png",
         "-segmentation.png",
+        "-camera.json",
         "-sensors.npz",
         "-points.ply",
         "-turntable.gif",

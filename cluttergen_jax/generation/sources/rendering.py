@@ -23,7 +23,7 @@ from cluttergen_jax.rendering.figure import closed_loop_figure
 from cluttergen_jax.rendering.film import replay, replay_frames, turntable
 from cluttergen_jax.rendering.gl import find_backend
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
-from cluttergen_jax.rendering.sensors import depth_png, npz_of, segmentation_png, sense
+from cluttergen_jax.rendering.sensors import camera_json, depth_png, npz_of, segmentation_png, sense
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.rendering.video import check_format, save_film
 from cluttergen_jax.rendering.viewer.source import SceneSource
@@ -156,6 +156,7 @@ class Rendering:
             yield _written(_named(stem, "-depth.png"), depth_png(sensed.depth))
         if self._makes("segmentation"):
             yield _written(_named(stem, "-segmentation.png"), segmentation_png(sensed.segmentation))
+        yield _written(_named(stem, "-camera.json"), camera_json(sensed))
         yield _written(path, npz_of(sensed))
 
     def _filmed(self, frames: Iterable[np.ndarray], count: int, path: Path) -> Path:
