@@ -63,10 +63,14 @@ def sense(
     return Sensed(rgb, image.depth, labels, camera, tuple(names), poses)
 
 
-def depth_png(depth: np.ndarray) -> bytes:
-    """A 16-bit grey PNG in millimetres, rounded; 0 where nothing is or beyond 65.535 m."""
-    millimetres = np.where(np.isfinite(depth), np.round(depth * 1000.0), 0.0)
-    return _png(Image.fromarray(np.where(millimetres <= 65535, millimetres, 0).astype(np.uint16)))
+def depth_png(depth: np.ndarray, step: float = 0.001) -> bytes:
+    """A 16-bit grey PNG in millimetres, rounded; 0 where nothing is or beyond 65.535 m.
+
+    Args:
+      step: metres that each grey level stands for, if not a millimetre.
+    """
+    levels = np.where(np.isfinite(depth), np.round(depth / step), 0.0)
+    return _png(Image.fromarray(np.where(levels <= 65535, levels, 0).astype(np.uint16)))
 
 
 def segmentation_png(labels: np.ndarray) -> bytes:

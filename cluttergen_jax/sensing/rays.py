@@ -121,19 +121,23 @@ def labels_of(model: mujoco.MjModel) -> np.ndarray:
     return label_of_body[model.geom_bodyid]
 
 
-def sensed_model(objects: Sequence[ObjectAsset], support: SupportAsset) -> mujoco.MjModel:
+def sensed_model(objects: Sequence[ObjectAsset], support: SupportAsset | None) -> mujoco.MjModel:
     """A model to cast rays at: surfaces and collision parts of objects and support, and a floor at z = 0.
 
     Without poses every object is parked far away; joint k is object k.
+
+    Args:
+      support: None leaves it and the floor out, so that rays meet nothing but objects.
     """
     names = [f"{index:02d}-{asset.name}" for index, asset in enumerate(objects)]
     spec = populated_spec(names, objects, support, StabilityConfig().timestep, ContactConfig(), visual=True)
-    spec.worldbody.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=(0, 0, 1),
-        contype=0,
-        conaffinity=0,
-        group=VISUAL_GROUP,
-    )
+    if support is not None:
+        spec.worldbody.add_geom(
+            name="floor",
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=(0, 0, 1),
+            contype=0,
+            conaffinity=0,
+            group=VISUAL_GROUP,
+        )
     return spec.compile()
