@@ -232,8 +232,8 @@ def _carved(depth: np.ndarray, camera: Camera, grid: Grid, max_height: float) ->
 
     Points above the cell's middle are projected into the picture; one is empty if it is nearer than what the
     picture shows there (space carving by one view). Above the field of view a column is as empty as where it
-    leaves it, if it is nearer than what the picture's edge shows beside it: what stands there would be cut by the
-    edge, and nothing floats.
+    leaves it, if it is nearer than what the picture's edge shows beside it: what stands there would be cut by
+    the edge, and nothing floats.
     """
     heights = np.arange(0.0, max_height + _STEP, _STEP, dtype=np.float32)
     project = camera.K @ camera.rotation.T
