@@ -37,13 +37,14 @@ class Instance:
 
 
 class InstanceSensor:
-    """Casts rays at a scene and at each of its objects alone."""
+    """Casts rays at a scene and at each of its objects alone.
+
+    Args:
+      objects: K of them; the same one may come twice.
+      surfaces: as for `RaySensor`.
+    """
 
     def __init__(self, objects: Sequence[ObjectAsset], support: SupportAsset, surfaces: bool = True) -> None:
-        """Args:
-        objects: K of them; the same one may come twice.
-        surfaces: as for `RaySensor`.
-        """
         self._scene = RaySensor(sensed_model(objects, support), surfaces)
         self._alone = RaySensor(sensed_model(objects, None), surfaces)
         self._scene_data, self._alone_data = self._scene.make_data(), self._alone.make_data()

@@ -40,13 +40,17 @@ class DepthImage:
 
 
 class RaySensor:
-    """Casts rays at the bodies of a compiled model; serves many threads, each with its own data."""
+    """Casts rays at the bodies of a compiled model; serves many threads, each with its own data.
+
+    Args:
+      model: all its joints are free ones (`sensed_model`, `assets.mjcf.populated_spec`); it stays as it is.
+      surfaces: see the coloured surfaces (geoms of `VISUAL_GROUP`); False: the collision parts.
+
+    Raises:
+      ConfigError: a joint is not free.
+    """
 
     def __init__(self, model: mujoco.MjModel, surfaces: bool = True) -> None:
-        """Args:
-        model: all its joints are free ones (`assets.mjcf.populated_spec`).
-        surfaces: see the coloured surfaces (geoms of `VISUAL_GROUP`); False: the collision parts.
-        """
         if np.any(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE):
             raise ConfigError("a model with joints that are not free", "free bodies and fixed ones")
         # Only a copy can be told which geoms rays see: a support without pieces shows its boxes.

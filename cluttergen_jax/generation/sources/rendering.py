@@ -91,7 +91,8 @@ class Rendering:
         singles = self._makes("picture") and (not self._makes("sheet") or bool(scenes))
         made: list[Path] = []
         failures: list[_Failure] = []
-        for number in numbers:
+        shown = tracked(numbers, "bop", len(numbers), "scene") if self._makes("bop") else numbers
+        for number in shown:
             failures += self._make(opened, number, singles, sizes[_SMALL], made)
         if self._makes("sheet"):
             made.append(save_png(self._sheet(opened, numbers), self.out / "sheet.png"))
