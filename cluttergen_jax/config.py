@@ -24,6 +24,8 @@ Method = Literal[
     "open_loop",
     "short_memory",
 ]
+HAND = "hand"
+"""The method of banks that people made; it proposes nothing by itself."""
 Variant = Literal["guided", "policy", "beta", "beta_free", "normal", "open_loop", "short_memory"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 """`guided` is no policy: its network learns by supervision what will stand, for every pool.

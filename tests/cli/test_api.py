@@ -21,6 +21,7 @@ FUNCTIONS = (
     "verify",
     "export",
     "view",
+    "place_by_hand",
     "render",
     "train",
     "train_suite",

@@ -65,6 +65,7 @@ def test_minibatches_of_one_size_leave_a_smaller_last_one():
     assert np.isfinite(figures["loss"])
 
 
+@pytest.mark.slow
 def test_minibatches_of_one_size_are_those_of_a_number_where_both_divide():
     asked = {"num_envs": 8, "num_steps": 4, "num_epochs": 2}
     by_number, by_size = (
@@ -75,11 +76,13 @@ def test_minibatches_of_one_size_are_those_of_a_number_where_both_divide():
     assert same_bits(*made)
 
 
+@pytest.mark.slow
 def test_scaled_rewards_teach_the_same_actions_and_scaled_values():
     scaled = train(learner(Constant(), reward_scale=0.1), 40)
     assert value(scaled, [0.0, 0.0]) == pytest.approx(0.1, abs=0.03)
 
 
+@pytest.mark.slow
 def test_clipped_values_move_less():
     free, clipped = (train(learner(Constant(), value_clip=each), 2) for each in (0.0, 0.001))
     assert abs(value(clipped, [0.0, 0.0])) < abs(value(free, [0.0, 0.0]))

@@ -40,6 +40,7 @@ def test_leaves_progress_curve_and_checkpoints(trained):
     assert list((folder / "tensorboard").iterdir())
 
 
+@pytest.mark.slow
 def test_stopped_run_goes_on_to_the_same_bits(trained, tmp_path):
     folder = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):

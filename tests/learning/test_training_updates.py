@@ -97,6 +97,7 @@ def test_weights_that_are_not_finite_are_noticed(sick):
     assert not updates(state.replace(params=broken), 1)[2]
 
 
+@pytest.mark.slow
 def test_the_update_at_fault_may_be_a_later_one(sick):
     updates, state = sick
     later = updates(state, 2)[0]

@@ -149,6 +149,7 @@ def test_evaluations_stand_beside_trainings_own_check(tmp_path):
     assert len(given) == 4
 
 
+@pytest.mark.slow
 def test_evaluation_that_was_missed_is_made_up_for(tmp_path):
     evaluate, given = evaluations()
     folder = tmp_path / "run"

@@ -48,6 +48,7 @@ def test_equally_many_of_each_family():
     assert list_variants(5, 7, TRAINING_FAMILIES) == listed[:5]
 
 
+@pytest.mark.slow
 def test_bodies_come_from_the_cache_unchanged(home, monkeypatch):
     made = variants(3, 5, PAIR, num_processes=1)
     assert [asset.name for asset in made] == ["cereal_box-5", "fork-5", "cereal_box-6"]

@@ -59,7 +59,7 @@ def compiled():
     jax.monitoring.clear_event_listeners()
 
 
-SLOW = {"mixture"}
+SLOW = {"mixture", "policy"}
 
 
 @pytest.mark.parametrize(
@@ -94,6 +94,7 @@ def test_worlds_of_other_sizes_or_settings_share_nothing():
     assert rollout.num_programs == 3
 
 
+@pytest.mark.slow
 def test_programs_are_kept_up_to_a_number(monkeypatch):
     monkeypatch.setattr(run_module, "MAX_PROGRAMS", 2)
     rollout, key = Rollout(), jax.random.key(0)
