@@ -12,6 +12,7 @@ from cluttergen_jax.downstream.placer.evaluate import PlacerComparison, Trials, 
 from cluttergen_jax.downstream.placer.pairs import PairSet
 from cluttergen_jax.downstream.placer.proposers import BASELINES, FULL_STATE
 from cluttergen_jax.downstream.placer.tables import tables_of
+from cluttergen_jax.downstream.placer.trained import embedded_placers
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.machine import machine
 from cluttergen_jax.evaluation.report import Result, document, write_report
@@ -106,7 +107,7 @@ def run_downstream(
 
 def _compared(trials: Trials, quick: bool) -> PlacerComparison:
     """Baselines with and without noise; what sees the scene itself, once."""
-    placers = ("random", "geometry") if quick else tuple(BASELINES)
+    placers = ("random", "geometry") if quick else (*BASELINES, *embedded_placers())
     seen = compare_placers(trials, placers, _NOISES, None)
     if quick:
         return seen
