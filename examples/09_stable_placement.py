@@ -66,7 +66,6 @@ for row, (x, y, z, yaw) in enumerate(np.asarray(proposals.pose[:, 0])):
     name = world.names[scenes.object_index[row, num_objects - 1]]
     word = "stands" if stands[row] else Verdict(int(judged.verdict[row])).label
     chance = float(proposals.score[row, 0])
-    print(
-        f"scene {row}: {name} at x {x:+.3f} y {y:+.3f} z {z:.3f} m, {yaw:.2f} rad (chance {chance:.2f}): {word}"
-    )
+    where = f"x {x:+.3f} y {y:+.3f} z {z:.3f} m, turned by {yaw:.2f} rad"
+    print(f"scene {row}: {name} at {where} (chance {chance:.2f}): {word}")
 print(f"{stands.sum()} of {len(stands)} objects placed from one noisy image each")

@@ -10,8 +10,8 @@ from cluttergen_jax.config import Method, SensedFrom, Split, check_workers
 from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.placer.evaluate import PlacerComparison
-    from cluttergen_jax.downstream.placer.pairs import PairSet
+    from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
+    from cluttergen_jax.downstream.placer.pairs.stored import PairSet
 
 _MOST_PAIRS = 10_000_000
 _MOST_SEED = 999_999
@@ -61,8 +61,8 @@ def placer_data(
       PoolError: there is no such pool or support.
     """
     from cluttergen_jax.api.generate import generate
-    from cluttergen_jax.downstream.placer.data import split_of, write_pairs
-    from cluttergen_jax.downstream.placer.pairs import SPLITS
+    from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
+    from cluttergen_jax.downstream.placer.pairs.stored import SPLITS
     from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
 
@@ -132,8 +132,8 @@ def placer_eval(
       BankError: the folder holds no pairs, or they are damaged.
       PoolError: a placer's files are damaged, or there is none for the pool.
     """
-    from cluttergen_jax.downstream.placer.evaluate import Trials, compare_placers
-    from cluttergen_jax.downstream.placer.pairs import read_pairs
+    from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials, compare_placers
+    from cluttergen_jax.downstream.placer.pairs.stored import read_pairs
     from cluttergen_jax.evaluation.store import Store
 
     check_workers("num_threads", num_threads)

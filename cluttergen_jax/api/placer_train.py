@@ -52,9 +52,9 @@ def placer_train(
       PoolError: `encoder_weights` does not hold what the encoders need.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
-    from cluttergen_jax.downstream.placer.lessons import LessonSource
-    from cluttergen_jax.downstream.placer.presets import preset as preset_of
-    from cluttergen_jax.downstream.placer.training import PlacerTraining
+    from cluttergen_jax.downstream.placer.training.lessons import LessonSource
+    from cluttergen_jax.downstream.placer.training.presets import preset as preset_of
+    from cluttergen_jax.downstream.placer.training.run import PlacerTraining
     from cluttergen_jax.placement.setup import check_range
 
     check_range("seed", seed, 0, 2**32 - 1, 0)

@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.downstream.placer.evaluate import PlacerComparison, Trials, compare_placers
-from cluttergen_jax.downstream.placer.pairs import PairSet
+from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison, Trials, compare_placers
+from cluttergen_jax.downstream.placer.evaluation.tables import tables_of
+from cluttergen_jax.downstream.placer.heads.trained import embedded_placers
+from cluttergen_jax.downstream.placer.pairs.stored import PairSet
 from cluttergen_jax.downstream.placer.proposers import BASELINES, FULL_STATE
-from cluttergen_jax.downstream.placer.tables import tables_of
-from cluttergen_jax.downstream.placer.trained import embedded_placers
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.machine import machine
 from cluttergen_jax.evaluation.report import Result, document, write_report

@@ -6,7 +6,7 @@ from dataclasses import asdict
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.placer.evaluate import PlacerComparison
+from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
 from cluttergen_jax.downstream.suite import SETS, result_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.report import document, read_results, tables_of, write_report

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.downstream.placer.features import (
+from cluttergen_jax.downstream.placer.heads.features import (
     CROP_SIDE,
     MIRRORED,
     UNSEEN,
@@ -15,22 +15,27 @@ from cluttergen_jax.downstream.placer.features import (
     features_of,
     own_shape,
 )
-from cluttergen_jax.downstream.placer.fitting import FitConfig, best_temperature
-from cluttergen_jax.downstream.placer.lessons import joined_lessons, num_lessons, taken
-from cluttergen_jax.downstream.placer.map_search import APART
-from cluttergen_jax.downstream.placer.mixture import MixtureConfig, MixtureHead
-from cluttergen_jax.downstream.placer.presets import preset
-from cluttergen_jax.downstream.placer.proposers import find_placer
-from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
-from cluttergen_jax.downstream.placer.regression import (
+from cluttergen_jax.downstream.placer.heads.mixture import MixtureConfig, MixtureHead
+from cluttergen_jax.downstream.placer.heads.regression import (
     Clouds,
     RegressionConfig,
     RegressionHead,
     RegressionLesson,
 )
-from cluttergen_jax.downstream.placer.scored import ScoredConfig, ScoredHead, lowered
-from cluttergen_jax.downstream.placer.trained import embedded_placers, head_of, load_placer, placer_folder
-from cluttergen_jax.downstream.placer.training import PlacerTraining
+from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead, lowered
+from cluttergen_jax.downstream.placer.heads.trained import (
+    embedded_placers,
+    head_of,
+    load_placer,
+    placer_folder,
+)
+from cluttergen_jax.downstream.placer.map_search import APART
+from cluttergen_jax.downstream.placer.proposers import find_placer
+from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
+from cluttergen_jax.downstream.placer.training.fitting import FitConfig, best_temperature
+from cluttergen_jax.downstream.placer.training.lessons import joined_lessons, num_lessons, taken
+from cluttergen_jax.downstream.placer.training.presets import preset
+from cluttergen_jax.downstream.placer.training.run import PlacerTraining
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.policies.embedded import list_policies
 from cluttergen_jax.learning.ppo.checkpoint import save_policy

@@ -12,9 +12,10 @@ import pyarrow.parquet as pq
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.placer import data, pairs
-from cluttergen_jax.downstream.placer.bench import Bench
-from cluttergen_jax.downstream.placer.pairs import SPLITS, labels_of, load_queries, read_pairs
+from cluttergen_jax.downstream.placer.evaluation.bench import Bench
+from cluttergen_jax.downstream.placer.pairs import maker as data
+from cluttergen_jax.downstream.placer.pairs import stored as pairs
+from cluttergen_jax.downstream.placer.pairs.stored import SPLITS, labels_of, load_queries, read_pairs
 from cluttergen_jax.downstream.placer.query import Proposals
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID

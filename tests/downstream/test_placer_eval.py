@@ -9,12 +9,13 @@ from flax import struct
 
 import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.downstream.placer import bench as bench_module
-from cluttergen_jax.downstream.placer import data, pairs
-from cluttergen_jax.downstream.placer.bench import Bench, Outcome
-from cluttergen_jax.downstream.placer.chain import Chains
-from cluttergen_jax.downstream.placer.figures import figures_of
-from cluttergen_jax.downstream.placer.pairs import SPLITS, load_queries
+from cluttergen_jax.downstream.placer.evaluation import bench as bench_module
+from cluttergen_jax.downstream.placer.evaluation.bench import Bench, Outcome
+from cluttergen_jax.downstream.placer.evaluation.chain import Chains
+from cluttergen_jax.downstream.placer.evaluation.figures import figures_of
+from cluttergen_jax.downstream.placer.pairs import maker as data
+from cluttergen_jax.downstream.placer.pairs import stored as pairs
+from cluttergen_jax.downstream.placer.pairs.stored import SPLITS, load_queries
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import GeometryPlacer
 from cluttergen_jax.downstream.placer.query import Proposals, without_scores

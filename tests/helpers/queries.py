@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from cluttergen_jax.downstream.placer.head import Lesson
+from cluttergen_jax.downstream.placer.heads.head import Lesson
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
 from cluttergen_jax.placement.search.fit import UnderSide

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from cluttergen_jax.downstream.placer.heads.trained import embedded_placers, load_placer, placer_folder
 from cluttergen_jax.downstream.placer.map_search import best_apart, draw, search
 from cluttergen_jax.downstream.placer.query import (
     NUM_PROPOSALS,
@@ -19,7 +20,6 @@ from cluttergen_jax.downstream.placer.query import (
     Proposals,
     without_scores,
 )
-from cluttergen_jax.downstream.placer.trained import embedded_placers, load_placer, placer_folder
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.learning.methods import checkpoint_of, proposer_of, suited
 from cluttergen_jax.placement.problem import Problem

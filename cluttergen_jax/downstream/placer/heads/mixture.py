@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.downstream.placer.features import UNSEEN, taken_around
-from cluttergen_jax.downstream.placer.head import Lesson
+from cluttergen_jax.downstream.placer.heads.features import UNSEEN, taken_around
+from cluttergen_jax.downstream.placer.heads.head import Lesson
 from cluttergen_jax.downstream.placer.map_search import best_apart
 from cluttergen_jax.downstream.placer.query import (
     NUM_PROPOSALS,

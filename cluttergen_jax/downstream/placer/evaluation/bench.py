@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from cluttergen_jax.downstream.placer.evaluation.paper_count import PaperCount
 from cluttergen_jax.downstream.placer.judge import Judge
-from cluttergen_jax.downstream.placer.pairs import PairLabels
-from cluttergen_jax.downstream.placer.paper_count import PaperCount
+from cluttergen_jax.downstream.placer.pairs.stored import PairLabels
 from cluttergen_jax.downstream.placer.partial_scenes import episode_of, judging_rules
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
 from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer, Proposals

@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.downstream.placer.fitting import Fit, FitConfig, FitState, best_temperature
-from cluttergen_jax.downstream.placer.head import Head, Lesson
-from cluttergen_jax.downstream.placer.lessons import LessonSource, num_lessons, taken
-from cluttergen_jax.downstream.placer.trained import KIND
+from cluttergen_jax.downstream.placer.heads.head import Head, Lesson
+from cluttergen_jax.downstream.placer.heads.trained import KIND
+from cluttergen_jax.downstream.placer.training.fitting import Fit, FitConfig, FitState, best_temperature
+from cluttergen_jax.downstream.placer.training.lessons import LessonSource, num_lessons, taken
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.learning.training.interrupt import Interrupt

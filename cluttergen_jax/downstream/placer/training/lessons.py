@@ -14,8 +14,8 @@ import jax
 import numpy as np
 
 from cluttergen_jax.config import PlacerNoise
-from cluttergen_jax.downstream.placer.head import Lesson
-from cluttergen_jax.downstream.placer.pairs import PairLabels, PairSet, load_queries, read_pairs
+from cluttergen_jax.downstream.placer.heads.head import Lesson
+from cluttergen_jax.downstream.placer.pairs.stored import PairLabels, PairSet, load_queries, read_pairs
 from cluttergen_jax.downstream.placer.query import PlacementQuery, padded
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.search.fit import UnderSide

@@ -12,7 +12,7 @@ import numpy as np
 import optax
 from flax import struct
 
-from cluttergen_jax.downstream.placer.features import (
+from cluttergen_jax.downstream.placer.heads.features import (
     CROP_SIDE,
     MIRRORED,
     NUM_CHANNELS,
@@ -22,7 +22,7 @@ from cluttergen_jax.downstream.placer.features import (
     features_of,
     own_shape,
 )
-from cluttergen_jax.downstream.placer.head import Lesson
+from cluttergen_jax.downstream.placer.heads.head import Lesson
 from cluttergen_jax.downstream.placer.map_search import best_apart, draw
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Proposals
 from cluttergen_jax.placement.heightmap import HeightMap

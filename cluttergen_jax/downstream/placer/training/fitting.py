@@ -11,7 +11,7 @@ import numpy as np
 import optax
 from flax import struct
 
-from cluttergen_jax.downstream.placer.head import Head
+from cluttergen_jax.downstream.placer.heads.head import Head
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.types import Array
 

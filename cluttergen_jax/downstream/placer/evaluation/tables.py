@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.downstream.placer.figures import MANY
+from cluttergen_jax.downstream.placer.evaluation.figures import MANY
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
 from cluttergen_jax.tables import Table
 from cluttergen_jax.types import Verdict

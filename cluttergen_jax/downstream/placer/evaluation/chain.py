@@ -9,9 +9,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from cluttergen_jax.downstream.placer.bench import answers
+from cluttergen_jax.downstream.placer.evaluation.bench import answers
 from cluttergen_jax.downstream.placer.judge import Judge
-from cluttergen_jax.downstream.placer.pairs import depth_bytes, depth_of, stacked
+from cluttergen_jax.downstream.placer.pairs.stored import depth_bytes, depth_of, stacked
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Placer
 from cluttergen_jax.downstream.placer.sight import QueryMaker
