@@ -12,6 +12,7 @@ What a command does, one function does, with the same defaults:
     generate, verify, stats_of     scenes -> a bank on disk; which of them stand; what it holds
     train, train_suite, pretrain   a pool -> a policy; those of a suite; an encoder
     export, render, view           scenes -> other programs, pictures, a viewer
+    placer_data, placer_eval       pairs for stable placement; how often what placers propose stands
     push_bank, pull_bank           a bank to and from a hub
 
 `Rectangle` tells `make_sampler` of a region or a keep-out box; `make_region` and `KeepOut` are for those of
@@ -28,6 +29,7 @@ from cluttergen_jax.api.export import export
 from cluttergen_jax.api.generate import generate
 from cluttergen_jax.api.hub import pull_bank, push_bank
 from cluttergen_jax.api.import_ import import_pool, import_support
+from cluttergen_jax.api.placer import placer_data, placer_eval
 from cluttergen_jax.api.pretrain import pretrain
 from cluttergen_jax.api.render import render
 from cluttergen_jax.api.train import train, train_suite
@@ -77,6 +79,8 @@ __all__ = [
     "make_sampler",
     "make_sb3_env",
     "make_vector_env",
+    "placer_data",
+    "placer_eval",
     "pretrain",
     "pull_bank",
     "push_bank",

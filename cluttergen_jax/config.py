@@ -43,6 +43,8 @@ Encoder = Literal["set", "pointnet", "pointnet2"]
 EvalAction = Literal["sampled", "mean"]
 Suite = Literal["paper", "extended", "honest"]
 """`honest` is the former name of `extended`, understood in this release."""
+Split = Literal["train", "val", "test"]
+SensedFrom = Literal["free", "overhead", "side"]
 Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 Tier = Literal["standard", "light"]
 CameraName = Literal["overhead", "front", "side", "wrist"]

@@ -8,6 +8,7 @@ import platform
 import signal
 import sys
 from collections.abc import Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -90,7 +91,9 @@ def run(command: Any) -> int:
         _check_backend()
         return command.run()
     except ClutterGenError as error:
-        print(f"error: {with_flags(str(error), type(command))}", file=sys.stderr)
+        chosen = getattr(command, "action", command)
+        kind = type(chosen if is_dataclass(chosen) else command)
+        print(f"error: {with_flags(str(error), kind)}", file=sys.stderr)
         return 2
     except BrokenPipeError:
         return _unread()

@@ -8,22 +8,13 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from scipy.ndimage import grey_closing
 
-from cluttergen_jax.geometry import rectangle_corners
+from cluttergen_jax.assets.ground import VOID, ground_heights, map_cells, reach_beyond, top_boxes
 from cluttergen_jax.placement.region import Region, from_pose
 from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.types import Array
 
-VOID = -1e3
-"""Height of a cell with nothing under it, metres."""
-
 _FINEST_CELL = 0.0072
-_MOST_CELLS = 40_000
-_GROUND_CELL = 0.0025
-_MOST_GROUND_CELLS = 2_000_000
-_NARROW_GAP = 0.02
-_LOWEST_GROUND = -0.01
 _OWNER_BITS = 8
 _DEEPEST = 1_000_000
 
@@ -77,7 +68,8 @@ class Ground(struct.PyTreeNode):
     @staticmethod
     def of(geometry: Geometry) -> Ground:
         """Reads the arrays of `geometry`, outside `jit`."""
-        return _ground_of(_top_boxes(geometry), float(geometry.top))
+        height, corner, cell = ground_heights(_top_boxes(geometry), float(geometry.top))
+        return Ground(jnp.asarray(height, jnp.float32), jnp.asarray(corner, jnp.float32), cell)
 
     def is_under(self, xy: Array) -> Array:
         """bool[...]: whether the support is below world points f32[..., 2], to half a cell."""
@@ -112,12 +104,13 @@ class HeightMapper(struct.PyTreeNode):
           radius: metres, that of the largest object seen from above; its own if None. Worlds on one support
             that are given the same one have maps of the same size.
         """
-        boxes = _top_boxes(geometry)
-        half = np.asarray(region.half_extents, np.float64) + _margin(geometry, region, boxes, radius)
-        counts = np.ceil(2 * half / max(_FINEST_CELL, np.sqrt(4 * half.prod() / _MOST_CELLS)) - 1e-4)
-        # The sides are whole numbers of cells, so that cells end where the support does.
-        cell = (float(2 * half[0] / counts[0]), float(2 * half[1] / counts[1]))
-        shape = (int(counts[0]) + 2, int(counts[1]) + 2)
+        if radius is None:
+            radius = np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max()
+        half = np.asarray(region.half_extents, np.float64)
+        inverse = np.asarray(region.T_world_region.inverse().as_matrix())
+        cell, shape = map_cells(
+            half + reach_beyond(_top_boxes(geometry), inverse, half, radius), _FINEST_CELL
+        )
         return HeightMapper(geometry, Ground.of(geometry), cell, shape)
 
     def __call__(self, region: Region, poses: Array, is_placed: Array, with_owner: bool = False) -> HeightMap:
@@ -184,41 +177,6 @@ def _with_void_border(height: Array) -> Array:
     return jnp.where(inner, height, VOID)
 
 
-def _margin(geometry: Geometry, region: Region, boxes: np.ndarray, radius: float | None) -> np.ndarray:
-    """f64[2]: how far beyond the region's sides objects centred in it can find the support."""
-    inverse = np.asarray(region.T_world_region.inverse().as_matrix(), np.float64)
-    local = _corners(boxes) @ inverse[:2, :2].T + inverse[:2, 3]
-    beyond = np.abs(local).max(0) - np.asarray(region.half_extents)
-    if radius is None:
-        radius = np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max()
-    return np.clip(beyond, 0.0, radius)
-
-
-def _corners(boxes: np.ndarray) -> np.ndarray:
-    """f64[4 B, 2]: boxes of `Geometry.boxes` from above."""
-    return np.concatenate([rectangle_corners(box[:2], box[3:5], box[6]) for box in boxes])
-
-
 def _top_boxes(geometry: Geometry) -> np.ndarray:
     """f64[B, 7]: the support's boxes that reach up to its top."""
-    boxes = np.asarray(geometry.boxes, np.float64)
-    return boxes[boxes[:, 2] + boxes[:, 5] - float(geometry.top) > _LOWEST_GROUND]
-
-
-def _ground_of(boxes: np.ndarray, top: float) -> Ground:
-    """The highest box over each cell. Gaps too narrow to matter, as between planks, are bridged."""
-    corners = _corners(boxes)
-    low, high = corners.min(0), corners.max(0)
-    cell = max(_GROUND_CELL, float(np.sqrt((high - low).prod() / _MOST_GROUND_CELLS)))
-    counts = np.ceil((high - low) / cell - 1e-4).astype(int)
-    axes = [low[axis] + (np.arange(counts[axis]) + 0.5) * cell for axis in (0, 1)]
-    x, y = np.meshgrid(*axes, indexing="ij")
-    height = np.full(x.shape, VOID)
-    for box in boxes:
-        cos, sin = np.cos(box[6]), np.sin(box[6])
-        along, across = cos * (x - box[0]) + sin * (y - box[1]), cos * (y - box[1]) - sin * (x - box[0])
-        covers = (np.abs(along) <= box[3]) & (np.abs(across) <= box[4])
-        height[covers] = np.maximum(height[covers], box[2] + box[5] - top)
-    width = int(_NARROW_GAP / cell) + 1
-    bridged = grey_closing(np.pad(height, width, constant_values=VOID), size=(width, width))
-    return Ground(jnp.asarray(bridged, jnp.float32), jnp.asarray(low - width * cell, jnp.float32), cell)
+    return top_boxes(np.asarray(geometry.boxes, np.float64), float(geometry.top))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -68,21 +68,40 @@ def replay_context_of(bank: Bank) -> ReplayContext:
       PoolError: its checkpoint is gone.
       ConfigError: its method was removed since.
     """
+    setup, recipe = setup_of(bank), bank.record["recipe"]
+    try:
+        method, pool, checkpoint = recipe["method"], recipe["pool"], recipe.get("checkpoint")
+    except KeyError as error:
+        raise _not_recorded(bank, error) from error
+    trained = choose_method(method, pool, checkpoint).checkpoint
+    return ReplayContext(setup, {} if trained is None else {method: trained})
+
+
+def setup_of(bank: Bank, **changes: Any) -> Setup:
+    """The setup that a bank's scenes were made in, from the bank's own assets, whatever placed them.
+
+    Args:
+      changes: fields of `ProblemConfig` that are to be others.
+
+    Raises:
+      BankError: the bank does not say how it was made, or the bank that it started from is gone.
+    """
     recipe = bank.record.get("recipe") or {}
     try:
         names: Sequence[str] = recipe["names"]
-        method, pool, checkpoint = recipe["method"], recipe["pool"], recipe.get("checkpoint")
-        config = _problem_config(bank, recipe)
+        config = replace(_problem_config(bank, recipe), **changes)
         boxes = recipe.get("keep_out", ())
     except (KeyError, TypeError, ValueError) as error:
-        raise BankError(f"{bank.path}: how it was made is not recorded whole ({error})") from error
-    trained = choose_method(method, pool, checkpoint).checkpoint
+        raise _not_recorded(bank, error) from error
     standing = read_start(recipe.get("start"))
     num_placed = len(names) - (len(standing[0]) if standing else 0)
     objects = [bank.object(base_name(name)) for name in names[:num_placed]]
     keep_out = [recorded_rectangle(entry) for entry in boxes]
-    setup = make_setup(config, keep_out, standing, (objects, bank.support))
-    return ReplayContext(setup, {} if trained is None else {method: trained})
+    return make_setup(config, keep_out, standing, (objects, bank.support))
+
+
+def _not_recorded(bank: Bank, error: Exception) -> BankError:
+    return BankError(f"{bank.path}: how it was made is not recorded whole ({error})")
 
 
 def replay(bank: Bank, context: ReplayContext, index: int, stored: Replay, num_proposals: int = 0) -> Replay:

@@ -33,14 +33,19 @@ def costs_of_staying(scores: CandidateScores) -> tuple[Array, Array]:
     return (scores.fit.gap / _GAP_SCALE) ** 2, tipping
 
 
-class LowestFit(Search, eq=False):
-    """Lowers each candidate by the object's own under-side and takes the lowest that would not tip.
+def cost_of_lowest_fit(scores: CandidateScores) -> Array:
+    """f32[N], metres: what `LowestFit` keeps low.
 
     A place closed in on all sides, by objects or the support's end, counts as 5 cm lower than an open one:
     that keeps free space in one piece for the objects to come. After each failed attempt it counts half, so
     that an object does not get the same best candidate five times.
     """
+    return cost_of_lying(scores) - _CLOSED_IN * scores.crowd * 0.5**scores.attempt
+
+
+class LowestFit(Search, eq=False):
+    """Lowers each candidate by the object's own under-side and takes the lowest that would not tip."""
 
     def cost(self, scores: CandidateScores) -> Array:
         """See `Search`."""
-        return cost_of_lying(scores) - _CLOSED_IN * scores.crowd * 0.5**scores.attempt
+        return cost_of_lowest_fit(scores)

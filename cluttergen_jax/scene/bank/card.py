@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
+from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
@@ -16,7 +17,7 @@ from cluttergen_jax.tables import markdown_table
 from cluttergen_jax.types import Verdict, small_length
 
 CARD = "README.md"
-_MARK = "<!-- written by cluttergen; remove this line to keep your own changes -->"
+MARK = "<!-- written by cluttergen; remove this line to keep your own changes -->"
 
 _COLUMNS = {
     "index": "the scene's number; its random key is fold_in(key(seed), index)",
@@ -70,10 +71,19 @@ def write_card(bank: Bank) -> Path | None:
     Raises:
       BankError: the bank holds no scenes yet, or it or one of its assets is damaged.
     """
-    path = bank.path / CARD
-    if path.exists() and _MARK not in path.read_text(encoding="utf-8", errors="replace"):
+    return write_unless_own(bank.path, lambda: card_text(bank, stats_of(bank)))
+
+
+def write_unless_own(folder: Path, text: Callable[[], str]) -> Path | None:
+    """Writes a card into a folder, unless the user has a README of their own there; its path if written.
+
+    Args:
+      text: makes it; it bears `MARK`.
+    """
+    path = folder / CARD
+    if path.exists() and MARK not in path.read_text(encoding="utf-8", errors="replace"):
         return None
-    write_atomically(path, card_text(bank, stats_of(bank)).encode())
+    write_atomically(path, text().encode())
     return path
 
 
@@ -82,31 +92,40 @@ def card_text(bank: Bank, stats: BankStats) -> str:
     names = sorted(bank.record.get("assets", {}).get("objects", {})) or [each.name for each in stats.objects]
     assets = [bank.object(name) for name in names]
     sections = [
-        _head([*(asset.provenance.licence for asset in assets), bank.support.provenance.licence]),
+        front_matter(
+            [*(asset.provenance.licence for asset in assets), bank.support.provenance.licence],
+            ("robotics", "simulation", "mujoco", "tabletop", "scenes"),
+            "cluttered tabletop scenes",
+            "'scenes-*.parquet'",
+        ),
         _about(bank, stats),
         _figures(stats),
         _files(),
         _made(bank.record["recipe"]),
         _stability(bank.record["recipe"]),
-        _assets(assets, bank),
+        assets_section(assets, bank.support),
     ]
     return "\n\n".join(sections) + "\n"
 
 
-def _head(licences: Sequence[str]) -> str:
-    """The block that dataset hubs read: their word for one known licence, else all of them by name."""
+def front_matter(licences: Sequence[str], tags: Sequence[str], title: str, data_files: str) -> str:
+    """The block that dataset hubs read, and the mark of a card that may be written again.
+
+    Args:
+      licences: of the assets; hubs get their word for one known licence, else all of them by name.
+      data_files: which files are the data, as YAML; else pictures would be taken for it.
+    """
     known = sorted(set(licences))
     if known == ["Apache-2.0"]:
         lines = ["---", "license: apache-2.0"]
     else:
         lines = ["---", "license: other", f"license_name: {' and '.join(known)!r}"]
     lines += [
-        "tags: [robotics, simulation, mujoco, tabletop, scenes]",
-        "pretty_name: cluttered tabletop scenes",
-        # What a table of scenes is made of; else the pictures would be taken for the data.
-        "configs: [{config_name: default, data_files: 'scenes-*.parquet'}]",
+        f"tags: [{', '.join(tags)}]",
+        f"pretty_name: {title}",
+        f"configs: [{{config_name: default, data_files: {data_files}}}]",
     ]
-    return "\n".join([*lines, "---", _MARK])
+    return "\n".join([*lines, "---", MARK])
 
 
 def _about(bank: Bank, stats: BankStats) -> str:
@@ -208,7 +227,8 @@ def _stability(recipe: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _assets(assets: Sequence[ObjectAsset], bank: Bank) -> str:
+def assets_section(assets: Sequence[ObjectAsset], support: SupportAsset) -> str:
+    """Whose assets a folder holds, and on which terms."""
     rows = [
         (
             f"{asset.label} (`{asset.name}`)",
@@ -219,8 +239,8 @@ def _assets(assets: Sequence[ObjectAsset], bank: Bank) -> str:
         )
         for asset in assets
     ]
-    table = bank.support
-    rows.append((f"{table.label} (support)", "", table.provenance.source, table.provenance.licence, ""))
+    told = support.provenance
+    rows.append((f"{support.label} (support)", "", told.source, told.licence, ""))
     lines = [
         "## Assets and licences",
         "",

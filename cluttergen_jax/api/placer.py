@@ -1,0 +1,144 @@
+"""Stable placement from one camera's view: pairs to learn from, and placers side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cluttergen_jax.config import Method, SensedFrom, Split, check_workers
+from cluttergen_jax.errors import ConfigError
+
+if TYPE_CHECKING:
+    from cluttergen_jax.downstream.placer.evaluate import PlacerComparison
+    from cluttergen_jax.downstream.placer.pairs import PairSet
+
+_MOST_PAIRS = 10_000_000
+_MOST_SEED = 999_999
+_MOST_NOISE = 10.0
+
+
+def placer_data(
+    out: str | Path = "pairs",
+    bank: str | Path | None = None,
+    *,
+    pool: str | Path | None = None,
+    num_scenes: int | None = None,
+    method: Method | None = None,
+    support: str | Path | None = None,
+    num_objects: int | None = None,
+    num_pairs: int | None = None,
+    split: Split | None = None,
+    camera: SensedFrom = "free",
+    seed: int = 0,
+    num_threads: int = 0,
+    overwrite: bool = False,
+) -> PairSet:
+    """Makes pairs for stable placement of a bank's scenes (`cluttergen placer data`).
+
+    A pair is what one depth camera sees of the first objects of a scene, where the next one stood, and 32
+    poses at which it was let go with what became of each. The same call continues an interrupted one.
+
+    Args:
+      out: the folder; each split of it is made by a call of its own.
+      bank: whose scenes; if not given, one is made in the folder.
+      pool, num_scenes, method, support, num_objects: of that bank, as `generate` takes them; household, 500
+        scenes, guided and the usual table if not given.
+      num_pairs: how many; if not given, one for each object of each scene that stands.
+      split: train, val or test, by the seed of the bank: from 0, 1000000 or 2000000 on; of a bank that is
+        given, its own, else train.
+      camera: free, drawn anew for each pair; overhead; or side, the paper's.
+      seed: of all that is drawn, the scenes of a bank made along included, 0 to 999999.
+      num_threads: 0 takes every core.
+      overwrite: begin the split anew if the folder holds others of it.
+
+    Returns:
+      The pairs, as `load_queries` of `downstream.placer.pairs` reads them.
+
+    Raises:
+      ConfigError: a setting is out of range, or contradicts the bank.
+      BankError: the bank cannot be read or holds no scene that stands, or the folder holds something else.
+      PoolError: there is no such pool or support.
+    """
+    from cluttergen_jax.api.generate import generate
+    from cluttergen_jax.downstream.placer.data import split_of, write_pairs
+    from cluttergen_jax.downstream.placer.pairs import SPLITS
+    from cluttergen_jax.placement.setup import check_range
+    from cluttergen_jax.scene.bank.bank import Bank, read_bank
+
+    check_workers("num_threads", num_threads)
+    check_range("seed", seed, 0, _MOST_SEED, 0)
+    if num_pairs is not None:
+        check_range("num_pairs", num_pairs, 1, _MOST_PAIRS, 5000)
+    if split is not None and split not in SPLITS:
+        raise ConfigError(f"split = {split!r}", ", ".join(SPLITS))
+    asked = {
+        "pool": pool,
+        "num_scenes": num_scenes,
+        "method": method,
+        "support": support,
+        "num_objects": num_objects,
+    }
+    given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    if bank is None:
+        name = split or "train"
+        settings = {"pool": "household", "num_scenes": 500, **given, "seed": SPLITS[name] + seed}
+        place = Path(out) / f"bank-{name}"
+        found: Bank = generate(place, render=False, max_files=0, num_threads=num_threads, **settings)
+    elif given:
+        first = next(iter(given))
+        raise ConfigError(f"`{first}` together with `bank`", "one or the other", f"leaving out `{first}`")
+    else:
+        found = read_bank(bank)
+    of_split = split_of(found, split)
+    return write_pairs(out, found, of_split, num_pairs, camera, seed, num_threads, overwrite)
+
+
+def placer_eval(
+    data: str | Path,
+    placers: Sequence[str] = ("random", "geometry", "geometry-occupied"),
+    *,
+    noise: Sequence[float] = (0.0, 1.0),
+    split: Split = "test",
+    num_pairs: int | None = None,
+    seed: int = 0,
+    num_threads: int = 0,
+    fresh: bool = False,
+    out: str | Path | None = None,
+) -> PlacerComparison:
+    """Compares placers: how often what they propose stands, strictly judged (`cluttergen placer eval`).
+
+    Args:
+      data: a folder that `placer_data` made.
+      placers: "random", "geometry", "geometry-occupied", folders of trained ones, and "drop", "guided" and
+        "policy", which see the scene itself.
+      noise: of the depth camera, so many times that of a usual one; 0 for none.
+      split: train, val or test.
+      num_pairs: the first so many queries; all of the split if not given.
+      seed: of noise and proposals.
+      num_threads: 0 takes every core.
+      fresh: make rows again that are at hand.
+      out: where everything goes: tables, and rows, which are not made again. With None a function writes
+        nothing; the command takes out/placer.
+
+    Returns:
+      Rows and tables; printed, the tables.
+
+    Raises:
+      ConfigError: a setting is out of range, the folder has no such split, or there is no such placer.
+      BankError: the folder holds no pairs, or they are damaged.
+      PoolError: a placer's files are damaged, or there is none for the pool.
+    """
+    from cluttergen_jax.downstream.placer.evaluate import Trials, compare_placers
+    from cluttergen_jax.downstream.placer.pairs import read_pairs
+    from cluttergen_jax.evaluation.store import Store
+
+    check_workers("num_threads", num_threads)
+    if isinstance(placers, str) or not placers:
+        raise ConfigError(f"placers = {placers!r}", "a sequence of names", "placers=('geometry',)")
+    if not noise or not all(0 <= each <= _MOST_NOISE for each in noise):
+        raise ConfigError(f"noise = {noise!r}", f"one number or more, 0 to {_MOST_NOISE:g}", "noise=(0, 1)")
+    folder = None if out is None else Path(out)
+    store = Store(folder and folder / "results")
+    trials = Trials(read_pairs(data), split, num_pairs, seed, store, fresh, num_threads)
+    return compare_placers(trials, tuple(map(str, placers)), tuple(map(float, noise)), folder)

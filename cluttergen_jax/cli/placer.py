@@ -1,0 +1,63 @@
+"""`cluttergen placer`: pairs for stable placement, and placers side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from cluttergen_jax.api.placer import placer_data, placer_eval
+from cluttergen_jax.cli.options import Options, options_from
+
+
+@options_from(placer_data, bank=Annotated[str | None, tyro.conf.Positional])
+class PlacerData(Options):
+    """Make pairs to learn stable placement from. The same command takes an interrupted one up again.
+
+    A pair is what one depth camera sees of the first objects of a scene, where the next one stood, and 32
+    poses at which it was let go with what became of each.
+
+    Example: `cluttergen placer data --num-scenes 500 --pool household --out pairs`
+    """
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        pairs = self.call(placer_data)
+        for split in pairs.splits:
+            print(f"pairs      {pairs.split(split)['num_pairs']} of {split} in {pairs.path}")
+        return 0
+
+
+@options_from(placer_eval, data=Annotated[str, tyro.conf.Positional])
+class PlacerEval(Options):
+    """Compare placers: how often what they propose stands, strictly judged.
+
+    Every row is kept under `results` in the folder `--out`: the same command takes an interrupted one up
+    again.
+
+    Example: `cluttergen placer eval pairs --placers random geometry --noise 0 1`
+    """
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        print(self.call(placer_eval, out=self.out or "out/placer"))
+        return 0
+
+
+@dataclass(frozen=True)
+class Placer:
+    """Stable placement from one camera's view: `placer data` and `placer eval`.
+
+    Attributes:
+      action: what to do.
+    """
+
+    action: (
+        Annotated[PlacerData, tyro.conf.subcommand("data")]
+        | Annotated[PlacerEval, tyro.conf.subcommand("eval")]
+    )
+
+    def run(self) -> int:
+        """Runs the chosen action; the exit status."""
+        return self.action.run()

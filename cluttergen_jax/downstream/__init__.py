@@ -1,0 +1,1 @@
+"""What is done with scenes: stable placement from what a camera sees."""

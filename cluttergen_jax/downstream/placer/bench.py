@@ -1,0 +1,153 @@
+"""The bench of placers: the queries of one split in their world, and what becomes of proposals for them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from cluttergen_jax.downstream.placer.judge import Judge
+from cluttergen_jax.downstream.placer.pairs import PairLabels
+from cluttergen_jax.downstream.placer.paper_count import PaperCount
+from cluttergen_jax.downstream.placer.partial_scenes import episode_of, judging_rules
+from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
+from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer, Proposals
+from cluttergen_jax.placement.heightmap import HeightMapper
+from cluttergen_jax.placement.region import KeepOut, from_pose, to_pose
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.search.fit import Candidates, lower_onto
+from cluttergen_jax.placement.search.search import CLEARANCE, under_side
+from cluttergen_jax.placement.setup import Setup
+from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.progress import interruptible
+from cluttergen_jax.types import Array, Verdict
+
+_AT_ONCE = 250
+
+
+class Outcome(NamedTuple):
+    """What became of the proposals for P queries, M each.
+
+    Attributes:
+      pose: f32[P, M, 4]; score: f32[P, M], see `Proposals`.
+      verdict: i32[P, M], `types.Verdict` of the attempt, CREPT where it was stable and the scene did not
+        stand; NONE of proposals that were not tried, since one before them was good.
+      has_margin: bool[P], the first one is good and has the margin that scenes are made with.
+      is_quiet: bool[P], the first one counts as in the paper.
+      z_error: f32[P], metres, how much higher the first one is let go than it would be on the true map.
+    """
+
+    pose: np.ndarray
+    score: np.ndarray
+    verdict: np.ndarray
+    has_margin: np.ndarray
+    is_quiet: np.ndarray
+    z_error: np.ndarray
+
+
+class Bench:
+    """The queries of one split in their world, ready to judge proposals.
+
+    Args:
+      setup: the world; labels: the truth about its P queries; num_threads: 0 takes every core.
+    """
+
+    def __init__(self, setup: Setup, labels: PairLabels, num_threads: int = 0) -> None:
+        self.labels, self.problem, self._keep_out = labels, setup.problem, setup.keep_out
+        self._rules = judging_rules(setup.problem)
+        self._episodes = self._of(self._rules)
+        self._judge = Judge(self._rules)
+        self._count = PaperCount(setup.problem.world.layout, self._rules.physics.config, num_threads)
+        self._above: Any = jax.jit(jax.vmap(_height_above, in_axes=(None, None, 0, 0)))
+        self._mapper = HeightMapper.of(self._rules.geometry, self._rules.region)
+
+    def _of(self, rules: Rules) -> Episode:
+        made: Any = jax.jit(jax.vmap(_episode, in_axes=(None, None, 0, 0, 0)))
+        labels = self.labels
+        return made(rules, self._keep_out, labels.order, labels.poses, labels.num_standing)
+
+    def proposals(self, placer: Placer | FullState, queries: PlacementQuery, seed: int) -> Proposals:
+        """Every query's proposals, NumPy arrays; its key is made of the seed and its pair's number.
+
+        Raises:
+          PoolError: a full-state method has no checkpoint for the pool.
+        """
+        if isinstance(placer, FullState):
+            rules, propose = placer.in_world(self.problem)
+            asked: Any = self._of(rules)
+            answer: Any = jax.vmap(lambda key, episode: proposals_of(propose, key, episode, rules))
+        else:
+            asked, answer = queries, jax.vmap(placer)
+        keys = jax.vmap(lambda pair: jax.random.fold_in(jax.random.key(seed), pair))(self.labels.pair)
+        return interruptible(_in_parts, jax.jit(answer), keys, asked)
+
+    def judge(self, proposals: Proposals) -> Outcome:
+        """Tries each query's proposals, best first, until one is good."""
+        num_queries, num_proposals = proposals.score.shape
+        verdict = np.full((num_queries, num_proposals), int(Verdict.NONE), np.int32)
+        has_margin, left = np.zeros(num_queries, bool), np.arange(num_queries)
+        for place in range(num_proposals):
+            if not len(left):
+                break
+            judged = self._judge.settle(self._episodes, left, proposals.pose[left, place])
+            is_good = self._judge.stand(judged)
+            falls = (judged.verdict == int(Verdict.STABLE)) & ~is_good
+            verdict[left, place] = np.where(falls, int(Verdict.CREPT), judged.verdict)
+            if place == 0:
+                has_margin = is_good & judged.has_margin
+            left = left[~is_good]
+        first = proposals.pose[:, 0]
+        z_error = np.asarray(self._above(self._mapper, self._rules, self._episodes, first))
+        return Outcome(*proposals_arrays(proposals), verdict, has_margin, self._is_quiet(first), z_error)
+
+    def _is_quiet(self, pose: np.ndarray) -> np.ndarray:
+        """bool[P]: whether one proposal for each query, f32[P, 4], counts as in the paper."""
+        rows = np.arange(len(pose))
+        return self._count(*self._judge.released(self._episodes, rows, pose)[:2])
+
+    def is_own_quiet(self) -> np.ndarray:
+        """bool[P]: whether the scene's own object, where it rests, counts as in the paper."""
+        target = self.labels.target
+        poses, is_placed, focus = self._judge.released(
+            self._episodes, np.arange(len(target)), np.zeros((len(target), 4), np.float32)
+        )
+        own = jax.vmap(lambda region, pose: to_pose(region.T_world_region @ from_pose(pose)))
+        poses = poses.copy()
+        poses[np.arange(len(target)), focus] = own(self._episodes.region, target)
+        return self._count(poses, is_placed)
+
+    def stands_alone(self) -> np.ndarray:
+        """bool[P]: whether the partial scene stands as it is, without the object."""
+        episodes, physics = self._episodes, self._rules.physics
+        state = (np.asarray(episodes.poses), np.asarray(episodes.is_placed))
+        standing: Any = physics.stand_batch(*state, np.ones(len(state[0]), bool))  # type: ignore[attr-defined]
+        return np.asarray(standing.verdict) == int(Verdict.STABLE)
+
+
+def proposals_arrays(proposals: Proposals) -> tuple[np.ndarray, np.ndarray]:
+    """Poses and scores as they are stored."""
+    return np.asarray(proposals.pose, np.float32), np.asarray(proposals.score, np.float32)
+
+
+def _episode(rules: Rules, keep_out: KeepOut, order: Array, poses: Array, num_standing: Array) -> Episode:
+    """The episode behind a query; poses are T_region_object."""
+    world = jax.vmap(lambda pose: to_pose(rules.region.T_world_region @ from_pose(pose)))(poses)
+    return episode_of(rules, keep_out, order, world, num_standing)
+
+
+def _height_above(mapper: HeightMapper, rules: Rules, episode: Episode, pose: Array) -> Array:
+    heights = mapper(episode.region, episode.poses, episode.is_placed)
+    under = under_side(rules, rules.focus(episode))
+    fit = lower_onto(under, heights, Candidates(pose[None, :2], pose[None, 3]))
+    return pose[2] - fit.rest[0] - CLEARANCE
+
+
+def _in_parts(answer: Any, keys: Array, asked: Any) -> Proposals:
+    """The answers to many queries, some at a time, all parts of one size."""
+    number, parts = len(keys), []
+    for first in range(0, number, _AT_ONCE):
+        rows = np.minimum(first + np.arange(_AT_ONCE), number - 1)
+        found = answer(keys[rows], jax.tree.map(lambda leaf, rows=rows: leaf[rows], asked))
+        parts.append(jax.tree.map(np.asarray, found))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:number], *parts)

@@ -1,0 +1,333 @@
+"""The maker of pairs: draws scene, slot and camera, senses those alone, and has candidates judged."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cluttergen_jax.downstream.placer.candidate_draw import SOURCES, CandidateDraw
+from cluttergen_jax.downstream.placer.card import write_card
+from cluttergen_jax.downstream.placer.judge import Judge
+from cluttergen_jax.downstream.placer.pairs import (
+    BLOCK_SIZE,
+    FORMAT,
+    INDEX,
+    KIND,
+    SCHEMA,
+    SPLITS,
+    PairSet,
+    block_path,
+    changed_frame,
+    depth_bytes,
+    depth_of,
+    read_block,
+    read_pairs,
+    stacked,
+)
+from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
+from cluttergen_jax.downstream.placer.query import PlacementQuery
+from cluttergen_jax.downstream.placer.sight import QueryMaker
+from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.files import folder_whole, remove_partial, write_atomically, writing
+from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.progress import COMPILING, Progress
+from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.lock import LOCK, BankLock
+from cluttergen_jax.sensing.camera import Camera, find_preset
+from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
+from cluttergen_jax.sensing.rays import FIRST_OBJECT, SUPPORT, RaySensor, sensed_model
+
+_METADATA = b"cluttergen"
+_VIEWS = 20
+"""Cameras that are tried for a pair until one sees the support and is not inside it."""
+
+
+class Look(NamedTuple):
+    """One pair as it was sensed: camera, bytes of `pairs.SCHEMA`, and the query."""
+
+    camera: Camera
+    depth: bytes
+    labels: bytes
+    query: PlacementQuery
+
+
+class PairMaker:
+    """Makes pairs of the scenes of a bank; pair i is the same however many are made.
+
+    Args:
+      scenes: of the bank.
+      camera: a preset's name; seed: of all that is drawn; num_threads: 0 takes every core.
+
+    Raises:
+      ConfigError: there is no such camera.
+    """
+
+    def __init__(self, scenes: PartialScenes, camera: str, seed: int, num_threads: int = 0) -> None:
+        world = scenes.problem.world
+        self.scenes, self.seed = scenes, seed
+        self._preset, self._camera = find_preset(camera), camera
+        self._maker, self._judge = QueryMaker(scenes.problem), Judge(scenes.rules)
+        self._draw = CandidateDraw(scenes.rules)
+        self._sensor = RaySensor(sensed_model(world.objects, world.support))
+        self._pool = ThreadPoolExecutor(num_threads or os.cpu_count())
+        self._local = threading.local()
+
+    def places(self, pairs: np.ndarray) -> np.ndarray:
+        """i64[P, 2]: scene and slot of each pair; all of a bank come before any comes again."""
+        known = self.scenes.places()
+        rounds, rest = np.divmod(pairs, len(known))
+        order = {
+            number: np.random.default_rng((self.seed, number)).permutation(len(known))
+            for number in np.unique(rounds)
+        }
+        return np.array([known[order[number][place]] for number, place in zip(rounds, rest, strict=True)])
+
+    def block(
+        self, block: int, num_rows: int, on_rows: Callable[[int], None] = lambda number: None
+    ) -> pa.Table:
+        """The first rows of a block; told of each pair that is sensed."""
+        pairs = block * BLOCK_SIZE + np.arange(num_rows)
+        places = self.places(pairs)
+        # Programs are made for whole blocks.
+        whole = places[np.minimum(np.arange(BLOCK_SIZE), num_rows - 1)]
+        episodes = self.scenes.episodes(whole)
+        looks = []
+        state = (np.asarray(episodes.poses), np.asarray(episodes.is_placed))
+        for look in self._pool.map(self._look, pairs, places, *(each[:num_rows] for each in state)):
+            looks.append(look)
+            on_rows(1)
+        queries = [look.query for look in looks]
+        queries += [queries[-1]] * (BLOCK_SIZE - num_rows)
+        candidates = self._candidates(block, episodes, stacked(queries))[:num_rows]
+        scene = np.repeat(np.arange(num_rows), candidates.shape[1])
+        judged = self._judge.settle(episodes, scene, candidates.reshape(-1, 4))
+        verdict = judged.verdict.reshape(candidates.shape[:2])
+        each = zip(pairs.tolist(), places, looks, candidates, verdict, strict=True)
+        rows = [self._row(*one) for one in each]
+        return pa.Table.from_pylist(rows, schema=SCHEMA)
+
+    def _candidates(self, block: int, episodes: Episode, queries: PlacementQuery) -> np.ndarray:
+        rng = np.random.default_rng((self.seed, block, 1))
+        return self._draw(rng.integers(2**32, size=BLOCK_SIZE, dtype=np.uint32), episodes, queries)
+
+    def _look(self, pair: int, place: np.ndarray, poses: np.ndarray, is_placed: np.ndarray) -> Look:
+        """What the pair's camera sees."""
+        if not hasattr(self._local, "data"):
+            self._local.data = self._sensor.make_data()
+        rng = np.random.default_rng((self.seed, pair, 2))
+        self._sensor.pose(self._local.data, poses, is_placed)
+        for _ in range(_VIEWS):
+            camera = self._preset(self.scenes.problem.world.support, rng)
+            image = self._sensor.sense(self._local.data, camera)
+            if _is_inside(camera, self.scenes.problem.world.support) or not (image.label >= SUPPORT).any():
+                continue
+            break
+        else:
+            raise ConfigError(
+                f"camera {self._camera!r} is inside the support or does not see it",
+                "a camera that looks at the support from outside",
+                "another camera, or another support",
+            )
+        stored = depth_bytes(image.depth)
+        depth = depth_of(stored, camera.width, camera.height)
+        # A placer that is given noisy maps proposes poses that fit them, so every other pair has such.
+        sight = self._maker.see(depth, camera, REALSENSE if pair % 2 else NOISE_OFF, rng)
+        scene, slot = place
+        order = self.scenes.object_index[scene]
+        return Look(
+            camera,
+            stored,
+            _labels(image.label, order[:slot]),
+            self._maker.query(sight, int(order[slot])),
+        )
+
+    def _row(
+        self, pair: int, place: np.ndarray, look: Look, candidates: np.ndarray, verdict: np.ndarray
+    ) -> dict[str, Any]:
+        scene, slot = place
+        T_region_world = np.linalg.inv(self._maker.T_world_region)
+        names, camera = self.scenes.problem.world.names, look.camera
+        order, poses = (
+            self.scenes.object_index[scene],
+            changed_frame(T_region_world, self.scenes.poses[scene]),
+        )
+        return {
+            "pair": pair,
+            "scene": int(self.scenes.number[scene]),
+            "slot": int(slot),
+            "object": names[order[slot]],
+            "pool": str(self.scenes.problem.config.pool),
+            "num_standing": int(slot),
+            "camera_K": camera.K.ravel().tolist(),
+            "T_region_camera": (T_region_world @ camera.T_world_camera).ravel().tolist(),
+            "width": camera.width,
+            "height": camera.height,
+            "depth": look.depth,
+            "labels": look.labels,
+            "standing": [names[index] for index in order[:slot]],
+            "standing_poses": poses[:slot].tolist(),
+            "target_pose": poses[slot].tolist(),
+            "candidate": candidates.tolist(),
+            "candidate_source": SOURCES.tolist(),
+            "candidate_verdict": verdict.tolist(),
+        }
+
+
+def write_pairs(
+    out: str | Path,
+    bank: Bank,
+    split: str,
+    num_pairs: int | None,
+    camera: str,
+    seed: int,
+    num_threads: int = 0,
+    overwrite: bool = False,
+) -> PairSet:
+    """The pairs of one split in a folder, begun or continued; see `cluttergen_jax.placer_data`."""
+    path = Path(out)
+    scenes = PartialScenes(bank, num_threads)
+    num_pairs = scenes.num_queries if num_pairs is None else num_pairs
+    maker = PairMaker(scenes, camera, seed, num_threads)
+    made = {
+        "seed": seed,
+        "camera": camera,
+        "block_size": BLOCK_SIZE,
+        "num_scenes": len(scenes.number),
+        "recipe": bank.record["recipe"],
+        "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax")},
+    }
+    with writing(path):
+        _check_place(path)
+        path.mkdir(parents=True, exist_ok=True)
+        lock = BankLock(path)
+    try:
+        with writing(path):
+            remove_partial(path)
+            record = _begun(path, bank, split, made, num_pairs, overwrite)
+            _store_assets(path, bank)
+            write_atomically(path / INDEX, (json.dumps(record, indent=1) + "\n").encode(), is_durable=True)
+            _write_blocks(path, maker, split, num_pairs)
+            pairs = PairSet(path, record)
+            write_card(pairs)
+    finally:
+        lock.release()
+    return pairs
+
+
+def _write_blocks(path: Path, maker: PairMaker, split: str, num_pairs: int) -> None:
+    """Makes every block that is missing, damaged or shorter."""
+    blocks = range(-(-num_pairs // BLOCK_SIZE))
+    rows = {block: min(BLOCK_SIZE, num_pairs - block * BLOCK_SIZE) for block in blocks}
+    missing = [block for block in blocks if read_block(path, split, block, rows[block]) is None]
+    kept = num_pairs - sum(rows[block] for block in missing)
+    with Progress(f"pairs of {split}", num_pairs, "pair", kept) as progress:
+        if missing:
+            progress.say(COMPILING)
+        for block in missing:
+            table = maker.block(block, rows[block], progress.update)
+            buffer = io.BytesIO()
+            pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
+            write_atomically(block_path(path, split, block), buffer.getvalue(), is_durable=True)
+        progress.update(0, f"{progress.rate():.1f} pairs/s")
+
+
+def _begun(
+    path: Path, bank: Bank, split: str, made: dict[str, Any], num_pairs: int, overwrite: bool
+) -> dict[str, Any]:
+    """The folder's record with this split in it."""
+    made = json.loads(json.dumps(made))
+    assets = bank.record.get("assets")
+    record = (
+        read_pairs(path).record
+        if (path / INDEX).exists()
+        else {"format": FORMAT, "kind": KIND, "assets": assets, "splits": {}}
+    )
+    if record["assets"] != assets:
+        raise BankError(
+            f"{path} holds pairs of other objects or of another support",
+            "one set of objects and one support in a folder",
+            "another `out`",
+        )
+    known = record["splits"].get(split)
+    if known is not None and overwrite:
+        known = None
+        for file in path.glob(f"{split}-*.parquet"):
+            file.unlink()
+    if known is not None:
+        changed = sorted(name for name in made if known.get(name) != made[name])
+        if changed:
+            raise BankError(
+                f"{path} holds pairs of {split!r} made with another {', '.join(changed)}",
+                "the same settings and the same bank, which continue it",
+                "another `out`, or `overwrite` to begin that split anew",
+            )
+        num_pairs = max(num_pairs, known["num_pairs"])
+    record["splits"][split] = {"num_pairs": num_pairs, **made}
+    return record
+
+
+def _check_place(path: Path) -> None:
+    """Refuses a folder that holds something else."""
+    if not path.exists() or (path / INDEX).exists():
+        return
+    ours = (LOCK, f".{INDEX}.partial", *(f"bank-{split}" for split in SPLITS), "assets")
+    if not path.is_dir() or any(each.name not in ours for each in path.iterdir()):
+        raise BankError(f"{path} exists and holds no pairs", "a new or empty folder", "another `out`")
+
+
+def _store_assets(path: Path, bank: Bank) -> None:
+    """The bank's own copies of the objects and the support."""
+    if (path / "assets").is_dir():
+        return
+    with folder_whole(path / "assets", is_only_writer=True) as fresh:
+        shutil.copytree(bank.path / "assets", fresh)
+
+
+def split_of(bank: Bank, asked: str | None) -> str:
+    """The split that a bank's scenes belong to, by its seed.
+
+    Raises:
+      ConfigError: another one is asked for.
+    """
+    seed = int(bank.record["recipe"].get("seed", 0))
+    split = max((name for name in SPLITS if SPLITS[name] <= seed), key=SPLITS.__getitem__)
+    if asked not in (None, split):
+        raise ConfigError(
+            f"split = {asked!r} of {bank.path}, whose seed is {seed}",
+            f"{split!r}: seeds from {', '.join(f'{first} ({name})' for name, first in SPLITS.items())}",
+            f"split={split!r}, or a bank of that split",
+        )
+    return split
+
+
+def _labels(label: np.ndarray, standing: Sequence[int]) -> bytes:
+    """u8[H, W]: labels of the world's objects as those of the standing ones, in their order."""
+    number = np.zeros(int(label.max(initial=FIRST_OBJECT)) + 1, np.uint8)
+    number[SUPPORT] = SUPPORT
+    for place, index in enumerate(standing):
+        if FIRST_OBJECT + index < len(number):
+            number[FIRST_OBJECT + index] = FIRST_OBJECT + place
+    return number[label].tobytes()
+
+
+def _is_inside(camera: Camera, support: Any) -> bool:
+    """Whether a camera is inside one of the support's boxes."""
+    for box in support.boxes:
+        cos, sin = np.cos(box.yaw), np.sin(box.yaw)
+        x, y, z = camera.eye - np.asarray(box.center)
+        local = np.abs([cos * x + sin * y, cos * y - sin * x, z])
+        if (local <= np.asarray(box.half_extents)).all():
+            return True
+    return False

@@ -1,0 +1,338 @@
+"""Pairs on disk: what a camera saw of a partial scene, where its next object stood, and judged candidates.
+
+    pairs.json              how each split was made, digests of its assets; README.md, the card
+    assets/                 the objects and the support, as a bank has them
+    train-000000.parquet    block 0 of a split: pairs 0 to 255, a row each
+    bank-train/             the bank behind a split, where it was made along with it
+
+A block is written as a whole or not at all (`data.write_pairs`).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cluttergen_jax.config import check_workers
+from cluttergen_jax.downstream.placer.query import PlacementQuery
+from cluttergen_jax.downstream.placer.sight import QueryMaker, Sight
+from cluttergen_jax.errors import BankError, ConfigError, closest
+from cluttergen_jax.generation.sources.replay import setup_of
+from cluttergen_jax.geometry import product, rotation_matrix
+from cluttergen_jax.placement.setup import Setup
+from cluttergen_jax.progress import Progress
+from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing.noise import NOISE_OFF, NoiseConfig
+
+FORMAT = 1
+KIND = "pairs"
+INDEX = "pairs.json"
+BLOCK_SIZE = 256
+SPLITS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
+"""The first seed of a bank of each split: scenes of different splits have different keys."""
+MILLIMETRES = 1000
+AGAIN = "the same `cluttergen placer data` again, which makes what is missing"
+
+SCHEMA = pa.schema(
+    [
+        ("pair", pa.int32()),
+        ("scene", pa.int32()),
+        ("slot", pa.int32()),
+        ("object", pa.string()),
+        ("pool", pa.string()),
+        ("num_standing", pa.int32()),
+        ("camera_K", pa.list_(pa.float64(), 9)),
+        ("T_region_camera", pa.list_(pa.float64(), 16)),
+        ("width", pa.int32()),
+        ("height", pa.int32()),
+        ("depth", pa.binary()),
+        ("labels", pa.binary()),
+        ("standing", pa.list_(pa.string())),
+        ("standing_poses", pa.list_(pa.list_(pa.float32(), 7))),
+        ("target_pose", pa.list_(pa.float32(), 7)),
+        ("candidate", pa.list_(pa.list_(pa.float32(), 4))),
+        ("candidate_source", pa.list_(pa.uint8())),
+        ("candidate_verdict", pa.list_(pa.uint8())),
+    ]
+)
+"""Poses are T_region_object, position in metres and quaternion wxyz; candidates x, y, z in metres and yaw in
+radians. Matrices stand row by row. Depth is u16 in millimetres along the optical axis, little-endian, row by
+row, 0 where nothing is; labels are u8: 0 the floor, 1 the support, 2 + k the k-th standing object."""
+
+
+class PairLabels(NamedTuple):
+    """What is known of P pairs beside the queries: the truth, for learning and judging alone.
+
+    Attributes:
+      pair, scene, slot: i32[P]; num_standing: i32[P], objects that stand.
+      object_index: i32[P], of the object to be placed, in the world of `PairSet.setup`.
+      order: i32[P, N], the objects that stand, then the one to be placed, then -1.
+      poses: f32[P, N, 7], T_region_object of those that stand; the identity elsewhere.
+      target: f32[P, 7], T_region_object where the scene's own object rests.
+      candidate: f32[P, 32, 4], x, y, z and yaw of T_region_object; source: u8[P, 32], of `candidate_draw`.
+      verdict: u8[P, 32], `types.Verdict` of each.
+      unseen: f32[P], share of the region's cells in which something may be hidden from the query.
+    """
+
+    pair: np.ndarray
+    scene: np.ndarray
+    slot: np.ndarray
+    num_standing: np.ndarray
+    object_index: np.ndarray
+    order: np.ndarray
+    poses: np.ndarray
+    target: np.ndarray
+    candidate: np.ndarray
+    source: np.ndarray
+    verdict: np.ndarray
+    unseen: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class PairSet:
+    """A folder of pairs that is read. `record` is what `pairs.json` holds."""
+
+    path: Path
+    record: dict[str, Any]
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Those that it holds."""
+        return tuple(self.record["splits"])
+
+    def split(self, name: str) -> dict[str, Any]:
+        """How a split was made.
+
+        Raises:
+          ConfigError: there is none of that name, or it holds no pairs.
+        """
+        if name not in SPLITS:
+            raise ConfigError(f"split = {name!r}", ", ".join(SPLITS), meant=closest(name, SPLITS))
+        if name not in self.record["splits"]:
+            raise ConfigError(
+                f"{self.path} holds no pairs of the split {name!r}",
+                f"{', '.join(self.splits) or 'none'} in that folder",
+                f"cluttergen placer data --split {name} --out {self.path}",
+            )
+        return self.record["splits"][name]
+
+    def tables(self, split: str) -> Iterator[pa.Table]:
+        """The rows of a split, block by block.
+
+        Raises:
+          ConfigError: there is no such split; BankError: a block is missing or damaged.
+        """
+        num_pairs = int(self.split(split)["num_pairs"])
+        for block in range(-(-num_pairs // BLOCK_SIZE)):
+            rows = min(BLOCK_SIZE, num_pairs - block * BLOCK_SIZE)
+            table = read_block(self.path, split, block, rows)
+            if table is None:
+                raise BankError(f"{block_path(self.path, split, block)} is missing or damaged", hint=AGAIN)
+            yield table
+
+    def setup(self, split: str) -> Setup:
+        """The world of a split, natively judged.
+
+        Raises:
+          ConfigError: there is no such split; BankError: an asset is missing or damaged.
+        """
+        recipe, assets = self.split(split)["recipe"], self.record["assets"]
+        return setup_of(Bank(self.path, {"recipe": recipe, "assets": assets}), engine="native")
+
+    @cached_property
+    def digest(self) -> str:
+        """Equal for equal pairs: of everything that decides them."""
+        from hashlib import sha256
+
+        return sha256(json.dumps(self.record, sort_keys=True).encode()).hexdigest()[:20]
+
+
+def read_pairs(path: str | Path) -> PairSet:
+    """Opens a folder of pairs.
+
+    Raises:
+      BankError: it is none, or damaged.
+    """
+    path = Path(path)
+    try:
+        record = json.loads((path / INDEX).read_bytes())
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise BankError(
+            f"{path} holds no pairs: it has no {INDEX}", "a folder that `cluttergen placer data` made"
+        ) from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise BankError(f"{path / INDEX} cannot be read ({error})", hint=AGAIN) from error
+    if not isinstance(record, dict) or (record.get("kind"), record.get("format")) != (KIND, FORMAT):
+        raise BankError(f"{path / INDEX} is not the record of pairs of format {FORMAT}", hint=AGAIN)
+    return PairSet(path, record)
+
+
+def block_path(path: Path, split: str, block: int) -> Path:
+    """Where a block of a split is stored."""
+    return path / f"{split}-{block:06d}.parquet"
+
+
+def read_block(path: Path, split: str, block: int, num_rows: int) -> pa.Table | None:
+    """The first rows of a block; None if it is missing, damaged or shorter."""
+    file = block_path(path, split, block)
+    try:
+        table = pq.read_table(file, schema=SCHEMA, page_checksum_verification=True, partitioning=None)
+        table.validate(full=True)
+    except (FileNotFoundError, pa.ArrowException, OSError, ValueError):
+        return None
+    first = block * BLOCK_SIZE
+    if table.num_rows < num_rows or not np.array_equal(
+        table["pair"], np.arange(first, first + table.num_rows)
+    ):
+        return None
+    return table.slice(0, num_rows)
+
+
+def load_queries(
+    dataset: str | Path | PairSet,
+    noise: NoiseConfig = NOISE_OFF,
+    seed: int = 0,
+    split: str = "train",
+    num_pairs: int | None = None,
+    num_threads: int = 0,
+) -> tuple[PlacementQuery, PairLabels]:
+    """The queries of a split, NumPy arrays with a leading axis, and what is known beside them.
+
+    Args:
+      noise: of the depth camera, drawn here: another `seed` draws it anew.
+      num_pairs: the first so many; all if None.
+      num_threads: 0 takes every core.
+
+    Raises:
+      ConfigError: there is no such split, or an argument is out of range.
+      BankError: a block or an asset is missing or damaged.
+    """
+    check_workers("num_threads", num_threads)
+    pairs = dataset if isinstance(dataset, PairSet) else read_pairs(dataset)
+    total = int(pairs.split(split)["num_pairs"])
+    if num_pairs is not None and not 1 <= num_pairs <= total:
+        raise ConfigError(f"num_pairs = {num_pairs}", f"1 to {total}, the pairs of {split!r} in {pairs.path}")
+    total, problem = num_pairs or total, pairs.setup(split).problem
+    maker, names = QueryMaker(problem), {name: k for k, name in enumerate(problem.world.names)}
+    queries: list[PlacementQuery] = []
+    labels: list[PairLabels] = []
+    with (
+        ThreadPoolExecutor(num_threads or None) as pool,
+        Progress(f"reading {split}", total, "pair") as progress,
+    ):
+        for table in pairs.tables(split):
+            table = table.slice(0, total - progress.done)
+            part = labels_of(table, names, problem.rules.num_slots)
+            images = images_of(table, maker.T_world_region)
+            sights = list(
+                pool.map(lambda image, pair: see_pair(maker, image, noise, seed, pair), images, part.pair)
+            )
+            seen = zip(sights, part.object_index, strict=True)
+            queries.append(stacked([maker.query(sight, index) for sight, index in seen]))
+            labels.append(part._replace(unseen=np.array([sight.unseen for sight in sights], np.float32)))
+            progress.update(len(part.pair))
+            if progress.done >= total:
+                break
+    return joined(queries), PairLabels(*(np.concatenate(each) for each in zip(*labels, strict=True)))
+
+
+def see_pair(
+    maker: QueryMaker, image: tuple[np.ndarray, Camera], noise: NoiseConfig, seed: int, pair: int
+) -> Sight:
+    """What a pair's depth image shows its camera with noise drawn for it."""
+    return maker.see(*image, noise, np.random.default_rng((seed, pair)))
+
+
+def stacked(queries: Sequence[PlacementQuery]) -> PlacementQuery:
+    """Queries of one world as one, with a leading axis."""
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *queries)
+
+
+def joined(queries: Sequence[PlacementQuery]) -> PlacementQuery:
+    """Batches of queries of one world as one batch."""
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *queries)
+
+
+def labels_of(table: pa.Table, names: dict[str, int], num_slots: int) -> PairLabels:
+    """The labels of some rows, but for what is unseen; names: the world's objects by their number.
+
+    Raises:
+      BankError: an object is not of that world.
+    """
+    columns = {name: table[name].to_pylist() for name in ("object", "standing", "standing_poses")}
+    num_pairs = table.num_rows
+    order = np.full((num_pairs, num_slots), -1, np.int32)
+    poses = np.tile(np.eye(7, dtype=np.float32)[3], (num_pairs, num_slots, 1))
+    try:
+        for row, (name, standing, at) in enumerate(zip(*columns.values(), strict=True)):
+            order[row, : len(standing) + 1] = [names[each] for each in (*standing, name)]
+            if standing:
+                poses[row, : len(standing)] = at
+    except (KeyError, ValueError) as error:
+        raise BankError(f"a pair names objects that its record does not ({error})", hint=AGAIN) from error
+    num_standing = np.array(table["num_standing"], np.int32)
+
+    def numbers(name: str, kind: type) -> np.ndarray:
+        return np.array(table[name].to_pylist(), kind)
+
+    return PairLabels(
+        pair=np.array(table["pair"], np.int32),
+        scene=np.array(table["scene"], np.int32),
+        slot=np.array(table["slot"], np.int32),
+        num_standing=num_standing,
+        object_index=order[np.arange(num_pairs), num_standing],
+        order=order,
+        poses=poses,
+        target=numbers("target_pose", np.float32),
+        candidate=numbers("candidate", np.float32),
+        source=numbers("candidate_source", np.uint8),
+        verdict=numbers("candidate_verdict", np.uint8),
+        unseen=np.full(num_pairs, np.nan, np.float32),
+    )
+
+
+def images_of(table: pa.Table, T_world_region: np.ndarray) -> Iterator[tuple[np.ndarray, Camera]]:
+    """Each row's depth image, f32[H, W] in metres, inf where nothing is, and its camera in the world."""
+    names = ("camera_K", "T_region_camera", "width", "height", "depth")
+    for row in table.select(names).to_pylist():
+        width, height = row["width"], row["height"]
+        T = np.array(row["T_region_camera"]).reshape(4, 4)
+        camera = Camera(width, height, np.array(row["camera_K"]).reshape(3, 3), T_world_region @ T)
+        yield depth_of(row["depth"], width, height), camera
+
+
+def depth_of(data: bytes, width: int, height: int) -> np.ndarray:
+    """f32[H, W], metres, inf where nothing is, from a row's bytes."""
+    stored = np.frombuffer(data, "<u2").reshape(height, width)
+    return np.where(stored > 0, stored.astype(np.float32) / MILLIMETRES, np.float32(np.inf))
+
+
+def depth_bytes(depth: np.ndarray) -> bytes:
+    """The inverse of `depth_of`, to the millimetre."""
+    whole = np.round(np.where(np.isfinite(depth), depth, 0.0) * MILLIMETRES)
+    return np.clip(whole, 0, np.iinfo(np.uint16).max).astype("<u2").tobytes()
+
+
+def changed_frame(T: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """f32[..., 7]: poses f[..., 7] of one frame as another sees them, which sees the first at T, f64[4, 4].
+
+    T is a turn about z and a shift.
+    """
+    yaw = np.arctan2(T[1, 0], T[0, 0])
+    turn = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+    position = np.asarray(poses[..., :3], np.float64) @ rotation_matrix(turn).T + T[:3, 3]
+    quaternion = product(
+        np.broadcast_to(turn, (*poses.shape[:-1], 4)), np.asarray(poses[..., 3:], np.float64)
+    )
+    return np.concatenate([position, quaternion], axis=-1).astype(np.float32)

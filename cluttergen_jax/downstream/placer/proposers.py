@@ -1,0 +1,121 @@
+"""Placers by name: baselines that learn nothing, and full-state methods that show what is possible."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from cluttergen_jax.downstream.placer.map_search import best_apart, draw, search
+from cluttergen_jax.downstream.placer.query import (
+    NUM_PROPOSALS,
+    PlacementQuery,
+    Placer,
+    Proposals,
+    without_scores,
+)
+from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.learning.methods import checkpoint_of, proposer_of, suited
+from cluttergen_jax.placement.problem import Problem
+from cluttergen_jax.placement.region import pose_of_action
+from cluttergen_jax.placement.rules import Proposer, Rules
+from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig
+from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.types import Array
+
+
+class RandomPlacer(struct.PyTreeNode):
+    """Uniform positions and turns at the object's own height on the bare top; it looks at nothing."""
+
+    def __call__(self, key: Array, query: PlacementQuery) -> Proposals:
+        """See `query.Placer`."""
+        drawn = draw(key, query, NUM_PROPOSALS)
+        height = jnp.full(NUM_PROPOSALS, query.half_extents[2] + CLEARANCE)
+        return without_scores(jnp.column_stack([drawn.xy, height, drawn.yaw]))
+
+
+class GeometryPlacer(struct.PyTreeNode):
+    """The baseline `drop` on what the camera saw: the cheapest poses, lowered onto one of the two maps.
+
+    Attributes:
+      unseen: what is hidden counts as "free" (the map `heights`), or as "occupied" (`ceilings`).
+      config: how long to look.
+    """
+
+    unseen: Literal["free", "occupied"] = struct.field(pytree_node=False)
+    config: SearchConfig = struct.field(pytree_node=False, default=SearchConfig())
+
+    def __call__(self, key: Array, query: PlacementQuery) -> Proposals:
+        """See `query.Placer`."""
+        heights = query.heights if self.unseen == "free" else query.ceilings
+        found = search(key, query, heights, self.config)
+        best = best_apart(found.cost, found.candidates.xy, NUM_PROPOSALS)
+        return without_scores(found.pose[best])
+
+
+@dataclass(frozen=True)
+class FullState:
+    """A method of `generate` that knows the whole scene: no placer, but what one can hope for.
+
+    Attributes:
+      method: its name; "policy" and its like are those trained for the pool.
+    """
+
+    method: str
+
+    def in_world(self, problem: Problem) -> tuple[Rules, Proposer]:
+        """The method in a world, and rules whose episodes look back on as much as it was trained with.
+
+        Raises:
+          PoolError: no checkpoint of it is embedded for the pool.
+        """
+        checkpoint = checkpoint_of(self.method, problem.config.pool)
+        rules = replace(problem.rules, config=suited(problem.rules.config, checkpoint))
+        return rules, proposer_of(self.method, checkpoint, rules)
+
+
+def proposals_of(propose: Proposer, key: Array, episode: Episode, rules: Rules) -> Proposals:
+    """What a full-state method proposes in as many attempts, each as if those before had failed."""
+
+    def one(key: Array, attempt: Array) -> Array:
+        action = propose(key, episode.replace(attempt=attempt))
+        T_region_world = episode.region.T_world_region.inverse()
+        pose = pose_of_action(action, episode.region, rules.height_range(episode))
+        return jnp.append(T_region_world.apply(pose[:3]), 2 * jnp.pi * action[3])
+
+    attempts = jnp.arange(NUM_PROPOSALS, dtype=jnp.int32)
+    return without_scores(jax.vmap(one)(jax.random.split(key, NUM_PROPOSALS), attempts))
+
+
+BASELINES: dict[str, Callable[[], Placer]] = {
+    "random": RandomPlacer,
+    "geometry": lambda: GeometryPlacer("free"),
+    "geometry-occupied": lambda: GeometryPlacer("occupied"),
+}
+FULL_STATE = ("drop", "guided", "policy")
+"""Methods that see the scene itself; the row that a placer can be measured against."""
+
+
+def find_placer(placer: str | Path) -> Placer | FullState:
+    """The placer of that name, or in that folder.
+
+    Raises:
+      ConfigError: there is none.
+    """
+    name = str(placer)
+    if name in BASELINES:
+        return BASELINES[name]()
+    if name in FULL_STATE:
+        return FullState(name)
+    known = (*BASELINES, *FULL_STATE)
+    raise ConfigError(
+        f"placer {name!r}",
+        f"{', '.join(known)}, or the folder of a trained one",
+        "placer='geometry'",
+        closest(name, known),
+    )

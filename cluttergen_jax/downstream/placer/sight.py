@@ -1,0 +1,127 @@
+"""What a camera's depth image tells a placer: from an image to a query."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cluttergen_jax.downstream.placer.query import CELL, NUM_POINTS, PlacementQuery
+from cluttergen_jax.placement.heightmap import VOID, HeightMap
+from cluttergen_jax.placement.problem import Problem
+from cluttergen_jax.placement.search.fit import UnderSide
+from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing.noise import NOISE_OFF, NoiseConfig, noisy
+from cluttergen_jax.sensing.partial import Grid, PartialMap, levelled
+
+_LOWEST = -0.005
+_HIGHEST = 0.6
+_MEDIAN, _LEAST_PIXELS = 3, 2
+"""With noise: of the filter of depths, and pixels that make a surface."""
+
+
+class Sight(NamedTuple):
+    """What was seen of one scene; region frame, metres.
+
+    Attributes:
+      heights, ceilings: f32[W, H], see `PlacementQuery`.
+      cloud: f32[2048, 3]; cloud_mask: bool[2048].
+      unseen: share of the region's cells that something may be hidden in.
+    """
+
+    heights: np.ndarray
+    ceilings: np.ndarray
+    cloud: np.ndarray
+    cloud_mask: np.ndarray
+    unseen: float
+
+
+class QueryMaker:
+    """Makes queries of depth images of scenes in one world.
+
+    Args:
+      problem: the world and its queried region.
+
+    Attributes:
+      grid: the cells of its maps.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        geometry = problem.rules.geometry
+        self._geometry = {
+            name: np.asarray(getattr(geometry, name))
+            for name in (
+                "half_extents",
+                "center_of_mass",
+                "own_margin",
+                "cloud",
+                "column_xy",
+                "column_bottom",
+                "is_column",
+            )
+        }
+        radius = float(np.linalg.norm(self._geometry["half_extents"][:, :2], axis=1).max())
+        self.grid = Grid.of(problem.world.support, radius, problem.region, CELL)
+        self._half = np.asarray(problem.region.half_extents, np.float32)
+
+    @property
+    def T_world_region(self) -> np.ndarray:
+        """f64[4, 4]."""
+        return self.grid.T_world_region
+
+    def see(self, depth: np.ndarray, camera: Camera, noise: NoiseConfig, rng: np.random.Generator) -> Sight:
+        """What a depth image shows, f32[H, W] in metres along the optical axis, inf where nothing is.
+
+        With noise, the top, which is known, corrects the camera's stated pose (`sensing.partial.levelled`).
+        """
+        if noise == NOISE_OFF:
+            found = PartialMap.of(depth, camera, self.grid)
+        else:
+            depth, camera = noisy(depth, camera, noise, rng)
+            camera = levelled(depth, camera, self.grid)
+            found = PartialMap.of(depth, camera, self.grid, median=_MEDIAN, least_pixels=_LEAST_PIXELS)
+        return Sight(found.height, found.ceiling, *self._cloud(depth, camera, rng), self._unseen(found))
+
+    def query(self, sight: Sight, object_index: int) -> PlacementQuery:
+        """The query for one of the world's objects, NumPy arrays."""
+        has = {name: array[object_index] for name, array in self._geometry.items()}
+        corner = np.asarray(self.grid.corner, np.float32)
+        highest = np.float32(sight.heights.max(initial=0.0))
+        return PlacementQuery(
+            heights=HeightMap(sight.heights, corner, self.grid.cell),
+            ceilings=HeightMap(sight.ceilings, corner, self.grid.cell),
+            under=UnderSide(
+                has["column_xy"], has["column_bottom"], has["is_column"], has["center_of_mass"][:2]
+            ),
+            half_extents=has["half_extents"],
+            center_of_mass=has["center_of_mass"],
+            own_margin=has["own_margin"],
+            object_cloud=has["cloud"],
+            cloud=sight.cloud,
+            cloud_mask=sight.cloud_mask,
+            region_half_extents=self._half,
+            height_range=highest + 2 * has["half_extents"][2],
+        )
+
+    def _cloud(
+        self, depth: np.ndarray, camera: Camera, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Points on and above the mapped part of the top, drawn where there are too many."""
+        T = self.T_world_region
+        points = (camera.points(depth)[np.isfinite(depth)] - T[:3, 3]) @ T[:3, :3]
+        beyond = np.abs(points[:, :2]) > np.abs(self.grid.corner)
+        is_kept = ~beyond.any(1) & (points[:, 2] > _LOWEST) & (points[:, 2] < _HIGHEST)
+        points = rng.permutation(points[is_kept])[:NUM_POINTS]
+        cloud = np.zeros((NUM_POINTS, 3), np.float32)
+        cloud[: len(points)] = points
+        return cloud, np.arange(NUM_POINTS) < len(points)
+
+    def _unseen(self, found: PartialMap) -> float:
+        x, y = (
+            np.abs(corner + cell * (np.arange(number) + 0.5)) < half
+            for corner, cell, number, half in zip(
+                self.grid.corner, self.grid.cell, found.height.shape, self._half, strict=True
+            )
+        )
+        is_asked = x[:, None] & y & (found.height > VOID)
+        return float((~found.is_seen)[is_asked].mean()) if is_asked.any() else 0.0

@@ -1,0 +1,204 @@
+"""A pinhole camera in OpenCV's frame, and where cameras stand around a support.
+
+The camera's x points right in the picture, y down, z forward along the optical axis; the middle of the pixel
+in row i and column j is at (j + 0.5, i + 0.5). Depth is measured along the optical axis, not along the ray.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.errors import ConfigError
+
+REALSENSE_SIZE, REALSENSE_FOCAL = (640, 480), 615.0
+"""Width, height and focal length in pixels of the depth image of an Intel RealSense D435."""
+SIZE, FOCAL = (160, 120), REALSENSE_FOCAL / 4
+"""The same at a quarter of the resolution: what pairs for learning are made with."""
+
+_OVERHEAD_HEIGHT = 0.75
+_SEEN_BEYOND = 0.03
+_SIDE_HEIGHT, _SIDE_DISTANCE, _SIDE_FIELD, _SIDE_SIZE = 0.40, 2.0, 60.0, 224
+_FREE_ELEVATION, _FREE_DISTANCE, _FREE_JITTER = (25.0, 65.0), (0.6, 1.1), 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera without distortion.
+
+    Attributes:
+      width, height: pixels.
+      K: f64[3, 3], intrinsics, pixels.
+      T_world_camera: f64[4, 4], metres.
+
+    Raises:
+      ConfigError: a picture without pixels, intrinsics of no camera, or a pose that is no rigid transform.
+    """
+
+    width: int
+    height: int
+    K: np.ndarray
+    T_world_camera: np.ndarray
+
+    def __post_init__(self) -> None:
+        K, T = np.asarray(self.K, np.float64), np.asarray(self.T_world_camera, np.float64)
+        if self.width < 1 or self.height < 1:
+            raise ConfigError(f"a camera of {self.width} x {self.height} pixels", "1 pixel or more a side")
+        if K.shape != (3, 3) or not (np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0):
+            raise ConfigError(f"intrinsics {K.tolist()}", "a 3 x 3 matrix with focal lengths above 0")
+        if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-5):
+            raise ConfigError(f"a camera's pose {T.tolist()}", "a 4 x 4 rigid transform")
+        object.__setattr__(self, "K", K)
+        object.__setattr__(self, "T_world_camera", T)
+
+    @staticmethod
+    def looking(
+        eye: np.ndarray,
+        target: np.ndarray,
+        width: int = SIZE[0],
+        height: int = SIZE[1],
+        focal: float = FOCAL,
+        up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    ) -> Camera:
+        """A camera at `eye` that looks at `target`, f[3] each, world frame, metres.
+
+        Args:
+          focal: the focal length, pixels.
+          up: what points up in the picture, world frame; not along the line of sight.
+
+        Raises:
+          ConfigError: there is no direction to look into, or none that is up.
+        """
+        forward = np.asarray(target, np.float64) - np.asarray(eye, np.float64)
+        right = np.cross(forward, up)
+        length, across = float(np.linalg.norm(forward)), float(np.linalg.norm(right))
+        if not across > 1e-9 * max(length, 1e-9):
+            raise ConfigError(
+                f"a camera at {np.round(eye, 4).tolist()} that looks at {np.round(target, 4).tolist()}",
+                "two places, not one above the other along `up`",
+                "another `up`",
+            )
+        forward, right = forward / length, right / across
+        T = np.eye(4)
+        T[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+        T[:3, 3] = eye
+        return Camera(width, height, intrinsics(width, height, focal), T)
+
+    @property
+    def eye(self) -> np.ndarray:
+        """f64[3]: where the camera is, world frame, metres."""
+        return self.T_world_camera[:3, 3]
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """f64[3, 3]: columns are the camera's right, down and forward in the world."""
+        return self.T_world_camera[:3, :3]
+
+    @cached_property
+    def directions(self) -> np.ndarray:
+        """f64[H, W, 3]: from the eye through each pixel's middle, world frame; 1 m along the optical axis."""
+        x, y = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
+        pixels = np.stack([x, y, np.ones_like(x)], axis=-1)
+        return pixels @ np.linalg.inv(self.K).T @ self.rotation.T
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where world points f[..., 3] are seen.
+
+        Returns:
+          f64[..., 2], pixels, x right and y down from the picture's upper left corner; f64[...], their depth,
+          metres. Points with a depth of 0 or less are behind the camera, and their pixels mean nothing.
+        """
+        seen = (np.asarray(points, np.float64) - self.eye) @ self.rotation
+        depth = seen[..., 2]
+        ahead = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
+        return (seen / ahead[..., None] @ self.K.T)[..., :2], depth
+
+    def points(self, depth: np.ndarray) -> np.ndarray:
+        """f64[H, W, 3]: the world points that the pixels' middles show at depths f[H, W]; nan without one."""
+        metres = np.where(np.isfinite(depth), depth, np.nan).astype(np.float64)
+        return self.eye + self.directions * metres[..., None]
+
+
+def intrinsics(width: int, height: int, focal: float) -> np.ndarray:
+    """f64[3, 3]: square pixels, the optical axis through the picture's middle; `focal` in pixels."""
+    return np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+
+
+def overhead(
+    support: SupportAsset, width: int = SIZE[0], height: int = SIZE[1], focal: float = FOCAL
+) -> Camera:
+    """Straight above the region's middle, 0.75 m or as high as it takes to see the whole region.
+
+    The region's longer side runs along the picture's longer one.
+    """
+    half = np.array(support.region.half_extents)
+    turn = support.region.yaw + (math.pi / 2 if (half[0] < half[1]) == (width > height) else 0.0)
+    across, along = sorted(half + _SEEN_BEYOND)
+    distance = focal * max(2 * along / max(width, height), 2 * across / min(width, height))
+    target = _middle(support)
+    eye = target + np.array([0.0, 0.0, max(_OVERHEAD_HEIGHT, distance)])
+    up = (-math.sin(turn), math.cos(turn), 0.0)
+    return Camera.looking(eye, target, width, height, focal, up)
+
+
+def side(support: SupportAsset) -> Camera:
+    """The camera whose pictures the paper's placement network was trained on.
+
+    0.40 m above the top, a region's width beyond the middle of its -x side, 224 x 224 pixels, 60 degrees.
+    """
+    focal = _SIDE_SIZE / 2 / math.tan(math.radians(_SIDE_FIELD) / 2)
+    distance = _SIDE_DISTANCE * support.region.half_extents[0]
+    target = _middle(support)
+    ahead = np.array([math.cos(support.region.yaw), math.sin(support.region.yaw), 0.0])
+    eye = target - distance * ahead + np.array([0.0, 0.0, _SIDE_HEIGHT])
+    return Camera.looking(eye, target, _SIDE_SIZE, _SIDE_SIZE, focal)
+
+
+def free(
+    support: SupportAsset,
+    rng: np.random.Generator,
+    width: int = SIZE[0],
+    height: int = SIZE[1],
+    focal: float = FOCAL,
+) -> Camera:
+    """A camera somewhere around the region, looking about at its middle.
+
+    Azimuth uniform over the circle, elevation over 25 to 65 degrees, distance over 0.6 to 1.1 m; what it
+    looks at lies up to 3 cm from the region's middle along each axis.
+    """
+    azimuth = rng.uniform(0.0, 2 * math.pi)
+    elevation = math.radians(rng.uniform(*_FREE_ELEVATION))
+    distance = rng.uniform(*_FREE_DISTANCE)
+    flat = math.cos(elevation)
+    away = np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
+    target = _middle(support) + rng.uniform(-_FREE_JITTER, _FREE_JITTER, 3)
+    return Camera.looking(_middle(support) + distance * away, target, width, height, focal)
+
+
+PRESETS: dict[str, Callable[[SupportAsset, np.random.Generator], Camera]] = {
+    "overhead": lambda support, rng: overhead(support),
+    "side": lambda support, rng: side(support),
+    "free": free,
+}
+"""Cameras by name; only `free` draws."""
+
+
+def find_preset(name: str) -> Callable[[SupportAsset, np.random.Generator], Camera]:
+    """The preset of that name.
+
+    Raises:
+      ConfigError: there is none.
+    """
+    if name not in PRESETS:
+        raise ConfigError(f"camera {name!r}", ", ".join(PRESETS))
+    return PRESETS[name]
+
+
+def _middle(support: SupportAsset) -> np.ndarray:
+    """f64[3]: the region's middle on the support's top, world frame."""
+    return np.array([*support.region.center, support.top], np.float64)

@@ -1,0 +1,139 @@
+"""Depth and labels by casting a ray through every pixel's middle: no display, no GL, safe on many threads."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.mjcf import VISUAL_GROUP, populated_spec
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.sensing.camera import Camera
+
+FLOOR, SUPPORT, FIRST_OBJECT = 0, 1, 2
+"""Labels: the floor or nothing, the support, then object k as 2 + k."""
+FARTHEST = 20.0
+"""Metres along the optical axis; what is farther away is not seen."""
+
+_SENSED, _UNSEEN = 0, 5
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """What each pixel's middle shows. H rows, W columns.
+
+    Attributes:
+      depth: f32[H, W], metres along the optical axis; inf where nothing is.
+      geom: i32[H, W], the model's geom there, -1 where nothing is.
+      label: i32[H, W], FLOOR, SUPPORT, or FIRST_OBJECT + k for the object of the k-th free joint.
+    """
+
+    depth: np.ndarray
+    geom: np.ndarray
+    label: np.ndarray
+
+
+class RaySensor:
+    """Casts rays at the bodies of a compiled model; serves many threads, each with its own data."""
+
+    def __init__(self, model: mujoco.MjModel, surfaces: bool = True) -> None:
+        """Args:
+        model: all its joints are free ones (`assets.mjcf.populated_spec`).
+        surfaces: see the coloured surfaces (geoms of `VISUAL_GROUP`); False: the collision parts.
+        """
+        if np.any(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE):
+            raise ConfigError("a model with joints that are not free", "free bodies and fixed ones")
+        # Only a copy can be told which geoms rays see: a support without pieces shows its boxes.
+        self.model = copy.copy(model)
+        collides = (model.geom_contype | model.geom_conaffinity) != 0
+        is_floor = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_bodyid == 0)
+        is_sensed = (model.geom_group == VISUAL_GROUP) if surfaces else collides
+        self.model.geom_group[:] = np.where(is_sensed | is_floor, _SENSED, _UNSEEN)
+        self._groups = np.zeros(mujoco.mjNGROUP, np.uint8)
+        self._groups[_SENSED] = 1
+        self._label = labels_of(model)
+        self._home = model.qpos0.reshape(-1, 7).copy()
+
+    @property
+    def num_objects(self) -> int:
+        """The number of free bodies."""
+        return self.model.njnt
+
+    def make_data(self) -> mujoco.MjData:
+        """Room for the state of one scene at a time; one for each thread."""
+        return mujoco.MjData(self.model)
+
+    def pose(self, data: mujoco.MjData, poses: np.ndarray, is_placed: np.ndarray | None = None) -> None:
+        """Puts a scene into `data`.
+
+        Args:
+          poses: f[K, 7], T_world_object, metres, wxyz, in the order of the joints.
+          is_placed: bool[K]; the others go where the model has them parked. None: all.
+        """
+        here = np.asarray(poses, np.float64).reshape(-1, 7)
+        if here.shape != self._home.shape:
+            raise ConfigError(f"{len(here)} poses for {len(self._home)} objects", f"{len(self._home)}")
+        if is_placed is not None:
+            here = np.where(np.asarray(is_placed, bool)[:, None], here, self._home)
+        data.qpos[:] = here.ravel()
+        mujoco.mj_kinematics(self.model, data)
+
+    def sense(self, data: mujoco.MjData, camera: Camera) -> DepthImage:
+        """What a camera sees of the scene in `data`, whose kinematics are up to date (`pose`)."""
+        shape = (camera.height, camera.width)
+        # A direction is 1 m long along the optical axis, so that its multiples are depths.
+        directions = camera.directions.reshape(-1, 3)
+        lengths = np.linalg.norm(directions, axis=1)
+        geom, distance = np.empty(len(directions), np.int32), np.empty(len(directions))
+        mujoco.mj_multiRay(
+            self.model,
+            data,
+            camera.eye,
+            (directions / lengths[:, None]).ravel(),
+            self._groups,
+            True,
+            -1,
+            geom,
+            distance,
+            None,
+            len(directions),
+            FARTHEST * lengths.max(),
+        )
+        depth = distance / lengths
+        is_hit = (geom >= 0) & (depth <= FARTHEST)
+        geom = np.where(is_hit, geom, -1)
+        label = np.where(is_hit, self._label[geom], FLOOR)
+        depth = np.where(is_hit, depth, np.inf).astype(np.float32)
+        return DepthImage(depth.reshape(shape), geom.reshape(shape), label.astype(np.int32).reshape(shape))
+
+
+def labels_of(model: mujoco.MjModel) -> np.ndarray:
+    """i32[ngeom]: each geom's label, by its body: that of a free joint, the world's or a fixed one."""
+    label_of_body = np.full(model.nbody, SUPPORT, np.int32)
+    label_of_body[0] = FLOOR
+    label_of_body[model.jnt_bodyid] = FIRST_OBJECT + np.arange(model.njnt)
+    return label_of_body[model.geom_bodyid]
+
+
+def sensed_model(objects: Sequence[ObjectAsset], support: SupportAsset) -> mujoco.MjModel:
+    """A model to cast rays at: surfaces and collision parts of objects and support, and a floor at z = 0.
+
+    Without poses every object is parked far away; joint k is object k.
+    """
+    names = [f"{index:02d}-{asset.name}" for index, asset in enumerate(objects)]
+    spec = populated_spec(names, objects, support, StabilityConfig().timestep, ContactConfig(), visual=True)
+    spec.worldbody.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=(0, 0, 1),
+        contype=0,
+        conaffinity=0,
+        group=VISUAL_GROUP,
+    )
+    return spec.compile()

@@ -1,0 +1,124 @@
+"""Placers side by side: figures are counted from verdicts, rows are kept, tables tell them."""
+
+import json
+
+import numpy as np
+import pytest
+
+import cluttergen_jax as cg
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.downstream.placer import bench as bench_module
+from cluttergen_jax.downstream.placer import data, pairs
+from cluttergen_jax.downstream.placer.bench import Bench, Outcome
+from cluttergen_jax.downstream.placer.figures import figures_of
+from cluttergen_jax.downstream.placer.pairs import SPLITS, load_queries
+from cluttergen_jax.downstream.placer.query import Proposals
+from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.placement.search.search import CLEARANCE
+from cluttergen_jax.proportions import wilson
+from cluttergen_jax.types import Verdict
+from tests.helpers.placing import write_bank
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (data, pairs):
+            patch.setattr(module, "BLOCK_SIZE", 8)
+        patch.setattr(bench_module, "_AT_ONCE", 8)
+        folder = tmp_path_factory.mktemp("placer")
+        found = write_bank(folder / "bank", seed=SPLITS["test"])
+        yield cg.placer_data(folder / "pairs", found.path, num_pairs=6)
+
+
+@pytest.fixture(scope="module")
+def labels(made):
+    return load_queries(made, split="test")[1]
+
+
+def test_where_the_scenes_own_object_rests_a_proposal_is_good_by_every_count(made, labels):
+    bench = Bench(made.setup("test"), labels)
+    yaw = 2 * np.arctan2(labels.target[:, 6], labels.target[:, 3])
+    own = [*np.column_stack([labels.target[:, :3], yaw]), 0, 0, CLEARANCE, 0]
+    wrong = [*own, 0, 0, 0.05, 0]
+    pose = np.stack([wrong, own, own], axis=1).astype(np.float32)
+    outcome = bench.judge(Proposals(pose, np.zeros(pose.shape[:2], np.float32)))
+    assert (outcome.verdict[:, 0] != int(Verdict.STABLE)).all()
+    assert (outcome.verdict[:, 1] == int(Verdict.STABLE)).all()
+    assert (outcome.verdict[:, 2] == int(Verdict.NONE)).all(), "what follows a good one is not tried"
+    assert outcome.z_error == pytest.approx(0.05, abs=0.001)
+    good = bench.judge(Proposals(pose[:, 1:2], np.zeros((len(pose), 1), np.float32)))
+    assert good.has_margin.all()
+    assert good.is_quiet.all()
+    assert bench.is_own_quiet().all()
+    assert np.abs(good.z_error).max() < 0.001
+    assert bench.stands_alone().all()
+
+
+def test_figures_are_shares_of_verdicts_with_wilsons_intervals(labels):
+    number = len(labels.pair)
+    verdict = np.full((number, 2), int(Verdict.NONE))
+    verdict[:, 0] = [0, 0, 0, int(Verdict.DISPLACED), int(Verdict.UNSETTLED), int(Verdict.CREPT)]
+    verdict[3:, 1] = [0, 0, int(Verdict.PENETRATING)]
+    outcome = Outcome(
+        pose=np.zeros((number, 2, 4)),
+        score=np.array([[0.9, 0.1]] * 3 + [[0.3, 0.1]] * 3),
+        verdict=verdict,
+        has_margin=np.arange(number) < 2,
+        is_quiet=np.arange(number) < 4,
+        z_error=np.array([0.0, -0.001, 0.002, 0.003, 0.004, np.nan]),
+    )
+    known = labels._replace(num_standing=np.array([0, 0, 1, 1, 7, 8]), unseen=np.linspace(0, 1, number))
+    figures = figures_of(outcome, known, ("box", "prism", "tall"))
+    low, high = wilson(3, 6)
+    assert figures["success"] == {"share": 0.5, "low95": low, "high95": high}
+    assert figures["best_of_all"]["share"] == pytest.approx(5 / 6)
+    assert figures["with_margin"]["share"] == pytest.approx(1 / 3)
+    assert figures["paper"]["share"] == pytest.approx(2 / 3)
+    assert figures["verdicts"]["displaced"] == figures["verdicts"]["crept"] == pytest.approx(1 / 6)
+    assert figures["z_error"]["median"] == pytest.approx(0.002)
+    assert figures["many"]["queries"] == 2
+    assert figures["many"]["share"] == 0
+    assert [each["queries"] for each in figures["by_standing"]] == [2, 2, 1, 1]
+    assert sum(each["queries"] for each in figures["by_unseen"]) == number
+    assert sum(each["queries"] for each in figures["by_object"]) == number
+    assert figures["calibration"]["brier"] == pytest.approx((3 * 0.1**2 + 3 * 0.3**2) / 6)
+    assert figures["calibration"]["gap"] == pytest.approx(0.5 * 0.1 + 0.5 * 0.3)
+
+
+def test_rows_are_kept_and_told_in_a_table(made, tmp_path, capsys, monkeypatch):
+    words = ["placer", "eval", str(made.path), "--placers", "random", "geometry", "drop", "--noise", "0"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    told = capsys.readouterr().out
+    rows = json.loads((tmp_path / "results.json").read_text())
+    assert [row["trial"]["placer"] for row in rows] == ["random", "geometry", "drop"]
+    assert "drop (full state)" in told
+    assert "6 queries of" in told
+    # On a table with two objects at most, who looks always finds room.
+    assert rows[1]["figures"]["success"]["share"] == rows[2]["figures"]["success"]["share"] == 1
+    monkeypatch.setattr(Bench, "judge", None)
+    again = cg.placer_eval(made.path, ("random", "geometry", "drop"), noise=(0.0,), out=tmp_path)
+    assert [row["figures"] for row in again.rows] == [row["figures"] for row in rows]
+    stored = sorted((tmp_path / "results").glob("*.npz"))
+    assert len(stored) == 3
+    with np.load(stored[0]) as arrays:
+        assert arrays["pose"].shape == (6, 5, 4)
+        assert arrays["verdict"].shape == (6, 5)
+
+
+def test_what_cannot_be_compared_is_refused(made, tmp_path):
+    with pytest.raises(ConfigError, match="placer 'nobody'"):
+        cg.placer_eval(made.path, ("random", "nobody"))
+    with pytest.raises(ConfigError, match="noise = "):
+        cg.placer_eval(made.path, noise=(-1.0,))
+    with pytest.raises(ConfigError, match="no pairs of the split 'val'"):
+        cg.placer_eval(made.path, split="val")
+    with pytest.raises(ConfigError, match="a sequence of names"):
+        cg.placer_eval(made.path, "geometry")
+    with pytest.raises(BankError, match="holds no pairs"):
+        cg.placer_eval(tmp_path)
+
+
+def test_errors_of_an_action_speak_of_its_flags(made, capsys):
+    assert main(["placer", "eval", str(made.path), "--noise", "99"]) == 2
+    assert "--noise 99.0" in capsys.readouterr().err

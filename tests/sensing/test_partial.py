@@ -1,0 +1,214 @@
+"""Partial maps against heights known by arithmetic: what is seen is true, what is hidden is said to be."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from cluttergen_jax.assets.ground import VOID
+from cluttergen_jax.assets.support import Rectangle, cuboid_table
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.heightmap import HeightMapper
+from cluttergen_jax.placement.problem import ProblemConfig, compose, region_of
+from cluttergen_jax.sensing.camera import Camera, free, overhead, side
+from cluttergen_jax.sensing.noise import REALSENSE, noisy
+from cluttergen_jax.sensing.partial import Grid, PartialMap, levelled, merged
+from cluttergen_jax.sensing.rays import RaySensor
+from tests.helpers.worlds import box, trio
+from tests.sensing.scenes import TABLE, model_of, random_boxes, standing, true_heights
+
+GRID = Grid.of(TABLE, 0.1)
+INNER = (slice(1, -1), slice(1, -1))
+
+
+def seen(objects, poses, camera, support=TABLE):
+    sensor = RaySensor(model_of(objects, support), surfaces=False)
+    data = sensor.make_data()
+    sensor.pose(data, poses)
+    return sensor.sense(data, camera).depth
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_from_above_the_map_is_the_true_one_to_a_cell(seed):
+    objects, poses, boxes = random_boxes(np.random.default_rng(seed), 6)
+    # Far away, so that rays are vertical to half a cell and nothing hides anything.
+    camera = Camera.looking([0, 0, 15.7], [0, 0, 0.7], 320, 320, 6000.0, up=(0, 1, 0))
+    found = PartialMap.of(seen(objects, poses, camera), camera, GRID)
+    true = true_heights(GRID, boxes)
+    low, high = minimum_filter(true, 3)[INNER], maximum_filter(true, 3)[INNER]
+    is_flat = high == low
+    assert is_flat.mean() > 0.3
+    for heights in (found.height[INNER], found.ceiling[INNER]):
+        assert (heights >= low - 1e-4).all()
+        np.testing.assert_allclose(heights[is_flat], true[INNER][is_flat], atol=1e-3)
+    assert (found.height[INNER] <= high + 1e-4).all()
+    assert (found.is_seen[INNER] | ~is_flat).all()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_view_calls_empty_what_is_not(seed):
+    rng = np.random.default_rng(seed)
+    objects, poses, boxes = random_boxes(rng, 7)
+    camera = free(TABLE, rng)
+    found = PartialMap.of(seen(objects, poses, camera), camera, GRID)
+    true = true_heights(GRID, boxes)[INNER]
+    # A cell, and a pixel's height on what is steep.
+    assert (found.ceiling[INNER] >= minimum_filter(true, 3) - 0.004).all()
+    assert (found.ceiling >= found.height).all()
+    assert (found.height[INNER] <= maximum_filter(true, 3) + 1e-4).all()
+    is_seen = found.is_seen[INNER]
+    assert 0.05 < is_seen.mean() < 0.95
+    assert (found.height[INNER][is_seen] >= minimum_filter(true, 3)[is_seen] - 0.011).all()
+
+
+def test_a_tall_box_hides_what_is_behind_it():
+    camera = side(TABLE)
+    found = PartialMap.of(
+        seen([box("tall", (0.02, 0.06, 0.1))], standing(0, 0, 0.1)[None], camera), camera, GRID
+    )
+    xy = GRID.columns[..., :2]
+    # By similar triangles from the eye at (-0.6, 0, 0.4 above), over the edge at x = 0.02 and 0.2 up.
+    behind = (xy[..., 0] > 0.05) & (xy[..., 0] < 0.28) & (np.abs(xy[..., 1]) < 0.04)
+    expected = 0.4 - (xy[..., 0] + 0.6) * (0.4 - 0.2) / 0.62
+    assert behind.sum() > 100
+    assert not found.is_seen[behind].any()
+    # To a pixel below, and to a step and a pixel above.
+    assert (found.ceiling[behind] >= expected[behind] - 0.003).all()
+    assert (found.ceiling[behind] <= expected[behind] + 0.014).all()
+    np.testing.assert_allclose(found.height[behind], 0.0, atol=1e-6)
+    before = (xy[..., 0] < -0.05) & (np.abs(xy[..., 1]) < 0.04)
+    before[[0, -1]] = False
+    assert found.is_seen[before].all()
+    np.testing.assert_allclose(found.ceiling[before], 0.0, atol=0.004)
+
+
+def test_an_empty_table_is_seen_to_be_empty():
+    rng = np.random.default_rng(0)
+    objects, poses, _ = random_boxes(rng, 1)
+    is_placed = np.zeros(1, bool)
+    sensor = RaySensor(model_of(objects), surfaces=False)
+    data = sensor.make_data()
+    sensor.pose(data, poses, is_placed)
+    for camera in (overhead(TABLE), side(TABLE), free(TABLE, rng)):
+        found = PartialMap.of(sensor.sense(data, camera).depth, camera, GRID)
+        pixels, _ = camera.project(GRID.columns[INNER])
+        in_view = ((pixels > 2) & (pixels < np.array([camera.width, camera.height]) - 2)).all(-1)
+        assert in_view.mean() > 0.5
+        assert found.is_seen[INNER][in_view].all()
+        np.testing.assert_allclose(found.height[INNER], 0.0, atol=1e-6)
+
+
+def test_what_is_out_of_the_picture_may_hold_anything():
+    camera = Camera.looking([0.6, 0, 1.3], [0.25, 0, 0.7], 40, 30, 60)
+    found = PartialMap.of(np.full((30, 40), np.inf), camera, GRID, max_height=0.3)
+    far = np.abs(GRID.columns[..., 1]) > 0.3
+    far[[0, -1]], far[:, [0, -1]] = False, False
+    np.testing.assert_allclose(found.ceiling[far], 0.3, atol=1e-6)
+    assert found.is_seen[INNER].any()
+
+
+def test_what_was_not_measured_hides_everything_unless_it_is_a_speck():
+    camera = overhead(TABLE)
+    depth = seen([box("one", (0.02, 0.02, 0.02))], standing(0.2, 0.2, 0.02)[None], camera)
+    whole = PartialMap.of(depth, camera, GRID)
+    specks = depth.copy()
+    specks[10::20, 10::20] = np.nan
+    np.testing.assert_allclose(PartialMap.of(specks, camera, GRID).ceiling, whole.ceiling, atol=0.03)
+    patched = depth.copy()
+    patched[40:80, 60:100] = np.nan
+    found = PartialMap.of(patched, camera, GRID)
+    pixels, _ = camera.project(GRID.columns)
+    within = ((pixels > [64, 44]) & (pixels < [96, 76])).all(-1)
+    assert within.sum() > 50
+    assert not found.is_seen[within].any()
+    assert (found.count[within] == 0).all()
+
+
+def test_more_views_leave_less_hidden():
+    rng = np.random.default_rng(3)
+    objects, poses, boxes = random_boxes(rng, 7)
+    cameras = [free(TABLE, rng) for _ in range(4)]
+    maps = [PartialMap.of(seen(objects, poses, camera), camera, GRID) for camera in cameras]
+    both = merged(maps)
+    for one in maps:
+        assert (both.height >= one.height).all()
+        assert (both.ceiling <= np.maximum(one.ceiling, both.height)).all()
+    assert both.is_seen.mean() > max(one.is_seen.mean() for one in maps)
+    assert (both.ceiling[INNER] >= minimum_filter(true_heights(GRID, boxes)[INNER], 3) - 0.004).all()
+
+
+def test_one_stray_pixel_makes_no_surface_where_several_are_asked_for():
+    camera = overhead(TABLE, 320, 240, 615 / 2)
+    depth = np.full((240, 320), camera.eye[2] - 0.7, np.float32)
+    depth[120, 160] -= 0.1
+    assert PartialMap.of(depth, camera, GRID).height.max() == pytest.approx(0.1, abs=1e-4)
+    assert PartialMap.of(depth, camera, GRID, least_pixels=2).height.max() < 1e-4
+    assert PartialMap.of(depth, camera, GRID, median=3).height.max() < 1e-4
+
+
+def test_the_known_top_mends_the_stated_pose():
+    errors = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        objects, poses, boxes = random_boxes(rng, 5)
+        camera = free(TABLE, rng)
+        depth, stated = noisy(seen(objects, poses, camera), camera, REALSENSE, rng)
+        is_bare = maximum_filter(true_heights(GRID, boxes), 5) == 0
+        is_bare[[0, -1]], is_bare[:, [0, -1]] = False, False
+        errors.append([])
+        for used in (stated, levelled(depth, stated, GRID)):
+            # Without the bare top as a lower bound, so that what is too low is seen too.
+            grid = replace(GRID, bare=np.where(GRID.bare > VOID, -0.02, VOID).astype(np.float32))
+            found = PartialMap.of(depth, used, grid, median=3)
+            shown = is_bare & (found.count > 0)
+            assert shown.sum() > 50
+            errors[-1].append(np.abs(found.height[shown]).mean())
+    stated, mended = np.array(errors).T
+    assert mended.mean() < 0.6 * stated.mean()
+    assert mended.max() < 0.003
+
+
+def test_an_exact_camera_over_a_bare_top_is_left_alone():
+    camera = side(TABLE)
+    depth = seen([box("one", (0.05, 0.05, 0.05))], standing(0, 0, 0.05)[None], camera)
+    assert levelled(depth, camera, GRID) is camera
+    assert levelled(np.full_like(depth, np.nan), camera, GRID) is camera
+
+
+@pytest.mark.parametrize("rectangle", [None, Rectangle((0.05, -0.02), (0.15, 0.2), 0.4)])
+def test_the_grid_is_laid_out_as_the_true_map_is(rectangle):
+    support = cuboid_table(0.8, 0.7, 0.5)
+    region = rectangle or support.region
+    problem = compose(trio(), support, ProblemConfig(placement=PlacementConfig(num_objects=3), region=region))
+    mapper = HeightMapper.of(problem.rules.geometry, region_of(region, support))
+    radius = float(np.linalg.norm(np.asarray(problem.rules.geometry.half_extents)[:, :2], axis=1).max())
+    grid = Grid.of(support, radius, region, cell=0.0072)
+    assert grid.bare.shape == mapper.shape
+    np.testing.assert_allclose(grid.cell, mapper.cell, rtol=1e-6)
+    nothing = jnp.zeros((3, 7)), jnp.zeros(3, bool)
+    true = mapper(region_of(region, support), *nothing)
+    np.testing.assert_allclose(grid.corner, true.corner, atol=1e-6)
+    assert ((grid.bare <= VOID) == (np.asarray(true.height) <= VOID)).mean() > 0.99
+    np.testing.assert_allclose(grid.bare[grid.bare > VOID], 0.0, atol=1e-6)
+
+
+def test_cells_off_the_support_are_void():
+    grid = Grid.of(TABLE, 0.1, Rectangle((0.3, 0.0), (0.1, 0.1)))
+    camera = overhead(TABLE)
+    found = PartialMap.of(
+        seen([box("one", (0.05, 0.05, 0.05))], standing(0, 0, 0.05)[None], camera), camera, grid
+    )
+    off = grid.columns[..., 0] > 0.31
+    assert off.sum() > 50
+    assert (found.height[off] <= VOID).all()
+    assert (found.ceiling[off] <= VOID).all()
+
+
+def test_bad_grids_and_images_are_refused():
+    with pytest.raises(ConfigError, match="cells of"):
+        Grid.of(TABLE, 0.1, cell=0.0)
+    with pytest.raises(ConfigError, match="the camera's"):
+        PartialMap.of(np.ones((3, 3)), overhead(TABLE), GRID)
