@@ -219,4 +219,3 @@ def _ended(lab: Lab, run: Callable[[Lab], int], wanted: np.ndarray | None) -> Ep
         seconds=lab.execution.num_steps * lab.execution.step_time,
         cpu=time.process_time() - begun,
     )
-

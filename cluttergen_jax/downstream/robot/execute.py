@@ -45,6 +45,8 @@ def _unplanned() -> np.ndarray:
     table = np.zeros((len(Phase), len(Kind), len(Kind)), bool)
     table[:, [Kind.ARM, Kind.HAND], :] = True
     table[:, :, [Kind.ARM, Kind.HAND]] = True
+    # Fingers meet where an object is lost, which is told otherwise.
+    table[:, Kind.HAND, Kind.HAND] = False
     for phase in (Phase.GRASP, Phase.CARRY, Phase.TOUCH):
         table[phase, Kind.HAND, Kind.TARGET] = table[phase, Kind.TARGET, Kind.HAND] = False
     for other in (Kind.GROUND, Kind.OTHER):

@@ -14,8 +14,8 @@ from cluttergen_jax.downstream.robot.antipodal import Pairs, Union, sample_pairs
 from cluttergen_jax.downstream.robot.frames import inverse, made, pose_of, shifted
 from cluttergen_jax.downstream.robot.model import MAX_OPENING, TOOL_DEPTH, hand_spec
 
-MIN_DEPTH = 0.008
-"""Metres by which the pads must reach over what they hold, where there is so much of it."""
+MIN_COVER = 0.012
+"""Metres of a pad's 17 mm, along and across the approach, that must lie on an object that has so much."""
 SPARE = 0.01
 """Metres by which each finger is opened wider than the object, where the hand opens so far."""
 OBJECT = "object"
@@ -93,9 +93,14 @@ def _approached(union: Union, pairs: Pairs, number: int, rng: np.random.Generato
     first = pairs.first[row] + _INSIDE * axis
     ahead, behind = union.reach(first, approach), union.reach(first, -approach)
     depth = np.minimum(ahead, _PAD - shallow) + np.minimum(behind, _PAD + shallow)
-    is_deep = depth >= np.minimum(MIN_DEPTH, 0.75 * (ahead + behind))
+    across = np.cross(axis, approach)
+    left, right = union.reach(first, across), union.reach(first, -across)
+    cover = np.minimum(left, _PAD) + np.minimum(right, _PAD)
+    is_deep = (depth >= np.minimum(MIN_COVER, 0.75 * (ahead + behind))) & (
+        cover >= np.minimum(MIN_COVER, 0.75 * (left + right))
+    )
     keep = is_deep & (approach[:, 2] <= _STEEPEST_UP)
-    turn = np.stack([np.cross(axis, approach), axis, approach], axis=-1)
+    turn = np.stack([across, axis, approach], axis=-1)
     pose = made(turn, middle - shallow[:, None] * approach)[keep]
     return Candidates(pose, width[keep], np.zeros(len(pose), bool))
 

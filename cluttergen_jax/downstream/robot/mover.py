@@ -139,7 +139,9 @@ class Mover:
         """The grasps, those that come from above and hold well first, and each turned about the approach."""
         pose = matrix_of(grasps.pose)
         down = -(T_world_object[:3, :3] @ pose[:, :3, 2, None])[:, 2, 0]
-        for index in np.argsort(-(down + 0.25 * grasps.margin - 50 * grasps.shift), kind="stable"):
+        # A centimetre of slip or of shift counts as much as half a turn from straight down.
+        worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip)
+        for index in np.argsort(-worth, kind="stable"):
             for turn in (np.eye(4), _FLIP):
                 yield pose[index] @ turn, float(grasps.width[index])
 

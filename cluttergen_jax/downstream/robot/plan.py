@@ -1,4 +1,4 @@
-"""Motion planning: a way for the joints around all that stands there, by RRT-Connect of OMPL and shortcuts."""
+"""Motion planning: a way for the joints around all that stands there, by RRT-Connect and shortcuts."""
 
 from __future__ import annotations
 

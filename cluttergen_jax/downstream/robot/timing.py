@@ -14,8 +14,10 @@ MAX_ACCELERATION = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])
 """rad/s^2."""
 SHARE = 0.5
 """Of these limits that is used."""
+_STILL = 1e-6
 _LEAST_STEP = 0.03
-"""Radians between two points of a way that its spline goes through."""
+_LEAST_POINTS = 5
+"""Radians between two points of a way that its spline goes through, and how many there are at least."""
 
 
 class Trajectory(NamedTuple):
@@ -42,11 +44,11 @@ def timed(path: np.ndarray, step: float, share: float = SHARE) -> Trajectory:
     algorithm = need("toppra.algorithm", "time laws of motions")
     constraint = need("toppra.constraint", "time laws of motions")
     toppra.setup_logging("ERROR")
+    if np.abs(np.ptp(path, axis=0)).max() < _STILL:
+        return Trajectory(np.asarray(path)[-1:], np.zeros((1, 7)))
     points = thinned(path)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    if len(points) < 2 or length[-1] < 1e-6:
-        return Trajectory(np.asarray(path)[-1:], np.zeros((1, 7)))
-    way = toppra.SplineInterpolator(length, points, bc_type="natural" if len(points) > 2 else "clamped")
+    way = toppra.SplineInterpolator(length, points, bc_type="natural")
     limits = [
         constraint.JointVelocityConstraint(np.stack([-MAX_SPEED, MAX_SPEED], 1) * share),
         constraint.JointAccelerationConstraint(np.stack([-MAX_ACCELERATION, MAX_ACCELERATION], 1) * share),
@@ -59,12 +61,14 @@ def timed(path: np.ndarray, step: float, share: float = SHARE) -> Trajectory:
 
 
 def thinned(path: np.ndarray) -> np.ndarray:
-    """Points of a way, the ends included, that are not closer than a spline can take."""
-    kept = [path[0]]
-    for point in path[1:-1]:
-        if (
-            np.linalg.norm(point - kept[-1]) >= _LEAST_STEP
-            and np.linalg.norm(path[-1] - point) >= _LEAST_STEP
-        ):
-            kept.append(point)
-    return np.stack([*kept, path[-1]]) if len(path) > 1 else np.stack(kept)
+    """Points of a way, the ends included, as far apart as a spline wants them; at least `_LEAST_POINTS`."""
+    path = np.asarray(path, np.float64)
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    kept = [0]
+    for k in range(1, len(path) - 1):
+        if min(length[k] - length[kept[-1]], length[-1] - length[k]) >= _LEAST_STEP:
+            kept.append(k)
+    at = length[[*kept, len(path) - 1]]
+    if len(at) < _LEAST_POINTS:
+        at = np.linspace(0, length[-1], _LEAST_POINTS)
+    return np.stack([np.interp(at, length, joint) for joint in path.T], axis=1)
