@@ -15,7 +15,7 @@ from mujoco.rollout import Rollout
 
 from cluttergen_jax.assets.mjcf import add_object
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.frames import angle_between, inverse, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasp_candidates import OBJECT, T_HAND_TOOL, Candidates
 from cluttergen_jax.downstream.robot.model import PandaConfig, hand_spec
@@ -73,8 +73,8 @@ def grip_test(
 ) -> GripTest:
     """Tests candidates in one batch; `pool` is a thread pool of MuJoCo's."""
     config = config or PandaConfig()
-    contact, step = ContactConfig(), StabilityConfig().timestep
-    model = _model(asset, contact, step, config)
+    contact, step = ContactConfig(), config.timestep
+    model = _model(asset, contact, config)
     course = _course(step)
     T_hand_object = T_HAND_TOOL @ inverse(candidates.pose)
     num, steps = len(candidates.width), len(course.closed)
@@ -99,10 +99,10 @@ def _threads(pool: Rollout) -> int:
     return max(pool.nthread, 1)
 
 
-def _model(asset: ObjectAsset, contact: ContactConfig, step: float, config: PandaConfig) -> mujoco.MjModel:
+def _model(asset: ObjectAsset, contact: ContactConfig, config: PandaConfig) -> mujoco.MjModel:
     """A hand and a body that weighs nothing by itself."""
     spec = hand_spec(contact, config)
-    spec.option.timestep, spec.option.gravity = step, (0.0, 0.0, 0.0)
+    spec.option.gravity = (0.0, 0.0, 0.0)
     spec.option.cone = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}.get(
         contact.cone, mujoco.mjtCone.mjCONE_PYRAMIDAL
     )

@@ -53,6 +53,7 @@ class PandaConfig:
         single step of 1/240 s moves by a centimetre in it, and throws the object away.
       grip_target: metres; where the servo wants the fingers when it closes.
       grip_force: N, of each finger at most.
+      timestep: seconds. Scenes are made with 1/240; what is pressed between two fingers chatters at that.
     """
 
     distance: float = 0.525
@@ -61,9 +62,10 @@ class PandaConfig:
     finger_inertia: float = 1.0
     grip_target: float = -0.12
     grip_force: float = 70.0
+    timestep: float = 1 / 960
 
     def __post_init__(self) -> None:
-        check_positive(self, "distance", "grip_gain", "grip_damping", "finger_inertia", "grip_force")
+        check_positive(self, "distance", "grip_gain", "grip_damping", "finger_inertia", "grip_force", "timestep")
         if not -1 <= self.grip_target < 0:
             raise ConfigError(f"PandaConfig.grip_target = {self.grip_target!r}", "metres, -1 to below 0")
 
@@ -118,12 +120,13 @@ def _prepared(spec: mujoco.MjSpec, contact: ContactConfig, config: PandaConfig |
     for finger in FINGERS:
         spec.joint(finger).armature = config.finger_inertia
     spec.body(HAND).add_site(name=TOOL, pos=(0.0, 0.0, TOOL_DEPTH))
-    _for_holding(spec)
+    _for_holding(spec, config)
     return spec
 
 
-def _for_holding(spec: mujoco.MjSpec) -> None:
+def _for_holding(spec: mujoco.MjSpec, config: PandaConfig) -> None:
     """Options without which the arm's servos are unstable (the scene's Euler), or what is held creeps."""
+    spec.option.timestep = config.timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.impratio = _IMPRATIO
 
@@ -144,12 +147,13 @@ def with_panda(scene: Scene, config: PandaConfig | None = None) -> mujoco.MjSpec
     Raises:
       MissingExtraError: the extra `robot` is not installed.
     """
+    config = config or PandaConfig()
     spec = scene.to_mjspec()
     arm = panda_spec(scene.contact, config)
     for option in _OPTIONS:
         setattr(arm.option, option, getattr(spec.option, option))
-    _for_holding(spec)
-    _for_holding(arm)
+    for each in (spec, arm):
+        _for_holding(each, config)
     base = base_pose(scene.support, config)
     spec.attach(arm, prefix=PREFIX, frame=spec.worldbody.add_frame(pos=base[:3], quat=base[3:]))
     return spec
