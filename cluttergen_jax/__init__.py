@@ -13,7 +13,7 @@ What a command does, one function does, with the same defaults:
     train, train_suite, pretrain   a pool -> a policy; those of a suite; an encoder
     export, render, view           scenes -> other programs, pictures, a viewer
     placer_data, placer_eval       pairs for stable placement; how often what placers propose stands
-    robot_grasps                   grasps of a pool's objects, tested
+    robot_grasps, robot_place      grasps of a pool's objects; objects moved by a simulated arm
     push_bank, pull_bank           a bank to and from a hub
 
 `Rectangle` tells `make_sampler` of a region or a keep-out box; `make_region` and `KeepOut` are for those of
@@ -33,7 +33,7 @@ from cluttergen_jax.api.import_ import import_pool, import_support
 from cluttergen_jax.api.placer import placer_data, placer_eval
 from cluttergen_jax.api.pretrain import pretrain
 from cluttergen_jax.api.render import render
-from cluttergen_jax.api.robot import robot_grasps
+from cluttergen_jax.api.robot import robot_grasps, robot_place
 from cluttergen_jax.api.train import train, train_suite
 from cluttergen_jax.api.verify import verify
 from cluttergen_jax.api.view import view
@@ -91,6 +91,7 @@ __all__ = [
     "remove_pool",
     "render",
     "robot_grasps",
+    "robot_place",
     "stats_of",
     "stats_text",
     "stream_bank",

@@ -45,6 +45,7 @@ Suite = Literal["paper", "extended", "honest"]
 """`honest` is the former name of `extended`, understood in this release."""
 Split = Literal["train", "val", "test"]
 SensedFrom = Literal["free", "overhead", "side"]
+RobotTask = Literal["lift", "place"]
 Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 Tier = Literal["standard", "light"]
 CameraName = Literal["overhead", "front", "side", "wrist"]

@@ -6,13 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import check_workers
+from cluttergen_jax.config import Method, RobotTask, check_workers
+from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.robot.grasp_sets import GraspSets
+    from cluttergen_jax.downstream.robot.trials import RobotTrials
 
 _MOST_GRASPS = 4096
 _MOST_SEED = 999_999
+_MOST_EPISODES = 1_000_000
+_REGION = "0.5x0.5"
+_NUM_OBJECTS = 8
 
 
 def robot_grasps(
@@ -61,3 +66,83 @@ def robot_grasps(
     if out is not None:
         write_grasps(Path(out), sets.sets)
     return sets
+
+
+def robot_place(
+    out: str | Path = "out/robot",
+    bank: str | Path | None = None,
+    *,
+    task: RobotTask = "place",
+    num_episodes: int = 40,
+    pool: str | Path | None = None,
+    method: Method | None = None,
+    support: str | Path | None = None,
+    num_objects: int | None = None,
+    region: str | None = None,
+    seed: int = 0,
+    num_threads: int = 0,
+) -> RobotTrials:
+    """Lets a simulated Franka Panda move the last object of scenes (`cluttergen robot place`).
+
+    In `place` it picks the object from a stand beside the table, puts it where the generator's search put it
+    and leaves; in `lift` it lifts it out of the others. The scene's true state is known to it. The same call
+    continues an interrupted one, and each episode is made again by its seed.
+
+    Args:
+      out: the folder; rows are kept there.
+      bank: whose scenes; if not given, one is made in the folder.
+      task: place or lift.
+      num_episodes: how many; scenes are taken again where the bank has fewer.
+      pool, method, support, num_objects, region: of a bank that is made along, as `generate` takes them;
+        household, guided, the usual table, 8 and 0.5x0.5 if not given.
+      seed: of all that is drawn.
+      num_threads: 0 takes every core.
+
+    Returns:
+      The episodes; printed, the share of successes, and failures by cause and by object.
+
+    Raises:
+      ConfigError: a setting is out of range, or contradicts the bank.
+      BankError: the bank cannot be read or holds no scene that stands, or the folder holds other episodes.
+      PoolError: there is no such pool or support.
+      MissingExtraError: the extra `robot` is not installed.
+    """
+    import os
+    from dataclasses import replace
+    from typing import Any, get_args
+
+    from cluttergen_jax.api.generate import generate
+    from cluttergen_jax.assets.support import Rectangle
+    from cluttergen_jax.downstream.robot.model import panda_folder
+    from cluttergen_jax.downstream.robot.trials import run_trials
+    from cluttergen_jax.placement.setup import check_range
+    from cluttergen_jax.scene.bank.bank import Bank, read_bank
+    from cluttergen_jax.scene.bank.scene import read_scenes
+
+    check_workers("num_threads", num_threads)
+    check_range("num_episodes", num_episodes, 1, _MOST_EPISODES, 40)
+    check_range("seed", seed, 0, _MOST_SEED, 0)
+    if task not in get_args(RobotTask):
+        raise ConfigError(f"task = {task!r}", ", ".join(get_args(RobotTask)))
+    panda_folder()
+    asked = {"pool": pool, "method": method, "support": support, "num_objects": num_objects, "region": region}
+    given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    if bank is None:
+        usual = {"pool": "household", "num_objects": _NUM_OBJECTS, "region": _REGION}
+        settings = {**usual, **given, "num_scenes": num_episodes, "seed": seed}
+        found: Bank = generate(
+            Path(out) / "bank", render=False, max_files=0, num_threads=num_threads, **settings
+        )
+    elif given:
+        first = next(iter(given))
+        raise ConfigError(f"`{first}` together with `bank`", "one or the other", f"leaving out `{first}`")
+    else:
+        found = read_bank(bank)
+    recipe = found.record["recipe"]
+    asked_region = recipe["region"]
+    center, half_extents = tuple(asked_region["center"]), tuple(asked_region["half_extents"])
+    queried = Rectangle(center, half_extents, asked_region["yaw"])
+    scenes = [replace(scene, support=replace(scene.support, region=queried)) for scene in read_scenes(found)]
+    rows = {"task": task, "seed": seed, "pool": recipe["pool"], "bank": recipe["seed"], "scenes": len(scenes)}
+    threads = num_threads or os.cpu_count() or 1
+    return run_trials(scenes, task, num_episodes, seed, Path(out) / task, rows, num_threads=threads)

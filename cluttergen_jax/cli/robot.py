@@ -1,4 +1,4 @@
-"""`cluttergen robot`: grasps of a pool's objects."""
+"""`cluttergen robot`: grasps of a pool's objects, and objects picked up and put down."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from cluttergen_jax.api.robot import robot_grasps
+from cluttergen_jax.api.robot import robot_grasps, robot_place
 from cluttergen_jax.cli.options import Options, options_from
 
 
@@ -24,15 +24,31 @@ class RobotGrasps(Options):
         return 0
 
 
+@options_from(robot_place, bank=Annotated[str | None, tyro.conf.Positional])
+class RobotPlace(Options):
+    """Let a simulated Franka Panda put objects into scenes, or lift them out of them (extra `robot`).
+
+    Example: `cluttergen robot place --pool household --num-episodes 40`
+    """
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        print(self.call(robot_place))
+        return 0
+
+
 @dataclass(frozen=True)
 class Robot:
-    """A robot arm in simulation: `robot grasps`.
+    """A robot arm in simulation: `robot grasps` and `robot place`.
 
     Attributes:
       action: what to do.
     """
 
-    action: Annotated[RobotGrasps, tyro.conf.subcommand("grasps")]
+    action: (
+        Annotated[RobotGrasps, tyro.conf.subcommand("grasps")]
+        | Annotated[RobotPlace, tyro.conf.subcommand("place")]
+    )
 
     def run(self) -> int:
         """Runs the chosen action; the exit status."""

@@ -120,16 +120,21 @@ class Union:
 
 
 def sample_pairs(union: Union, number: int, rng: np.random.Generator, friction: float = FRICTION) -> Pairs:
-    """The antipodal pairs among `number` lines that are cast from the surface inwards, against its normal.
+    """The antipodal pairs among `number` lines that are cast from the surface inwards.
 
-    At the far end the surface may be tilted as far as the friction cone allows. Flat pads turn an object
-    until they lie flat on it, so nothing is gained by lines that are tilted at the near end too. Fingers may
-    press upon one wall of a body, or upon two with a hollow between them.
+    Half of them run against the surface's normal, since flat pads turn an object until they lie flat on it;
+    the others run level wherever the friction cone allows it, since a level hand comes nearest to a table. At
+    the far end the surface may be tilted as far as the cone allows. Fingers may press upon one wall of a body,
+    or upon two with a hollow between them.
     """
     points, normals = union.surface_points(number, rng)
-    axis = -normals
-    crossing = union.cast(points, axis)
     cone = np.arctan(friction)
+    axis = -normals
+    level = axis * [1, 1, 0]
+    length = np.linalg.norm(level, axis=1)
+    may_be_level = (length >= np.cos(cone)) & (np.arange(number) % 2 == 1)
+    axis[may_be_level] = level[may_be_level] / length[may_be_level, None]
+    crossing = union.cast(points, axis)
     found = [
         _narrow(union, crossing, axis, rows, reach, part, cone)
         for rows, reach, part in _segments(crossing)

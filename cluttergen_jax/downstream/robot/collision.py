@@ -42,7 +42,7 @@ class Mode(IntEnum):
     """What is allowed.
 
     TRAVEL: nothing comes within the clearance of anything.
-    COME: the open hand is about the target, clear of it, near to all else.
+    COME: the open hand is about the target, near to it and to all else.
     CARRY: as TRAVEL, but what is held may touch what it stood on or will stand on.
     """
 
@@ -64,7 +64,7 @@ def _thresholds() -> np.ndarray:
             limit[mode, Kind.HAND, other] = limit[mode, other, Kind.HAND] = NEAR
     for mode in (Mode.COME, Mode.CARRY):
         limit[mode, Kind.HAND, Kind.GROUND] = limit[mode, Kind.GROUND, Kind.HAND] = 0.0
-        limit[mode, Kind.HAND, Kind.TARGET] = limit[mode, Kind.TARGET, Kind.HAND] = 0.0
+        limit[mode, Kind.HAND, Kind.TARGET] = limit[mode, Kind.TARGET, Kind.HAND] = NEAR
     for other in (Kind.GROUND, Kind.OTHER):
         limit[Mode.CARRY, Kind.HELD, other] = limit[Mode.CARRY, other, Kind.HELD] = _TOUCH
     return limit

@@ -61,7 +61,7 @@ class EpisodeResult:
 
 
 def stand_beside(support: SupportAsset) -> Box:
-    """A square on the level of the support's top, beside it, towards the region's -y and nearer to the arm."""
+    """A square on the level of the support's top, beside it at the region's -y, nearer to the arm."""
     region = support.region
     low = min(_low_side(box, region.yaw, np.asarray(region.center)) for box in support.boxes)
     middle = np.array([-_STAND_BEFORE, low - _STAND_GAP - STAND_SIDE / 2])

@@ -87,7 +87,8 @@ class Execution:
         self.step_time = float(self.model.opt.timestep)
         self._bodies = [self.model.body(name).id for name in scene.names]
         self._kind = self._kinds(target)
-        self._every, self.trace, self.num_steps = every, [], 0
+        self._every, self.num_steps = every, 0
+        self.trace: list[np.ndarray] = []
         self._start(scene)
 
     def _kinds(self, target: int) -> np.ndarray:

@@ -26,6 +26,8 @@ _SHALLOW = (0.0, 0.005)
 """Metres by which a grasp's points may lie nearer to the finger's tips than the middle of the pads."""
 _INSIDE = 5e-4
 _STEEPEST_UP = 0.1
+_CLEARANCE = 0.0015
+"""Metres between the hand and the object; the arm is where it should be to a millimetre."""
 _PLANE, _GROUND_GAP, _GROUND_HALF = "plane", 0.001, (0.5, 0.5, 0.05)
 _BACK = (0.0, 0.03, 0.06, 0.1)
 """Metres before the grasp at which the hand must be clear of the object too."""
@@ -123,6 +125,8 @@ class HandCheck:
     def __init__(self, asset: ObjectAsset) -> None:
         contact = ContactConfig()
         spec = hand_spec(contact)
+        for geom in spec.geoms:
+            geom.margin = _CLEARANCE
         body = add_object(spec, asset, OBJECT)
         below = -asset.half_extents[2] - _GROUND_GAP - _GROUND_HALF[2]
         body.add_geom(name=_PLANE, type=mujoco.mjtGeom.mjGEOM_BOX, size=_GROUND_HALF, pos=(0.0, 0.0, below))
@@ -144,10 +148,11 @@ class HandCheck:
             data.qpos[self._start :] = pose_of(T_hand_object)
             mujoco.mj_kinematics(self._model, data)
             mujoco.mj_collision(self._model, data)
-            on_plane = (data.contact.geom[data.contact.dist < 0] == self._plane).any(1)
+            # The plane's distance is allowed for in where it lies.
+            on_plane = (data.contact.geom == self._plane).any(1)
             if not on_plane.all():
                 return False, False
-            of_plane = of_plane and not on_plane.any()
+            of_plane = of_plane and not (data.contact.dist < 0).any()
         return True, of_plane
 
 

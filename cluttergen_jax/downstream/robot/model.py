@@ -65,7 +65,9 @@ class PandaConfig:
     timestep: float = 1 / 960
 
     def __post_init__(self) -> None:
-        check_positive(self, "distance", "grip_gain", "grip_damping", "finger_inertia", "grip_force", "timestep")
+        check_positive(
+            self, "distance", "grip_gain", "grip_damping", "finger_inertia", "grip_force", "timestep"
+        )
         if not -1 <= self.grip_target < 0:
             raise ConfigError(f"PandaConfig.grip_target = {self.grip_target!r}", "metres, -1 to below 0")
 
