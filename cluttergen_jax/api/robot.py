@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import Method, RobotTask, check_workers
+from cluttergen_jax.config import Method, RobotPlacer, RobotTask, check_workers
 from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -73,6 +73,7 @@ def robot_place(
     bank: str | Path | None = None,
     *,
     task: RobotTask = "place",
+    placer: RobotPlacer = "drop",
     num_episodes: int = 40,
     pool: str | Path | None = None,
     method: Method | None = None,
@@ -84,14 +85,16 @@ def robot_place(
 ) -> RobotTrials:
     """Lets a simulated Franka Panda move the last object of scenes (`cluttergen robot place`).
 
-    In `place` it picks the object from a stand beside the table, puts it where the generator's search put it
-    and leaves; in `lift` it lifts it out of the others. The scene's true state is known to it. The same call
-    continues an interrupted one, and each episode is made again by its seed.
+    In `place` it picks the object from a stand beside the table, puts it where the generator put it, or at
+    another place that a search finds, and leaves; in `lift` it lifts it out of the others. The true state is
+    known to it. The same call continues an interrupted one, and each episode is made again by its seed.
 
     Args:
       out: the folder; rows are kept there.
       bank: whose scenes; if not given, one is made in the folder.
       task: place or lift.
+      placer: what proposes more places, where the scene's own is not reached: drop or guided, which know the
+        whole scene; or none.
       num_episodes: how many; scenes are taken again where the bank has fewer.
       pool, method, support, num_objects, region: of a bank that is made along, as `generate` takes them;
         household, guided, the usual table, 8 and 0.5x0.5 if not given.
@@ -114,6 +117,7 @@ def robot_place(
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.downstream.robot.model import panda_folder
+    from cluttergen_jax.downstream.robot.places import SearchPlaces
     from cluttergen_jax.downstream.robot.trials import run_trials
     from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
@@ -122,8 +126,9 @@ def robot_place(
     check_workers("num_threads", num_threads)
     check_range("num_episodes", num_episodes, 1, _MOST_EPISODES, 40)
     check_range("seed", seed, 0, _MOST_SEED, 0)
-    if task not in get_args(RobotTask):
-        raise ConfigError(f"task = {task!r}", ", ".join(get_args(RobotTask)))
+    for name, value, known in (("task", task, RobotTask), ("placer", placer, RobotPlacer)):
+        if value not in get_args(known):
+            raise ConfigError(f"{name} = {value!r}", ", ".join(get_args(known)))
     panda_folder()
     asked = {"pool": pool, "method": method, "support": support, "num_objects": num_objects, "region": region}
     given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
@@ -143,6 +148,10 @@ def robot_place(
     center, half_extents = tuple(asked_region["center"]), tuple(asked_region["half_extents"])
     queried = Rectangle(center, half_extents, asked_region["yaw"])
     scenes = [replace(scene, support=replace(scene.support, region=queried)) for scene in read_scenes(found)]
-    rows = {"task": task, "seed": seed, "pool": recipe["pool"], "bank": recipe["seed"], "scenes": len(scenes)}
+    rows = {"task": task, "placer": placer, "seed": seed, "pool": recipe["pool"], "bank": recipe["seed"]}
     threads = num_threads or os.cpu_count() or 1
-    return run_trials(scenes, task, num_episodes, seed, Path(out) / task, rows, num_threads=threads)
+    folder = Path(out) / task
+    if task == "lift" or placer == "none":
+        return run_trials(scenes, task, num_episodes, seed, folder, rows, num_threads=threads)
+    places = SearchPlaces(found, placer, seed, threads)
+    return run_trials(scenes, task, num_episodes, seed, folder, rows, num_threads=threads, places=places)

@@ -123,9 +123,9 @@ def sample_pairs(union: Union, number: int, rng: np.random.Generator, friction: 
     """The antipodal pairs among `number` lines that are cast from the surface inwards.
 
     Half of them run against the surface's normal, since flat pads turn an object until they lie flat on it;
-    the others run level wherever the friction cone allows it, since a level hand comes nearest to a table. At
-    the far end the surface may be tilted as far as the cone allows. Fingers may press upon one wall of a body,
-    or upon two with a hollow between them.
+    the others run level wherever the friction cone allows it, since a level hand comes nearest to a table.
+    At the far end the surface may be tilted as far as the cone allows. Fingers may press upon one wall of a
+    body, or upon two with a hollow between them.
     """
     points, normals = union.surface_points(number, rng)
     cone = np.arctan(friction)

@@ -113,7 +113,7 @@ class Mover:
                     return hold
         if not has_joints:
             raise Failed(Outcome.NO_IK if len(grasps) else Outcome.NO_GRASP)
-        raise Failed(Outcome.NO_PATH if has_free else Outcome.NO_GRASP)
+        raise Failed(Outcome.NO_PATH if has_free else Outcome.NO_GRASP, "to pick it up")
 
     def pick(self, hold: Hold) -> None:
         """Runs it: the object is lifted by `LIFT` afterwards.
@@ -153,7 +153,7 @@ class Mover:
             return any(
                 self.world.is_free(joints, opening, Mode.CARRY)
                 for place in places
-                for joints in self.kinematics.solutions(place @ T_object_tool, 1, self._rng)
+                for joints in self.kinematics.solutions(place @ T_object_tool, _ARMS, self._rng)
             )
         finally:
             self.world.release(stood)

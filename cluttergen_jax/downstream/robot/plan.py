@@ -39,6 +39,9 @@ class Planner:
 
         Equal seeds give equal ways.
         """
+        # OMPL waits for ever for a goal that it may not reach.
+        if not all(self.world.is_free(joints, opening, mode) for joints in (start, goal)):
+            return None
         self._util.RNG.setSeed(seed + 1)
         space = self._space()
         setup = self._og.SimpleSetup(space)

@@ -154,8 +154,8 @@ def _plain(row: EpisodeResult) -> dict[str, Any]:
 
 
 def _row(line: str) -> EpisodeResult:
-    known: dict[str, Any] = json.loads(line)
-    return EpisodeResult(**{key: math.nan if value is None else value for key, value in known.items()})
+    known: Any = {key: math.nan if value is None else value for key, value in json.loads(line).items()}
+    return EpisodeResult(**known)
 
 
 def _kept(path: Path, recipe: dict[str, Any]) -> list[EpisodeResult]:
