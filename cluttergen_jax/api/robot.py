@@ -133,7 +133,8 @@ def robot_place(
     asked = {"pool": pool, "method": method, "support": support, "num_objects": num_objects, "region": region}
     given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     if bank is None:
-        usual = {"pool": "household", "num_objects": _NUM_OBJECTS, "region": _REGION}
+        # In a random order the last object is any of the pool, not mostly a small one.
+        usual = {"pool": "household", "num_objects": _NUM_OBJECTS, "region": _REGION, "order": "random"}
         settings = {**usual, **given, "num_scenes": num_episodes, "seed": seed}
         found: Bank = generate(
             Path(out) / "bank", render=False, max_files=0, num_threads=num_threads, **settings

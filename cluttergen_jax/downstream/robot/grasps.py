@@ -31,7 +31,7 @@ _VERSION = 1
 _NUM_LINES = 6000
 _CANDIDATES = 4
 """Times the grasps that are wanted are tested at most."""
-_AT_ONCE = 32
+_AT_ONCE = 16
 _COLUMNS = {"width": "metres", "shift": "metres", "slip": "metres", "turn": "radians", "margin": "weights"}
 
 

@@ -131,9 +131,7 @@ class Mover:
         before = self._in_hand()
         first, rest = _split(hold.lift, self.kinematics, TOUCH)
         run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.TOUCH)
-        run.follow(timed(rest, run.step_time, CARRY_SHARE), Phase.CARRY)
-        run.wait(0.2, Phase.CARRY)
-        self._check_slip(before)
+        self._carry(rest, before)
 
     def _ranked(self, grasps: Grasps, T_world_object: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
         """The grasps, those that come from above and hold well first, and each turned about the approach."""
@@ -146,14 +144,13 @@ class Mover:
                 yield pose[index] @ turn, float(grasps.width[index])
 
     def _fits(self, T_object_tool: np.ndarray, places: np.ndarray, opening: float) -> bool:
-        """Whether the hand could be where it must be to put the object down at one of the places."""
-        stood = self.execution.poses()[self.target]
-        self.world.hold(inverse(T_object_tool))
+        """Whether the hand can put the object down at one of the places, and leave it there."""
+        stood, T_tool_object = self.execution.poses()[self.target], inverse(T_object_tool)
         try:
             return any(
-                self.world.is_free(joints, opening, Mode.CARRY)
+                self._lowering(joints, place, T_tool_object, opening) is not None
                 for place in places
-                for joints in self.kinematics.solutions(place @ T_object_tool, _ARMS, self._rng)
+                for joints in self.kinematics.solutions(_tool_at(place, T_tool_object), _ARMS, self._rng)
             )
         finally:
             self.world.release(stood)
@@ -191,7 +188,7 @@ class Mover:
         """
         has_joints = False
         for number, place in enumerate(places):
-            for joints in self.kinematics.solutions(self._tool_at(place), _ARMS, self._rng):
+            for joints in self.kinematics.solutions(_tool_at(place, self._T_tool_object), _ARMS, self._rng):
                 has_joints = True
                 found = self._put(joints, place)
                 if found is not None:
@@ -199,33 +196,34 @@ class Mover:
                     return number
         raise Failed(Outcome.NO_PATH if has_joints else Outcome.NO_IK, "to put it down")
 
-    def _tool_at(self, place: np.ndarray) -> np.ndarray:
-        """f64[4, 4]: T_world_tool that holds the object just above a place."""
-        above = place.copy()
-        above[2, 3] += RELEASE
-        return above @ inverse(self._T_tool_object)
-
     def _put(self, joints: np.ndarray, place: np.ndarray) -> Put | None:
-        self.world.hold(self._T_tool_object)
-        lift = self.planner.line(joints, LIFT * _UP, self._opening, Mode.CARRY)
-        if lift is None:
+        found = self._lowering(joints, place, self._T_tool_object, self._opening)
+        if found is None:
             return None
+        lift, leave = found
+        self.world.hold(self._T_tool_object)
         way = self.planner.connect(self.execution.set_point, lift[-1], self._opening, self._next_seed())
-        if way is None:
+        return None if way is None else Put(way, lift[::-1], leave)
+
+    def _lowering(
+        self, joints: np.ndarray, place: np.ndarray, T_tool_object: np.ndarray, opening: float
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Joints f64[L, 7] straight up from where the object is put down, and out of the hand."""
+        self.world.hold(T_tool_object)
+        lift = self.planner.line(joints, LIFT * _UP, opening, Mode.CARRY)
+        if lift is None or not self.world.is_free(lift[-1], opening):
             return None
         self.world.release(pose_of(place))
-        leave = self._back(joints, self._tool_at(place), self._opening)
-        return None if leave is None else Put(way, lift[::-1], leave)
+        leave = self._back(joints, _tool_at(place, T_tool_object), opening)
+        return None if leave is None else (lift, leave)
 
     def _run_put(self, put: Put, place: np.ndarray) -> None:
         run = self.execution
         before = self._T_tool_object
-        run.follow(timed(put.way, run.step_time, CARRY_SHARE), Phase.CARRY)
-        run.wait(0.2, Phase.CARRY)
-        self._check_slip(before)
+        self._carry(put.way, before)
         lower = self._corrected(put.lower, place)
         upper, last = _split(lower, self.kinematics, TOUCH, from_end=True)
-        run.follow(timed(upper, run.step_time, CARRY_SHARE), Phase.CARRY)
+        self._carry(upper, self._T_tool_object, rest=0.0)
         run.follow(timed(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH)
         run.wait(0.2, Phase.TOUCH)
         run.move_fingers(self._opening, Phase.TOUCH)
@@ -236,7 +234,7 @@ class Mover:
 
     def _corrected(self, lower: np.ndarray, place: np.ndarray) -> np.ndarray:
         """The way down, with the object as it really lies in the hand."""
-        start = self.kinematics.solve(_raised(self._tool_at(place), LIFT), lower[0])
+        start = self.kinematics.solve(_raised(_tool_at(place, self._T_tool_object), LIFT), lower[0])
         path = None if start is None else self.kinematics.line(start, -LIFT * _UP)
         return lower if path is None else np.concatenate([self.execution.set_point[None], path])
 
@@ -264,17 +262,32 @@ class Mover:
         self._T_tool_object = inverse(self.execution.tool) @ self.execution.pose(self.target)
         return self._T_tool_object
 
-    def _check_slip(self, before: np.ndarray) -> None:
+    def _carry(self, path: np.ndarray, before: np.ndarray, rest: float = 0.2) -> None:
+        """Moves what is held; where it touches something because it slipped, the slip is the cause."""
+        try:
+            self.execution.follow(timed(path, self.execution.step_time, CARRY_SHARE), Phase.CARRY)
+            self.execution.wait(rest, Phase.CARRY)
+        except Failed:
+            self._check_slip(before, TOUCH / 2)
+            raise
+        self._check_slip(before)
+
+    def _check_slip(self, before: np.ndarray, most: float = MAX_SLIP) -> None:
         now = self._in_hand()
         # Of the object's point that was between the fingers.
         moved = np.linalg.norm((now @ inverse(before))[:3, 3])
         turned = float(angle_between(now, before))
-        if moved > MAX_SLIP or turned > MAX_TURN:
+        if moved > most or turned > MAX_TURN:
             raise Failed(Outcome.SLIP, f"{1e3 * moved:.0f} mm, {np.degrees(turned):.0f} deg")
 
     def _next_seed(self) -> int:
         self._seed += 1
         return self._seed
+
+
+def _tool_at(place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray:
+    """f64[4, 4]: T_world_tool that holds an object just above a place."""
+    return _raised(place, RELEASE) @ inverse(T_tool_object)
 
 
 def _raised(matrix: np.ndarray, height: float) -> np.ndarray:

@@ -16,7 +16,7 @@ SHARE = 0.5
 """Of these limits that is used."""
 _STILL = 1e-6
 _LEAST_STEP = 0.03
-_LEAST_POINTS = 5
+_LEAST_POINTS, _LEAST_GRID = 5, 100
 """Radians between two points of a way that its spline goes through, and how many there are at least."""
 
 
@@ -53,7 +53,7 @@ def timed(path: np.ndarray, step: float, share: float = SHARE) -> Trajectory:
         constraint.JointVelocityConstraint(np.stack([-MAX_SPEED, MAX_SPEED], 1) * share),
         constraint.JointAccelerationConstraint(np.stack([-MAX_ACCELERATION, MAX_ACCELERATION], 1) * share),
     ]
-    grid = np.linspace(0, length[-1], max(50, 2 * len(points)))
+    grid = np.linspace(0, length[-1], max(_LEAST_GRID, 8 * len(points)))
     law = algorithm.TOPPRA(limits, way, gridpoints=grid, parametrizer="ParametrizeConstAccel")
     motion = law.compute_trajectory(0, 0)
     times = np.append(np.arange(0, motion.duration, step), motion.duration)
