@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from benchmarks.section import prose, report, table
+from benchmarks.section import IMAGES, prose, report, table
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.evaluation.plots import add_legend, new_figure, prepare, save
 from cluttergen_jax.generation import Sampler, make_sampler
@@ -123,7 +123,7 @@ def _draw(found: dict[str, dict[str, list[Point]]], stem: Path) -> None:
         axis.set_xscale("log")
         axis.set_yscale("log")
     add_legend(figure)
-    save(figure, stem)
+    save(figure, stem, ("png",))
 
 
 def main(options: Cost) -> None:
@@ -142,9 +142,9 @@ def main(options: Cost) -> None:
     }
     parts = [_section(f"Against {of}", abouts[of], of, methods) for of, methods in found.items()]
     text = "\n\n".join(["## What a scene costs", *parts])
-    report("cost", f"{text}\n\n![Cost of a scene](cost.png)", write=options.write)
+    report("cost", f"{text}\n\n![Cost of a scene](../docs/images/cost.png)", write=options.write)
     if options.write:
-        _draw(found, Path(__file__).parent / "cost")
+        _draw(found, IMAGES / "cost")
 
 
 if __name__ == "__main__":

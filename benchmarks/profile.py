@@ -21,7 +21,7 @@ import jax
 import numpy as np
 import tyro
 
-from benchmarks.section import prose, report, table
+from benchmarks.section import IMAGES, prose, report, table
 from cluttergen_jax.evaluation.plots import add_legend, new_figure, prepare, save
 from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.learning.agents import make_agent
@@ -189,7 +189,7 @@ def _draw(found: dict[str, dict[str, dict[str, float]]], stem: Path) -> None:
         axis.set_yticks(range(len(rows)), list(rows))
         axis.invert_yaxis()
     add_legend(figure)
-    save(figure, stem)
+    save(figure, stem, ("png",))
 
 
 def main(options: Profile) -> None:
@@ -201,9 +201,9 @@ def main(options: Profile) -> None:
         method, without files, by scene that stands; and training by attempt, at its beginning."""
     )
     text = "\n\n".join(["## Where the time goes", about, _text("scene", sampled), _text("attempt", trained)])
-    report("profile", f"{text}\n\n![Shares of CPU time](profile.png)", write=options.write)
+    report("profile", f"{text}\n\n![Shares of CPU time](../docs/images/profile.png)", write=options.write)
     if options.write:
-        _draw({"scenes": sampled, "training": trained}, Path(__file__).parent / "profile")
+        _draw({"scenes": sampled, "training": trained}, IMAGES / "profile")
 
 
 if __name__ == "__main__":

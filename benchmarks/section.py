@@ -16,6 +16,7 @@ from cluttergen_jax.evaluation.machine import cpu_model
 
 ROOT = Path(__file__).parents[1]
 README = Path(__file__).parent / "README.md"
+IMAGES = ROOT / "docs/images"
 _HEAD = (
     "# Benchmarks\n\nEvery section is written by the command that stands in it; no figure is typed by hand.\n"
 )

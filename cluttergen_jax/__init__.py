@@ -13,6 +13,8 @@ What a command does, one function does, with the same defaults:
     train, train_suite, pretrain   a pool -> a policy; those of a suite; an encoder
     export, render, view           scenes -> other programs, pictures, a viewer
     placer_data, placer_eval       pairs for stable placement; how often what placers propose stands
+    placer_train                   pairs -> a placer for what one camera sees
+    place_by_hand                  a person's scenes -> a bank
     robot_grasps, robot_place      grasps of a pool's objects; objects moved by a simulated arm
     push_bank, pull_bank           a bank to and from a hub
 
@@ -30,7 +32,9 @@ from cluttergen_jax.api.export import export
 from cluttergen_jax.api.generate import generate
 from cluttergen_jax.api.hub import pull_bank, push_bank
 from cluttergen_jax.api.import_ import import_pool, import_support
+from cluttergen_jax.api.place import place_by_hand
 from cluttergen_jax.api.placer import placer_data, placer_eval
+from cluttergen_jax.api.placer_train import placer_train
 from cluttergen_jax.api.pretrain import pretrain
 from cluttergen_jax.api.render import render
 from cluttergen_jax.api.robot import robot_grasps, robot_place
@@ -81,8 +85,10 @@ __all__ = [
     "make_sampler",
     "make_sb3_env",
     "make_vector_env",
+    "place_by_hand",
     "placer_data",
     "placer_eval",
+    "placer_train",
     "pretrain",
     "pull_bank",
     "push_bank",

@@ -24,6 +24,8 @@ Method = Literal[
     "open_loop",
     "short_memory",
 ]
+HAND = "hand"
+"""The method of banks that people made; it proposes nothing by itself."""
 Variant = Literal["guided", "policy", "beta", "beta_free", "normal", "open_loop", "short_memory"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 """`guided` is no policy: its network learns by supervision what will stand, for every pool.
@@ -41,7 +43,7 @@ Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "a
 Reward = Literal["paper", "code", "compressed"]
 Encoder = Literal["set", "pointnet", "pointnet2"]
 EvalAction = Literal["sampled", "mean"]
-Suite = Literal["paper", "extended", "honest"]
+Suite = Literal["paper", "extended", "downstream", "honest"]
 """`honest` is the former name of `extended`, understood in this release."""
 Split = Literal["train", "val", "test"]
 SensedFrom = Literal["free", "overhead", "side"]
@@ -51,6 +53,10 @@ Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 Tier = Literal["standard", "light"]
 CameraName = Literal["overhead", "front", "side", "wrist"]
 FilmFormat = Literal["gif", "mp4"]
+PlacerHead = Literal["scored", "mixture", "regression"]
+PlacerPreset = Literal["cpu", "paper"]
+PlacerLoss = Literal["printed", "symmetric"]
+PlacerNoise = Literal["on", "off", "both"]
 ExportFormat = Literal["mjcf", "urdf", "sdf", "usd", "glb", "maniskill", "robosuite", "libero"]
 
 REMOVED = {

@@ -14,12 +14,13 @@ import posixpath
 import re
 import tomllib
 from pathlib import Path
+from typing import Annotated, get_args, get_origin, get_type_hints
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-from cluttergen_jax.cli.commands import COMMANDS
+from cluttergen_jax.cli.commands import COMMANDS, load
 from cluttergen_jax.cli.main import main
 
 ROOT = Path(__file__).parents[1]
@@ -92,12 +93,26 @@ def _commands() -> str:
     os.environ["COLUMNS"] = _COLUMNS
     parts = ["# Command line", "What `cluttergen COMMAND --help` prints."]
     for name, about in COMMANDS.items():
-        printed = io.StringIO()
-        with contextlib.redirect_stdout(printed):
-            main([name, "--help"])
-        text = re.sub(r"\x1b\[[0-9;]*m", "", printed.getvalue()).strip()
-        parts.append(f"## {name}\n\n{about}\n\n```text\n{text}\n```")
+        parts.append(f"## {name}\n\n{about}")
+        for action in _actions(name) or [""]:
+            title = f"### {name} {action}\n\n" if action else ""
+            parts.append(f"{title}```text\n{_help([name, *filter(None, [action])])}\n```")
     return "\n\n".join(parts) + "\n"
+
+
+def _actions(name: str) -> list[str]:
+    """The second words of a command that has such."""
+    action = get_type_hints(load(name), include_extras=True).get("action")
+    kinds = [get_args(each)[1] for each in get_args(action) if get_origin(each) is Annotated]
+    return [kind.name for kind in kinds]
+
+
+def _help(words: list[str]) -> str:
+    """What a command prints of itself."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        main([*words, "--help"])
+    return re.sub(r"\x1b\[[0-9;]*m", "", printed.getvalue()).strip()
 
 
 def _package_map() -> str:

@@ -140,8 +140,9 @@ def evaluate_suite(
     The arguments that are not explained here are those of `evaluate`.
 
     Args:
-      suite: "paper" (its tables and figures) or "extended" (what it does not ask); what the studies' own is
-        cannot be given then: supports, objects, attempts, rules, repeats and changes.
+      suite: "paper" (its tables and figures), "extended" (what it does not ask) or "downstream" (stable
+        placement, with `only`, `pools`, `quick`, `seed`, `num_threads`, `fresh` and `out` alone); what the
+        studies' own is cannot be given then: supports, objects, attempts, rules, repeats and changes.
       only: names of studies of the suite; all of them if not given.
       quick: a few trials a row: the whole paper suite in minutes.
       seeds: training seeds where a table asks for several, 3 if not given, 1 if quick; those without a
@@ -155,15 +156,23 @@ def evaluate_suite(
       ConfigError: a setting is outside its range, or there is no such suite, study or method.
       PoolError: there is no such pool.
     """
+    from cluttergen_jax.api.placer import placer_data
     from cluttergen_jax.cluster import cluster_of
+    from cluttergen_jax.downstream.suite import NAME, run_downstream
     from cluttergen_jax.evaluation.comparison import open_runner
     from cluttergen_jax.evaluation.running import imported_pools, run_suite, suite_folder
     from cluttergen_jax.evaluation.studies.study import Scale
     from cluttergen_jax.evaluation.studies.time import TIME
     from cluttergen_jax.evaluation.suites import find_suite
 
-    place = cluster_of(cluster, workers)
+    given, place = locals(), cluster_of(cluster, workers)
     check_workers("num_threads", num_threads)
+    if suite == NAME:
+        useless = ("methods", "trials", "seeds", "checkpoint", "checkpoints", "cluster")
+        if told := [name for name in useless if given[name]]:
+            raise ConfigError(f"`{told[0]}` with suite {NAME!r}", hint=f"leaving out `{told[0]}`")
+        folder = suite_folder(suite, quick) if out is None else Path(out)
+        return run_downstream(placer_data, folder, only, pools, quick, seed, num_threads, fresh, show)
     if seeds is not None and not 1 <= seeds <= 100:
         raise ConfigError(f"seeds = {seeds}", "1 to 100")
     folder = suite_folder(suite, quick) if out is None else Path(out)

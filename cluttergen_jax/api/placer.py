@@ -10,8 +10,8 @@ from cluttergen_jax.config import Method, SensedFrom, Split, check_workers
 from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.placer.evaluate import PlacerComparison
-    from cluttergen_jax.downstream.placer.pairs import PairSet
+    from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
+    from cluttergen_jax.downstream.placer.pairs.stored import PairSet
 
 _MOST_PAIRS = 10_000_000
 _MOST_SEED = 999_999
@@ -61,8 +61,8 @@ def placer_data(
       PoolError: there is no such pool or support.
     """
     from cluttergen_jax.api.generate import generate
-    from cluttergen_jax.downstream.placer.data import split_of, write_pairs
-    from cluttergen_jax.downstream.placer.pairs import SPLITS
+    from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
+    from cluttergen_jax.downstream.placer.pairs.stored import SPLITS
     from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
 
@@ -101,6 +101,7 @@ def placer_eval(
     noise: Sequence[float] = (0.0, 1.0),
     split: Split = "test",
     num_pairs: int | None = None,
+    chains: int = 0,
     seed: int = 0,
     num_threads: int = 0,
     fresh: bool = False,
@@ -115,6 +116,8 @@ def placer_eval(
       noise: of the depth camera, so many times that of a usual one; 0 for none.
       split: train, val or test.
       num_pairs: the first so many queries; all of the split if not given.
+      chains: tables that each placer fills by itself besides, object after object by what the camera sees
+        after the last; as many as the split has scenes at most.
       seed: of noise and proposals.
       num_threads: 0 takes every core.
       fresh: make rows again that are at hand.
@@ -129,8 +132,8 @@ def placer_eval(
       BankError: the folder holds no pairs, or they are damaged.
       PoolError: a placer's files are damaged, or there is none for the pool.
     """
-    from cluttergen_jax.downstream.placer.evaluate import Trials, compare_placers
-    from cluttergen_jax.downstream.placer.pairs import read_pairs
+    from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials, compare_placers
+    from cluttergen_jax.downstream.placer.pairs.stored import read_pairs
     from cluttergen_jax.evaluation.store import Store
 
     check_workers("num_threads", num_threads)
@@ -138,7 +141,9 @@ def placer_eval(
         raise ConfigError(f"placers = {placers!r}", "a sequence of names", "placers=('geometry',)")
     if not noise or not all(0 <= each <= _MOST_NOISE for each in noise):
         raise ConfigError(f"noise = {noise!r}", f"one number or more, 0 to {_MOST_NOISE:g}", "noise=(0, 1)")
+    if not 0 <= chains <= _MOST_PAIRS:
+        raise ConfigError(f"chains = {chains}", f"0 to {_MOST_PAIRS}", "chains=100")
     folder = None if out is None else Path(out)
     store = Store(folder and folder / "results")
     trials = Trials(read_pairs(data), split, num_pairs, seed, store, fresh, num_threads)
-    return compare_placers(trials, tuple(map(str, placers)), tuple(map(float, noise)), folder)
+    return compare_placers(trials, tuple(map(str, placers)), tuple(map(float, noise)), folder, chains)

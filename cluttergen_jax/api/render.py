@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from cluttergen_jax.api.text import parse_numbers, parse_size
 from cluttergen_jax.config import FilmFormat
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.config import CameraView, FilmConfig
 
 if TYPE_CHECKING:
@@ -28,6 +29,9 @@ def render(
     depth: bool = False,
     segmentation: bool = False,
     points: bool = False,
+    bop: bool = False,
+    views: int = 4,
+    seed: int = 0,
     size: tuple[int, int] | str | None = None,
     view: CameraView | None = None,
     whole: bool = False,
@@ -51,15 +55,20 @@ def render(
       replay: a film of the placement as it happened, failed attempts in red.
       figure: the closed-loop figure: an object's failed attempts ringed in red, until it stands.
       density: where the method would put the object of the last attempt, as a heat map on the table.
-      depth: a 16-bit PNG in millimetres along the optical axis (0: nothing there), and the NPZ file.
-      segmentation: an indexed PNG: 0 floor or nothing, 1 support, 2 + k object k; and the NPZ file.
+      depth: a 16-bit PNG in millimetres along the optical axis (0: nothing there), and beside it a JSON file
+        with the camera, the names and the poses, and all of it in an NPZ file.
+      segmentation: an indexed PNG: 0 floor or nothing, 1 support, 2 + k object k; and the same two files.
       points: a PLY point cloud of all surfaces: metres, world frame, colours, labels as above.
-      size: of pictures, WIDTHxHEIGHT in pixels; 1280x960, and 640x480 for films, if not given. In Python also
-        a pair.
+      bop: a dataset for pose estimation in the format of the BOP benchmark, in the folder bop: colour, depth,
+        masks, poses, models. Scenes are added to one that is there.
+      views: pictures of each of its scenes, by cameras at random places around it.
+      seed: of where these cameras stand; an integer of at least 0.
+      size: of pictures, WIDTHxHEIGHT in pixels; 1280x960, and 640x480 for films and bop, if not given. In
+        Python also a pair.
       view: from which side the scene is seen; the defaults of `CameraView` if not given.
       whole: show the whole support instead of the objects and the region alone.
       hulls: draw the collision parts instead of the surfaces.
-      samples: pictures averaged into one, for soft light; 32, and 10 for films, if not given.
+      samples: pictures averaged into one, for soft light; 32, and 10 for films and bop, if not given.
       film: "gif", or "mp4" (extra video).
       pace: how fast films run; the defaults of `FilmConfig` if not given.
       columns: of the contact sheet.
@@ -79,7 +88,10 @@ def render(
         "depth": depth,
         "segmentation": segmentation,
         "points": points,
+        "bop": bop,
     }
+    if views < 1 or seed < 0:
+        raise ConfigError(f"views = {views}, seed = {seed}", "1 view or more, a seed from 0 on")
     numbers = _numbers(scenes)
     size = parse_size(size) if isinstance(size, str) else size
     from cluttergen_jax.generation.sources.rendering import Rendering
@@ -94,6 +106,8 @@ def render(
         film,
         pace or FilmConfig(),
         columns,
+        views,
+        seed,
     ).make(str(source), numbers)
 
 

@@ -26,7 +26,7 @@ class Cloud:
     Attributes:
       points: f32[P, 3], metres, world frame.
       colours: uint8[P, 3].
-      labels: i32[P]: 1 for the support's top, 2 + k for object k (as in `sensors`).
+      labels: i32[P]: 1 for the support's top, 2 + k for object k (as in `sensing.rays`).
     """
 
     points: np.ndarray

@@ -53,7 +53,13 @@ class Options:
         ]
         if useless:
             raise ConfigError(f"{', '.join(useless)} {where}", hint=hint)
-        return function(**{name: value for name, value in given.items() if name in taken} | changes)
+        # What was left at None is the function's to say, where it says something.
+        chosen = {
+            name: value
+            for name, value in given.items()
+            if name in taken and (value is not None or taken[name].default is inspect.Parameter.empty)
+        }
+        return function(**chosen | changes)
 
 
 def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type], Any]:
@@ -64,7 +70,7 @@ def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type
     Args:
       functions: where several take an argument, the first says what it is.
       kinds: types in place of the functions' own, by argument: what is positional, has an alias, or is text
-        on the command line alone.
+        on the command line alone; and switches that no function takes, each with its help.
     """
 
     def decorate(command: type) -> type:
@@ -78,12 +84,16 @@ def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type
                     kind = kinds.get(name) or _as_given(eval(parameter.annotation, function.__globals__))
                     is_needed = all(name in inspect.signature(each).parameters for each in functions)
                     fields[name] = (name, kind, _default(parameter.default, kind, is_needed))
+        for name in kinds.keys() - fields.keys():
+            fields[name] = (name, kinds[name], dataclasses.field(default=False))
         # A dataclass has fields without a default first.
         ordered = sorted(fields.values(), key=lambda field: field[2].default is not dataclasses.MISSING)
         made = dataclasses.make_dataclass(
             command.__name__, ordered, bases=(command,), frozen=True, namespace={"__doc__": command.__doc__}
         )
         for field in dataclasses.fields(made):
+            if field.name not in docs:
+                continue
             told = tyro.conf.arg(help=option_help(docs[field.name], made), name=FLAGS.get(field.name))
             made.__annotations__[field.name] = field.type = Annotated[field.type, told]
         return made

@@ -8,7 +8,9 @@ from typing import Annotated
 import tyro
 
 from cluttergen_jax.api.placer import placer_data, placer_eval
+from cluttergen_jax.api.placer_train import placer_train
 from cluttergen_jax.cli.options import Options, options_from
+from cluttergen_jax.errors import ConfigError
 
 
 @options_from(placer_data, bank=Annotated[str | None, tyro.conf.Positional])
@@ -26,6 +28,21 @@ class PlacerData(Options):
         pairs = self.call(placer_data)
         for split in pairs.splits:
             print(f"pairs      {pairs.split(split)['num_pairs']} of {split} in {pairs.path}")
+        return 0
+
+
+@options_from(placer_train, data=Annotated[tuple[str, ...], tyro.conf.Positional])
+class PlacerTrain(Options):
+    """Train a placer on pairs. The same command takes an interrupted run up again.
+
+    Example: `cluttergen placer train pairs --head scored --out runs/placer`
+    """
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        if not self.data:
+            raise ConfigError("no folder of pairs", "one or more", "cluttergen placer train pairs")
+        self.call(placer_train)
         return 0
 
 
@@ -47,7 +64,7 @@ class PlacerEval(Options):
 
 @dataclass(frozen=True)
 class Placer:
-    """Stable placement from one camera's view: `placer data` and `placer eval`.
+    """Stable placement from one camera's view: `placer data`, `placer train` and `placer eval`.
 
     Attributes:
       action: what to do.
@@ -55,6 +72,7 @@ class Placer:
 
     action: (
         Annotated[PlacerData, tyro.conf.subcommand("data")]
+        | Annotated[PlacerTrain, tyro.conf.subcommand("train")]
         | Annotated[PlacerEval, tyro.conf.subcommand("eval")]
     )
 

@@ -29,7 +29,7 @@ from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.lock import BankLock
 from cluttergen_jax.scene.bank.remote import check_is_here
 from cluttergen_jax.scene.bank.scene import config_of
-from cluttergen_jax.scene.bank.table import CERTIFICATE, CLUTTER, SCHEMA, is_fully_certified
+from cluttergen_jax.scene.bank.table import CERTIFICATE, is_fully_certified, schema_of
 from cluttergen_jax.scene.bank.writer import write_rows
 
 _RENAMED = {"drift": "horizon_drift", "drift_turn": "horizon_turn", "drift_seconds": "horizon_seconds"}
@@ -155,7 +155,7 @@ class Certifier:
 
 def certified(rows: pa.Table, models: SceneModels, seconds: float, jobs: int) -> pa.Table:
     """The rows with the columns of `CERTIFICATE`."""
-    rows = rows.select([*SCHEMA.names, *CLUTTER.names])
+    rows = rows.select([name for name in schema_of(rows).names if name not in CERTIFICATE.names])
     scenes = rows.select(["is_success", "object_index", "is_placed", "poses"]).to_pylist()
     results: list[dict[str, Any]] = [dict.fromkeys(CERTIFICATE.names) for _ in scenes]
     good = [place for place, scene in enumerate(scenes) if scene["is_success"]]

@@ -54,10 +54,10 @@ def new_figure(width: float, height: float) -> Any:
     return figure
 
 
-def save(figure: Any, stem: Path) -> list[str]:
-    """Writes STEM.png and STEM.pdf; returns their names."""
+def save(figure: Any, stem: Path, endings: tuple[str, ...] = ("png", "pdf")) -> list[str]:
+    """Writes STEM.png and STEM.pdf, or what else is asked for; returns their names."""
     names = []
-    for ending in ("png", "pdf"):
+    for ending in endings:
         buffer = io.BytesIO()
         # Without a date, equal plots are equal files.
         metadata = {"CreationDate": None} if ending == "pdf" else {"Software": None}

@@ -10,7 +10,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import sentence
 from cluttergen_jax.evaluation.rivals import OURS, TWIN, tally
 from cluttergen_jax.evaluation.store import FORMAT, json_bytes
-from cluttergen_jax.evaluation.suites import FORMER_NAMES, STUDIES, SUITES
+from cluttergen_jax.evaluation.suites import FORMER_NAMES, STUDIES
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.tables import Table
 
@@ -18,9 +18,20 @@ Result = dict[str, Any]
 
 
 def tables_of(result: Result) -> list[Table]:
-    """The study's tables; if fewer trials were made than it asks for, their titles say so."""
+    """The study's tables; if fewer trials were made than it asks for, their titles say so.
+
+    The result of a study that is made in a package above this one brings its tables along.
+    """
+    if "tables" in result:
+        return [_table(each) for each in result["tables"]]
     tables = STUDIES[result["name"]].tables(result)
     return [Table(_title(result, table.title), table.columns, table.rows, table.notes) for table in tables]
+
+
+def _table(told: dict[str, Any]) -> Table:
+    """A table from JSON."""
+    rows = tuple(map(tuple, told["rows"]))
+    return Table(told["title"], tuple(told["columns"]), rows, tuple(told["notes"]))
 
 
 def _title(result: Result, title: str) -> str:
@@ -77,7 +88,12 @@ def write_report(result: Result, folder: Path) -> None:
         write_atomically(folder / f"{name}.tex", table.latex().encode())
 
 
-_HEADINGS = {"paper": "The paper's tables and figures", "extended": "What the paper does not ask"}
+_HEADINGS = {
+    "paper": "The paper's tables and figures",
+    "extended": "What the paper does not ask",
+    "downstream": "What scenes are good for",
+}
+"""The suites in the order of the page; the studies of the last one bring their tables along."""
 _INTRODUCTION = """# Results
 
 Every number here was written by `python docs/make_results.py` from the JSON files in `docs/results`; a test
@@ -114,7 +130,8 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
         results.append(result)
     order = list(STUDIES)
     known = [result for result in results if result["name"] in order]
-    return sorted(known, key=lambda result: order.index(result["name"]))
+    known.sort(key=lambda result: order.index(result["name"]))
+    return known + [result for result in results if "tables" in result]
 
 
 def suite_of(result: dict[str, Any]) -> str:
@@ -126,6 +143,8 @@ def standing_section(results: list[dict[str, Any]]) -> list[str]:
     """Where other methods are as good as `guided`, study by study; nothing where it has no rows."""
     lines = []
     for result in results:
+        if result["name"] not in STUDIES:
+            continue
         question = STUDIES[result["name"]].question
         made = [row for row in result["records"] if "figures" in row]
         counted = tally(made, question) if question else ""
@@ -136,7 +155,7 @@ def standing_section(results: list[dict[str, Any]]) -> list[str]:
 def document(results: list[dict[str, Any]], notes: str = "", link: str = "results/") -> str:
     """The whole page; `notes`, Markdown, stand at its end."""
     parts = [_INTRODUCTION, *standing_section(results)]
-    for suite in SUITES:
+    for suite in _HEADINGS:
         of_suite = [result for result in results if suite_of(result) == suite]
         if of_suite:
             parts += [f"## {_HEADINGS[suite]}\n", *(markdown(result, 3, link) for result in of_suite)]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.files import inside, write_atomically
 from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.world import base_name
@@ -51,12 +52,7 @@ def write_files(
     assets = {name: bank.object(name) for name in {base_name(n) for scene in scenes for n in scene.objects}}
     digests: dict[str, str] = {}
     for scene in tracked(scenes, "writing", len(scenes), "file"):
-        path = scene_path(bank, scene.index, "xml")
-        objects = [assets[base_name(name)] for name in scene.objects]
-        text = scene_xml(objects, scene.poses, bank.support, config.stability, config.contact)
-        if not path.exists() or path.read_bytes() != text:
-            write_atomically(path, text)
-        digests[path.relative_to(bank.path).as_posix()] = digest_of(text)
+        digests |= write_model(bank, scene, [assets[base_name(name)] for name in scene.objects], config)
     keep_digests(digests)
     written = f"files      {len(scenes)} scenes in {bank.path / 'scenes'}"
     if not (is_drawn and scenes):
@@ -65,6 +61,17 @@ def write_files(
     if not can_draw:
         return f"{written}\npictures   skipped: {message}"
     return f"{written}\npictures   {_draw(bank, scenes, assets)}"
+
+
+def write_model(
+    bank: Bank, scene: BankRow, objects: Sequence[ObjectAsset], config: ProblemConfig
+) -> dict[str, str]:
+    """Writes the MJCF file of a scene of these objects, if it is missing or damaged; its digest by path."""
+    path = scene_path(bank, scene.index, "xml")
+    text = scene_xml(objects, scene.poses, bank.support, config.stability, config.contact)
+    if not path.exists() or path.read_bytes() != text:
+        write_atomically(path, text)
+    return {path.relative_to(bank.path).as_posix(): digest_of(text)}
 
 
 def _is_whole_png(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""Where the camera stands: as close as it can while the content fits the picture."""
+"""Where the camera stands: as close as it can while the content fits the picture; and how OpenGL is told."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.rendering.config import CameraView
+from cluttergen_jax.sensing.camera import Camera, intrinsics
 
 
 def corners(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -80,12 +81,32 @@ def _centred(side: np.ndarray, ahead: np.ndarray, least: float, most: float) -> 
     return (least + most) / 2
 
 
-def placed_camera(points: np.ndarray, view: CameraView, aspect: float) -> mujoco.MjvCamera:
-    """MuJoCo's camera at the place that `fitted_eye` finds, looking at the middle of the content's depth."""
-    eye = fitted_eye(points, view, aspect)
-    forward = axes(view.azimuth, view.elevation)[2]
-    distance = max(float(((points - eye) @ forward).mean()), 1e-3)
-    camera = mujoco.MjvCamera()
-    camera.azimuth, camera.elevation, camera.distance = view.azimuth, view.elevation, distance
-    camera.lookat = eye + distance * forward
-    return camera
+def fitted_camera(points: np.ndarray, view: CameraView, width: int, height: int) -> Camera:
+    """The camera at the place that `fitted_eye` finds."""
+    T = np.eye(4)
+    T[:3, :3] = (axes(view.azimuth, view.elevation) * [[1.0], [-1.0], [1.0]]).T
+    T[:3, 3] = fitted_eye(points, view, width / height)
+    focal = height / 2 / math.tan(math.radians(view.field_of_view) / 2)
+    return Camera(width, height, intrinsics(width, height, focal), T)
+
+
+def orbiting(camera: Camera) -> mujoco.MjvCamera:
+    """MuJoCo's camera at the same place, looking the same way; it knows neither roll nor intrinsics."""
+    forward = camera.rotation[:, 2]
+    seen = mujoco.MjvCamera()
+    seen.azimuth = math.degrees(math.atan2(forward[1], forward[0]))
+    seen.elevation = math.degrees(math.asin(np.clip(forward[2], -1.0, 1.0)))
+    seen.distance, seen.lookat = 1.0, camera.eye + forward
+    return seen
+
+
+def set_view(scene: mujoco.MjvScene, camera: Camera) -> None:
+    """Makes a scene that has been updated for `orbiting` be seen by exactly this camera."""
+    K, rotation = camera.K, camera.rotation
+    for seen in scene.camera:
+        seen.pos, seen.forward, seen.up = camera.eye, rotation[:, 2], -rotation[:, 1]
+        near = seen.frustum_near
+        seen.frustum_width = near * camera.width / 2 / K[0, 0]
+        seen.frustum_center = near * (camera.width / 2 - K[0, 2]) / K[0, 0]
+        seen.frustum_top = near * K[1, 2] / K[1, 1]
+        seen.frustum_bottom = -near * (camera.height - K[1, 2]) / K[1, 1]

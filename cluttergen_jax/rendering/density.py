@@ -11,6 +11,7 @@ from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.overlay import with_caption
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, SceneRenderer, scene_renderer
+from cluttergen_jax.sensing.rays import SUPPORT
 
 NUM_PROPOSALS = 2048
 """Drawn for a picture."""
@@ -97,12 +98,12 @@ def _heat_seen(
     renderer: SceneRenderer, styles: list[RenderStyle], recording: Replay, density: np.ndarray
 ) -> np.ndarray:
     """f64[height, width, 4]: the heat of each pixel that sees the region, clear elsewhere."""
-    depth, seen = renderer.measure(styles)
-    points = renderer.unproject(depth)
+    seen = renderer.measure(styles)
+    points = np.nan_to_num(renderer.camera.points(seen.depth), nan=1e3)
     region = recording.region
     local = turned(points[..., :2] - region.center, -region.yaw)
     action = (local / region.half_extents + 1) / 2
-    is_top = (seen == -1) & (np.abs(points[..., 2] - recording.support.top) < _NEAR_TOP)
+    is_top = (seen.label == SUPPORT) & (np.abs(points[..., 2] - recording.support.top) < _NEAR_TOP)
     is_top &= ((action >= 0) & (action <= 1)).all(-1)
     cells = np.clip(action, 0, 1) * len(density) - 0.5
     level = map_coordinates(density, np.moveaxis(cells, -1, 0), order=1, mode="nearest")

@@ -111,5 +111,5 @@ def _ring(
     number: int,
 ) -> Ring:
     vertices = np.concatenate([part.vertices for part in recording.objects[index].parts])
-    outline = renderer.project(transformed(pose, vertices))
+    outline, _ = renderer.camera.project(transformed(pose, vertices))
     return ring_around(outline, rgb, str(number), renderer.config.height / 90)

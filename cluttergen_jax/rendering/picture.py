@@ -11,10 +11,11 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.camera import drawn_points, placed_camera
+from cluttergen_jax.rendering.camera import drawn_points, fitted_camera
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.renderer import HIDDEN_GROUP, check_size, open_renderer, set_range
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
+from cluttergen_jax.sensing.camera import Camera
 
 __all__ = ["contact_sheet", "distinct_colour", "render_model", "save_png"]
 
@@ -109,7 +110,9 @@ def render_model(
         raise ConfigError("a model with nothing to draw", "geoms of group 2, or of group 3 with hulls=True")
     reach = set_range(model, content, view, width, height)
     if isinstance(camera, CameraView):
-        eye = placed_camera(content if focus is None else focus, view, width / height)
+        eye: Camera | mujoco.MjvCamera = fitted_camera(
+            content if focus is None else focus, view, width, height
+        )
     else:
         eye = _named_camera(model, camera)
     with open_renderer(model, width, height) as renderer:

@@ -12,9 +12,11 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.rendering.camera import orbiting, set_view
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import gl_context
 from cluttergen_jax.rendering.sampling import low_discrepancy, shift_lights, shift_pixel
+from cluttergen_jax.sensing.camera import Camera
 
 HIDDEN_GROUP = 5
 MAX_SIDE = 8192
@@ -79,7 +81,7 @@ class Renderer:
     def average(
         self,
         data: mujoco.MjData,
-        camera: mujoco.MjvCamera,
+        camera: Camera | mujoco.MjvCamera,
         samples: int,
         reach: float,
         alpha: np.ndarray | None = None,
@@ -89,6 +91,7 @@ class Renderer:
         """The mean of `samples` pictures with the lights and the pixel grid moved a little between them.
 
         Args:
+          camera: of the size of the pictures; or one of MuJoCo's, such as a named one of the model.
           reach: the content's radius, metres.
           alpha: f[nbody], the opacity of each body; None draws all.
           trails: lines to draw as well.
@@ -120,7 +123,9 @@ class Renderer:
             self.model.geom_group[:] = groups
         return np.flipud((total + samples // 2) // samples).astype(np.uint8)
 
-    def measure(self, data: mujoco.MjData, camera: mujoco.MjvCamera) -> tuple[np.ndarray, np.ndarray]:
+    def measure(
+        self, data: mujoco.MjData, camera: Camera | mujoco.MjvCamera
+    ) -> tuple[np.ndarray, np.ndarray]:
         """What each pixel's middle sees: metres along the line of sight's axis, and which geom.
 
         Returns:
@@ -148,8 +153,11 @@ class Renderer:
         depth = np.where(raw > 0, 1 / inverse, np.inf).astype(np.float32)
         return np.flipud(depth).copy(), np.flipud(geom_of[number]).copy()
 
-    def _update(self, data: mujoco.MjData, camera: mujoco.MjvCamera) -> None:
-        mujoco.mjv_updateScene(self.model, data, self._option, None, camera, _EVERYTHING, self._scene)
+    def _update(self, data: mujoco.MjData, camera: Camera | mujoco.MjvCamera) -> None:
+        seen = orbiting(camera) if isinstance(camera, Camera) else camera
+        mujoco.mjv_updateScene(self.model, data, self._option, None, seen, _EVERYTHING, self._scene)
+        if isinstance(camera, Camera):
+            set_view(self._scene, camera)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = 1
 
     def _add(self, trail: Trail) -> None:

@@ -13,7 +13,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.assets import scene_spec
-from cluttergen_jax.rendering.camera import axes, corners, drawn_points, placed_camera
+from cluttergen_jax.rendering.camera import corners, drawn_points, fitted_camera
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.picture import DEFAULT_VIEW, prepared
 from cluttergen_jax.rendering.renderer import (
@@ -24,6 +24,8 @@ from cluttergen_jax.rendering.renderer import (
     open_renderer,
     set_range,
 )
+from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing.rays import FLOOR, DepthImage, labels_of
 
 RED = (0.86, 0.10, 0.12)
 """Of what failed."""
@@ -69,7 +71,8 @@ class PictureConfig:
 
 
 class SceneRenderer:
-    """See `scene_renderer`. `content` f64[P, 3] is all that the whole view shows."""
+    """See `scene_renderer`. `content` f64[P, 3] is all that the whole view shows; `camera` may be any of the
+    pictures' size."""
 
     def __init__(
         self,
@@ -78,20 +81,20 @@ class SceneRenderer:
         picture: PictureConfig,
         reach: float,
         content: np.ndarray,
+        camera: Camera,
     ) -> None:
         self.model_renderer, self.data, self.config, self.reach = model_renderer, data, picture, reach
         self.content = content
-        self.camera = mujoco.MjvCamera()
+        self.camera = camera
         model = model_renderer.model
         self._colours = model.geom_rgba.copy()
+        self._label = labels_of(model)
         self._joint_body = model.jnt_bodyid.copy()
         self._home = model.qpos0.reshape(-1, 7).copy()
 
-    def aim(self, points: np.ndarray, view: CameraView | None = None) -> mujoco.MjvCamera:
+    def aim(self, points: np.ndarray, view: CameraView) -> None:
         """Puts the camera as near as `points` f64[P, 3] allow."""
-        aspect = self.config.width / self.config.height
-        self.camera = placed_camera(points, view or self.config.view, aspect)
-        return self.camera
+        self.camera = fitted_camera(points, view, self.config.width, self.config.height)
 
     def picture(
         self, styles: Sequence[RenderStyle | None], trails: Sequence[Trail] = (), light_yaw: float = 0.0
@@ -109,50 +112,15 @@ class SceneRenderer:
             self.data, self.camera, self.config.samples, self.reach, alpha, tuple(trails), light_yaw
         )
 
-    def measure(self, styles: Sequence[RenderStyle | None]) -> tuple[np.ndarray, np.ndarray]:
-        """Metres and object of each pixel: see `Renderer.measure`.
-
-        Returns:
-          f32[height, width], inf where there is nothing; i32[height, width]: the object's index, -1 for the
-          support, -2 for the floor and nothing.
-        """
+    def measure(self, styles: Sequence[RenderStyle | None]) -> DepthImage:
+        """Depth and labels as OpenGL draws them: see `Renderer.measure`."""
         alpha = self._apply(styles)
         model = self.model_renderer.model
         groups = model.geom_group.copy()
         model.geom_group[:] = np.where(alpha[model.geom_bodyid] > 0, groups, HIDDEN_GROUP)
         depth, geom = self.model_renderer.measure(self.data, self.camera)
         model.geom_group[:] = groups
-        object_of_body = np.full(model.nbody, -1, np.int32)
-        object_of_body[0] = -2
-        object_of_body[self._joint_body] = np.arange(len(self._joint_body))
-        return depth, np.where(geom >= 0, object_of_body[model.geom_bodyid[geom]], -2).astype(np.int32)
-
-    def project(self, points: np.ndarray) -> np.ndarray:
-        """Pixels f64[P, 2] (x to the right, y down, from the upper left corner) of world points f[P, 3]."""
-        turn = axes(self.camera.azimuth, self.camera.elevation)
-        seen = (np.asarray(points, np.float64) - self.eye) @ turn.T
-        flat = seen[:, :2] / seen[:, 2:] * self.focal
-        return flat * [1, -1] + np.array([self.config.width, self.config.height]) / 2
-
-    def unproject(self, depth: np.ndarray) -> np.ndarray:
-        """f64[height, width, 3]: world points of the pixels' middles at the depths of `measure`."""
-        height, width = depth.shape
-        x, y = np.meshgrid(np.arange(width) + 0.5 - width / 2, height / 2 - np.arange(height) - 0.5)
-        # Nothing is seen at an infinite depth.
-        depth = np.where(np.isfinite(depth), depth, 0.0).astype(np.float64)
-        seen = np.stack([x / self.focal * depth, y / self.focal * depth, depth], axis=-1)
-        return self.eye + seen @ axes(self.camera.azimuth, self.camera.elevation)
-
-    @property
-    def eye(self) -> np.ndarray:
-        """f64[3]: where the camera is, world frame, metres."""
-        turn = axes(self.camera.azimuth, self.camera.elevation)
-        return np.array(self.camera.lookat) - self.camera.distance * turn[2]
-
-    @property
-    def focal(self) -> float:
-        """The focal length in pixels."""
-        return self.config.height / 2 / np.tan(np.radians(self.model_renderer.model.vis.global_.fovy) / 2)
+        return DepthImage(depth, geom, np.where(geom >= 0, self._label[geom], FLOOR).astype(np.int32))
 
     def _apply(self, styles: Sequence[RenderStyle | None]) -> np.ndarray:
         """Poses and colours for one picture; f64[nbody], the opacity of each body."""
@@ -198,9 +166,8 @@ def scene_renderer(
     width, height = picture.width, picture.height
     reach = set_range(model, content, picture.view, width, height)
     with open_renderer(model, width, height) as model_renderer:
-        renderer = SceneRenderer(model_renderer, data, picture, reach, content)
-        renderer.aim(content if picture.whole else points)
-        yield renderer
+        camera = fitted_camera(content if picture.whole else points, picture.view, width, height)
+        yield SceneRenderer(model_renderer, data, picture, reach, content, camera)
 
 
 def swept(points: np.ndarray, num_turns: int = 36) -> np.ndarray:

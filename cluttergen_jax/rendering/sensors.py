@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,12 +14,10 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.assets import close_points
-from cluttergen_jax.rendering.camera import axes
 from cluttergen_jax.rendering.picture import distinct_colour
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
-
-FLOOR, SUPPORT, FIRST_OBJECT = 0, 1, 2
-"""Labels of a segmentation: nothing or the floor, the support, then object k of the scene as 2 + k."""
+from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing.rays import FIRST_OBJECT, FLOOR, SUPPORT
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,17 +27,16 @@ class Sensed:
     Attributes:
       rgb: uint8[H, W, 3].
       depth: f32[H, W], metres along the optical axis (not along the ray); inf where nothing is.
-      segmentation: u8[H, W] or u16[H, W], see FLOOR, SUPPORT, FIRST_OBJECT.
-      intrinsics: f64[3, 3], pixels; a pixel's middle is at (column + 0.5, row + 0.5).
-      T_world_camera: f64[4, 4], metres; the camera's x points right, y down, z forward (OpenCV's way).
+      segmentation: u8[H, W] or u16[H, W], labels as in `sensing.rays`: 0 floor or nothing, 1 support, then
+        object k of the scene as 2 + k.
+      camera: where it was seen from.
       poses: f64[N, 7], T_world_object, metres, wxyz.
     """
 
     rgb: np.ndarray
     depth: np.ndarray
     segmentation: np.ndarray
-    intrinsics: np.ndarray
-    T_world_camera: np.ndarray
+    camera: Camera
     names: tuple[str, ...]
     poses: np.ndarray
 
@@ -60,22 +58,19 @@ def sense(
     styles = [RenderStyle(pose) for pose in poses]
     with scene_renderer(objects, support, close_points(objects, poses, support), picture) as renderer:
         rgb = renderer.picture(styles)
-        depth, actor = renderer.measure(styles)
-        turn = axes(renderer.camera.azimuth, renderer.camera.elevation) * np.array([[1.0], [-1.0], [1.0]])
-        camera = np.eye(4)
-        camera[:3, :3], camera[:3, 3] = turn.T, renderer.eye
-        focal = renderer.focal
-    intrinsics = np.array(
-        [[focal, 0, picture.width / 2], [0, focal, picture.height / 2], [0, 0, 1]], np.float64
-    )
-    labels = (actor + FIRST_OBJECT).astype(np.uint8 if len(objects) < 254 else np.uint16)
-    return Sensed(rgb, depth, labels, intrinsics, camera, tuple(names), poses)
+        image, camera = renderer.measure(styles), renderer.camera
+    labels = image.label.astype(np.uint8 if len(objects) < 254 else np.uint16)
+    return Sensed(rgb, image.depth, labels, camera, tuple(names), poses)
 
 
-def depth_png(depth: np.ndarray) -> bytes:
-    """A 16-bit grey PNG in millimetres, rounded; 0 where nothing is or beyond 65.535 m."""
-    millimetres = np.where(np.isfinite(depth), np.round(depth * 1000.0), 0.0)
-    return _png(Image.fromarray(np.where(millimetres <= 65535, millimetres, 0).astype(np.uint16)))
+def depth_png(depth: np.ndarray, step: float = 0.001) -> bytes:
+    """A 16-bit grey PNG in millimetres, rounded; 0 where nothing is or beyond 65.535 m.
+
+    Args:
+      step: metres that each grey level stands for, if not a millimetre.
+    """
+    levels = np.where(np.isfinite(depth), np.round(depth / step), 0.0)
+    return _png(Image.fromarray(np.where(levels <= 65535, levels, 0).astype(np.uint16)))
 
 
 def segmentation_png(labels: np.ndarray) -> bytes:
@@ -105,12 +100,32 @@ def npz_of(sensed: Sensed) -> bytes:
         rgb=sensed.rgb,
         depth=sensed.depth,
         segmentation=sensed.segmentation,
-        intrinsics=sensed.intrinsics,
-        T_world_camera=sensed.T_world_camera,
+        intrinsics=sensed.camera.K,
+        T_world_camera=sensed.camera.T_world_camera,
         names=np.array(sensed.names),
         poses=sensed.poses,
     )
     return buffer.getvalue()
+
+
+def camera_json(sensed: Sensed) -> bytes:
+    """What the pixels of one view's PNG files mean: the camera, and the object of each label."""
+    record = {
+        "width": sensed.camera.width,
+        "height": sensed.camera.height,
+        "K": sensed.camera.K.tolist(),
+        "T_world_camera": sensed.camera.T_world_camera.tolist(),
+        "depth_scale": 0.001,
+        "labels": {"floor or nothing": FLOOR, "support": SUPPORT},
+        "objects": [
+            {"label": FIRST_OBJECT + index, "name": name, "pose": pose.tolist()}
+            for index, (name, pose) in enumerate(zip(sensed.names, sensed.poses, strict=True))
+        ],
+        "units": "metres, pixels; depth times depth_scale: metres along the optical axis, 0: nothing",
+        "frames": "camera: x right, y down, z forward; the middle of the pixel in row i, column j is "
+        "(j + 0.5, i + 0.5); poses: T_world_object, position, then quaternion wxyz",
+    }
+    return json.dumps(record, indent=1).encode() + b"\n"
 
 
 def _png(image: Image.Image) -> bytes:

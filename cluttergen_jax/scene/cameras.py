@@ -1,8 +1,9 @@
 """Cameras around a support: where they stand, and how they look at its region; the same for all its scenes.
 
-A camera looks along its own -z, its +y points up and its +x right in the picture, as in MuJoCo, OpenGL, USD
-and glTF. All look at the middle of the region, on the support's top; directions are those of the region,
-whose x is its first side.
+What files of scenes say of a camera is in the frame of MuJoCo, OpenGL, USD and glTF: it looks along its own
+-z, its +y points up and its +x right in the picture. Everywhere else a camera is a `sensing.camera.Camera`,
+in OpenCV's frame, which these are made from and can be turned into again (`pinhole`). All look at the middle
+of the region, on the support's top; directions are those of the region, whose x is its first side.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.sensing.camera import Camera as Pinhole
+from cluttergen_jax.sensing.camera import intrinsics
 
 CAMERAS = ("overhead", "front", "side", "wrist")
 """overhead: straight down, +y up in the picture. front: from -y, 30 degrees down. side: from +x, the same.
@@ -28,11 +31,13 @@ _ELEVATION, _WRIST_ELEVATION = 30.0, 60.0
 _WRIST_HEIGHT = 0.30
 _TALL, _OVERHANG = 0.35, 0.10
 """Metres that objects may rise above the top and reach beyond the region and are still seen."""
+_FLIP = np.array([1.0, -1.0, -1.0])
+"""From columns right, down, forward to right, up, backward, and back."""
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A camera that stands still.
+    """A camera that stands still, as files of scenes have it.
 
     Attributes:
       name: one of `CAMERAS`.
@@ -48,6 +53,22 @@ class Camera:
     fovy: float
     width: int = SIZE[0]
     height: int = SIZE[1]
+
+    @staticmethod
+    def of(name: str, camera: Pinhole) -> Camera:
+        """A pinhole camera whose axis goes through the picture's middle and whose pixels are square."""
+        # No zero is negative, in files neither.
+        quaternion = Rotation.from_matrix(camera.rotation * _FLIP).as_quat(scalar_first=True) + 0.0
+        fovy = 2 * math.degrees(math.atan(camera.height / 2 / camera.K[1, 1]))
+        return Camera(name, camera.eye, quaternion, fovy, camera.width, camera.height)
+
+    @property
+    def pinhole(self) -> Pinhole:
+        """The same camera in OpenCV's frame, as everything that senses takes it."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = self.rotation * _FLIP, self.position
+        focal = self.height / 2 / math.tan(math.radians(self.fovy) / 2)
+        return Pinhole(self.width, self.height, intrinsics(self.width, self.height, focal), T)
 
     @property
     def rotation(self) -> np.ndarray:
@@ -93,9 +114,11 @@ def _looking(
     turn = support.region.yaw + math.radians(azimuth)
     down = math.radians(elevation)
     ahead = np.array([-math.sin(turn), math.cos(turn), 0.0])
-    right = np.array([math.cos(turn), math.sin(turn), 0.0])
     forward = math.cos(down) * ahead - math.sin(down) * np.array([0.0, 0.0, 1.0])
-    columns = np.stack([right, np.cross(right, forward), -forward], axis=1)
-    quaternion = Rotation.from_matrix(columns).as_quat(scalar_first=True)
+    # Straight down, what is ahead is up in the picture; at any other angle it is above what is below.
+    up = math.sin(down) * ahead + math.cos(down) * np.array([0.0, 0.0, 1.0])
     target = np.array([*support.region.center, support.top])
-    return Camera(name, target - distance * forward, quaternion, fovy)
+    width, height = SIZE
+    focal = height / 2 / math.tan(math.radians(fovy) / 2)
+    eye = target - distance * forward
+    return Camera.of(name, Pinhole.looking(eye, target, width, height, focal, (up[0], up[1], up[2])))

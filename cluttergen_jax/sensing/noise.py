@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.errors import ConfigError
@@ -36,7 +36,7 @@ class NoiseConfig:
         ones grows from none there to all at 90. 90: none.
       edge_dropout: share of pixels at jumps in depth that are lost.
       bleeding: share of pixels beside a jump that show what is in front, one pixel too far.
-      jump: a difference in depth between neighbours that counts as a jump, metres.
+      jump: so far a depth has to be from a straight line through its neighbours to count as a jump, metres.
       position: standard deviation of the camera's stated position along each axis, metres.
       orientation: of its stated orientation about each axis, degrees.
       patch: share of pictures in which a rectangle is missing.
@@ -130,7 +130,8 @@ def _shifted(depth: np.ndarray, camera: Camera, config: NoiseConfig, rng: np.ran
 def _bled(depth: np.ndarray, config: NoiseConfig, rng: np.random.Generator) -> np.ndarray:
     """What is in front grows by a pixel, at a share of the pixels beside it."""
     nearest = minimum_filter(depth, 3, mode="nearest")
-    bleeds = (rng.uniform(size=depth.shape) < config.bleeding) & (depth > nearest + config.jump)
+    bleeds = (rng.uniform(size=depth.shape) < config.bleeding) & _is_jump(depth, config)
+    bleeds &= depth > nearest + config.jump
     return np.where(bleeds, nearest, depth)
 
 
@@ -138,13 +139,10 @@ def _lost(depth: np.ndarray, camera: Camera, config: NoiseConfig, rng: np.random
     """bool[H, W]: pixels without a measurement."""
     draw, edge_draw = rng.uniform(size=(2, *depth.shape))
     is_lost = np.zeros(depth.shape, bool)
-    finite = np.where(np.isfinite(depth), depth, 1e3)
-    is_edge = (
-        maximum_filter(finite, 3, mode="nearest") - minimum_filter(finite, 3, mode="nearest") > config.jump
-    )
+    is_edge = _is_jump(depth, config)
     smooth = ~is_edge & np.isfinite(depth)
     if config.grazing < 90:
-        angle = np.degrees(np.arccos(_facing(finite, camera)))
+        angle = np.degrees(np.arccos(_facing(_finite(depth), camera)))
         is_lost |= smooth & (draw < (angle - config.grazing) / (90 - config.grazing))
     is_lost |= is_edge & np.isfinite(depth) & (edge_draw < config.edge_dropout)
     sides = rng.uniform(*_PATCH_SIDES, 2) * depth.shape
@@ -153,6 +151,19 @@ def _lost(depth: np.ndarray, camera: Camera, config: NoiseConfig, rng: np.random
         (top, left), (bottom, right) = corner.astype(int), (corner + sides).astype(int)
         is_lost[top:bottom, left:right] = True
     return is_lost
+
+
+def _finite(depth: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(depth), depth, 1e3)
+
+
+def _is_jump(depth: np.ndarray, config: NoiseConfig) -> np.ndarray:
+    """bool[H, W]: pixels on either side of a jump along a row or a column; a slope is none, however steep."""
+    finite, is_jump = _finite(depth), np.zeros(depth.shape, bool)
+    for axis in (0, 1):
+        bend = np.abs(np.diff(finite, 2, axis=axis)) > config.jump
+        is_jump |= np.pad(bend, [(1, 1) if each == axis else (0, 0) for each in (0, 1)])
+    return is_jump
 
 
 def _facing(depth: np.ndarray, camera: Camera) -> np.ndarray:

@@ -40,13 +40,17 @@ class DepthImage:
 
 
 class RaySensor:
-    """Casts rays at the bodies of a compiled model; serves many threads, each with its own data."""
+    """Casts rays at the bodies of a compiled model; serves many threads, each with its own data.
+
+    Args:
+      model: all its joints are free ones (`sensed_model`, `assets.mjcf.populated_spec`); it stays as it is.
+      surfaces: see the coloured surfaces (geoms of `VISUAL_GROUP`); False: the collision parts.
+
+    Raises:
+      ConfigError: a joint is not free.
+    """
 
     def __init__(self, model: mujoco.MjModel, surfaces: bool = True) -> None:
-        """Args:
-        model: all its joints are free ones (`assets.mjcf.populated_spec`).
-        surfaces: see the coloured surfaces (geoms of `VISUAL_GROUP`); False: the collision parts.
-        """
         if np.any(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE):
             raise ConfigError("a model with joints that are not free", "free bodies and fixed ones")
         # Only a copy can be told which geoms rays see: a support without pieces shows its boxes.
@@ -121,19 +125,23 @@ def labels_of(model: mujoco.MjModel) -> np.ndarray:
     return label_of_body[model.geom_bodyid]
 
 
-def sensed_model(objects: Sequence[ObjectAsset], support: SupportAsset) -> mujoco.MjModel:
+def sensed_model(objects: Sequence[ObjectAsset], support: SupportAsset | None) -> mujoco.MjModel:
     """A model to cast rays at: surfaces and collision parts of objects and support, and a floor at z = 0.
 
     Without poses every object is parked far away; joint k is object k.
+
+    Args:
+      support: None leaves it and the floor out, so that rays meet nothing but objects.
     """
     names = [f"{index:02d}-{asset.name}" for index, asset in enumerate(objects)]
     spec = populated_spec(names, objects, support, StabilityConfig().timestep, ContactConfig(), visual=True)
-    spec.worldbody.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=(0, 0, 1),
-        contype=0,
-        conaffinity=0,
-        group=VISUAL_GROUP,
-    )
+    if support is not None:
+        spec.worldbody.add_geom(
+            name="floor",
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=(0, 0, 1),
+            contype=0,
+            conaffinity=0,
+            group=VISUAL_GROUP,
+        )
     return spec.compile()

@@ -21,6 +21,7 @@ FUNCTIONS = (
     "verify",
     "export",
     "view",
+    "place_by_hand",
     "render",
     "train",
     "train_suite",
@@ -32,6 +33,11 @@ FUNCTIONS = (
     "evaluate",
     "evaluate_suite",
     "certify",
+    "placer_data",
+    "placer_eval",
+    "placer_train",
+    "robot_grasps",
+    "robot_place",
 )
 # Options and defaults as `--help` told them before commands were made from functions.
 OPTIONS = json.loads((Path(__file__).parent / "options.json").read_text())
@@ -40,7 +46,7 @@ OPTIONS = json.loads((Path(__file__).parent / "options.json").read_text())
 def options_told(name, capsys, monkeypatch):
     """The flags of each option in the help of a command, and what is told of its default."""
     monkeypatch.setenv("COLUMNS", "300")
-    assert main([name, "--help"]) == 0
+    assert main([*name.split(), "--help"]) == 0
     text = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out).replace("│", " ")
     told = {}
     # An option begins its line after two spaces; what is said of it may go on below, further in.
@@ -51,12 +57,13 @@ def options_told(name, capsys, monkeypatch):
     return {flags: default for flags, default in told.items() if flags != "--help, -h"}
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", OPTIONS)
 def test_a_command_has_the_options_and_defaults_that_it_has_had(name, capsys, monkeypatch):
     assert options_told(name, capsys, monkeypatch) == OPTIONS[name]
 
 
 def test_the_options_are_those_of_a_whole_command_line():
+    assert {name.split()[0] for name in OPTIONS} == set(COMMANDS)
     assert sum(map(len, OPTIONS.values())) > 150
     assert OPTIONS["generate"]["--num-scenes, -n"] == "default: 20"
 

@@ -1,6 +1,10 @@
 """Pairs on disk: resumed to the same bytes, honest about what was seen, refused where something is wrong."""
 
 import json
+import signal
+import subprocess
+import sys
+import time
 
 import jax
 import numpy as np
@@ -8,9 +12,10 @@ import pyarrow.parquet as pq
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.placer import data, pairs
-from cluttergen_jax.downstream.placer.bench import Bench
-from cluttergen_jax.downstream.placer.pairs import SPLITS, labels_of, load_queries, read_pairs
+from cluttergen_jax.downstream.placer.evaluation.bench import Bench
+from cluttergen_jax.downstream.placer.pairs import maker as data
+from cluttergen_jax.downstream.placer.pairs import stored as pairs
+from cluttergen_jax.downstream.placer.pairs.stored import SPLITS, labels_of, load_queries, read_pairs
 from cluttergen_jax.downstream.placer.query import Proposals
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID
@@ -127,6 +132,7 @@ def test_noise_is_drawn_by_the_seed_when_pairs_are_read(made, loaded):
     assert np.median(np.abs(noisy[0] - quiet.heights.height[:4])[is_top]) < 0.004
 
 
+@pytest.mark.slow
 def test_candidates_are_judged_as_the_bench_judges_proposals(made, loaded):
     labels = loaded[1]
     assert (labels.verdict == int(Verdict.STABLE)).mean() > 0.4
@@ -220,3 +226,25 @@ def test_the_card_names_columns_licences_and_verdicts(made):
     assert "stable" in text
     assert "`candidate_verdict`" in text
     assert "Apache-2.0" in text
+
+
+@pytest.mark.slow
+def test_a_run_that_is_killed_goes_on_to_the_same_bytes(tmp_path):
+    """Blocks of 256 pairs, as users have them; SIGKILL in the middle of one."""
+    bank = write_bank(tmp_path / "bank", 8)
+    code = "import sys, cluttergen_jax as cg; cg.placer_data(sys.argv[1], sys.argv[2], num_pairs=600)"
+
+    def begin(name):
+        return subprocess.Popen([sys.executable, "-c", code, tmp_path / name, bank.path])
+
+    killed, first = begin("killed"), tmp_path / "killed" / "train-000000.parquet"
+    while not first.exists():
+        assert killed.poll() is None
+        time.sleep(0.1)
+    killed.send_signal(signal.SIGKILL)
+    assert killed.wait() == -signal.SIGKILL
+    assert len(blocks(tmp_path / "killed")) < 3
+    assert begin("killed").wait() == 0
+    assert begin("whole").wait() == 0
+    assert len(blocks(tmp_path / "whole")) == 3
+    assert blocks(tmp_path / "killed") == blocks(tmp_path / "whole")

@@ -4,8 +4,8 @@ import jax
 import numpy as np
 import pytest
 
+from cluttergen_jax.downstream.placer.evaluation.paper_count import PaperCount
 from cluttergen_jax.downstream.placer.judge import Judge, world_pose
-from cluttergen_jax.downstream.placer.paper_count import PaperCount
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.placement.region import action_of_pose
 from cluttergen_jax.types import Verdict
@@ -50,6 +50,7 @@ def random_proposals(scenes, half_heights, number):
     return row, np.column_stack([xy, height, rng.uniform(0, 6.28, number)]).astype(np.float32)
 
 
+@pytest.mark.slow
 def test_verdicts_are_those_of_an_attempt_of_the_decision_process(scenes, judge, half_heights):
     episodes = scenes.episodes(scenes.places())
     row, pose = random_proposals(scenes, half_heights, 40)

@@ -66,7 +66,7 @@ def test_an_object_is_let_go_just_above_what_is_below_it():
     heights = bare()
     heights[21:31, 11:31] = 0.05
     candidates = Candidates(jnp.array([[-0.1, 0.0], [0.05, 0.0]]), jnp.zeros(2))
-    found = look(query(heights), query(heights).heights, candidates)
+    found = jax.jit(look)(query(heights), query(heights).heights, candidates)
     assert np.asarray(found.pose[:, 2]) == pytest.approx(
         [HALF + CLEARANCE, 0.05 + HALF + CLEARANCE], abs=1e-6
     )
@@ -77,7 +77,10 @@ def test_a_search_finds_the_only_hole_in_a_block():
     heights = bare()
     heights[1:-1, 1:-1] = 0.1
     heights[30:37, 5:12] = 0.0
-    found = search(jax.random.key(0), query(heights), query(heights).heights, SearchConfig(4096, 24, 32))
+    asked = query(heights)
+    found = jax.jit(search, static_argnums=3)(
+        jax.random.key(0), asked, asked.heights, SearchConfig(4096, 24, 32)
+    )
     best = found.pose[jnp.argmin(found.cost)]
     assert np.asarray(best[:2]) == pytest.approx([0.125, -0.125], abs=0.015)
     assert best[2] == pytest.approx(HALF + CLEARANCE, abs=1e-6)
@@ -87,7 +90,10 @@ def test_what_is_hidden_is_free_to_one_and_taken_to_the_other():
     ceilings = bare()
     ceilings[1:21, 1:-1] = 0.3
     asked = query(bare(), ceilings)
-    place = {unseen: GeometryPlacer(unseen)(jax.random.key(1), asked).pose for unseen in ("free", "occupied")}
+    place = {
+        unseen: jax.jit(GeometryPlacer(unseen))(jax.random.key(1), asked).pose
+        for unseen in ("free", "occupied")
+    }
     assert (place["occupied"][:, 0] > 0).all()
     assert (place["free"][:, 0] < 0).any()
     assert np.allclose(place["occupied"][:, 2], HALF + CLEARANCE, atol=1e-6)
@@ -100,7 +106,7 @@ def test_a_baseline_answers_many_queries_at_once_as_it_answers_one(name):
     heights[10:20, 10:20] = 0.04
     asked = query(heights)
     many = jax.jit(jax.vmap(placer, in_axes=(0, None)))(keys, asked)
-    one = placer(keys[1], asked)
+    one = jax.jit(placer)(keys[1], asked)
     assert many.pose.shape == (3, NUM_PROPOSALS, 4)
     assert jnp.isnan(many.score).all()
     assert np.allclose(many.pose[1], one.pose, atol=1e-5)

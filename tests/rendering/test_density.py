@@ -63,9 +63,9 @@ def test_unprojected_pixels_are_where_their_points_were():
     recording = cubes()
     points = close_points(recording.objects, recording.poses, recording.support)
     with scene_renderer(recording.objects, recording.support, points, PICTURE) as renderer:
-        depth, _ = renderer.measure([RenderStyle(pose) for pose in recording.poses])
-        seen = renderer.unproject(depth)
-        pixels = renderer.project(seen[40:80, 60:100].reshape(-1, 3))
+        depth = renderer.measure([RenderStyle(pose) for pose in recording.poses]).depth
+        seen = renderer.camera.points(depth)
+        pixels, _ = renderer.camera.project(seen[40:80, 60:100].reshape(-1, 3))
     y, x = np.mgrid[40:80, 60:100] + 0.5
     np.testing.assert_allclose(pixels, np.column_stack([x.ravel(), y.ravel()]), atol=1e-3)
 

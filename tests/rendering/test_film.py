@@ -163,7 +163,7 @@ def test_looks_fade_tint_and_hide():
             [red, green], [Trail(np.array([[-0.1, -0.1, 0.6], [0.1, -0.1, 0.6]]), (0, 0, 1))]
         )
         again = renderer.picture([red, green])
-        pixel = renderer.project(recording.poses[:1, :3])[0].astype(int)
+        pixel = renderer.camera.project(recording.poses[0, :3])[0].astype(int)
         with pytest.raises(ConfigError, match="styles"):
             renderer.picture([red])
     np.testing.assert_array_equal(whole, again)

@@ -1,6 +1,7 @@
 """Depth, segmentation and clouds against geometry: what is measured lies on the surfaces that were drawn."""
 
 import io
+import json
 
 import numpy as np
 import pytest
@@ -12,18 +13,19 @@ from cluttergen_jax.assets.scene_cloud import cloud_colours, ply_of, scene_point
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import transformed
+from cluttergen_jax.rendering.assets import close_points, scene_spec
 from cluttergen_jax.rendering.config import CameraView
-from cluttergen_jax.rendering.scene_renderer import PictureConfig
+from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
 from cluttergen_jax.rendering.sensors import (
-    FIRST_OBJECT,
-    FLOOR,
-    SUPPORT,
+    camera_json,
     depth_png,
     npz_of,
     palette,
     segmentation_png,
     sense,
 )
+from cluttergen_jax.sensing.camera import Camera, free, overhead, side
+from cluttergen_jax.sensing.rays import FIRST_OBJECT, FLOOR, SUPPORT, RaySensor
 from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes
 
@@ -36,19 +38,19 @@ def sensed():
     return sense(recording.objects, recording.names, recording.poses, recording.support, picture)
 
 
-def back_projected(sensed):
+def back_projected(depth, K, T_world_camera):
     """f64[H, W, 3]: where each pixel's middle meets a surface, world frame."""
-    height, width = sensed.depth.shape
+    height, width = depth.shape
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(sensed.intrinsics).T
-    seen = rays * np.where(np.isfinite(sensed.depth), sensed.depth, 0)[..., None]
-    return seen @ sensed.T_world_camera[:3, :3].T + sensed.T_world_camera[:3, 3]
+    rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(K).T
+    seen = rays * np.where(np.isfinite(depth), depth, 0)[..., None]
+    return seen @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
 
 
 @needs_gl
 def test_pixels_lie_on_the_surfaces_that_their_labels_name(sensed):
     recording = cubes()
-    points = back_projected(sensed)
+    points = back_projected(sensed.depth, sensed.camera.K, sensed.camera.T_world_camera)
     for index, half in ((0, 0.05), (1, 0.04)):
         mine = points[sensed.segmentation == FIRST_OBJECT + index] - recording.poses[index, :3]
         assert len(mine) > 300
@@ -66,7 +68,7 @@ def test_pixels_lie_on_the_surfaces_that_their_labels_name(sensed):
 
 @needs_gl
 def test_camera_is_a_rotation_that_looks_along_its_z(sensed):
-    turn = sensed.T_world_camera[:3, :3]
+    turn = sensed.camera.rotation
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(turn) == pytest.approx(1.0)
     assert turn[2, 2] == pytest.approx(-np.sin(np.radians(50)))
@@ -85,8 +87,67 @@ def test_files_hold_what_was_measured(sensed):
     np.testing.assert_array_equal(np.asarray(image.convert("RGB")), palette()[sensed.segmentation])
     with np.load(io.BytesIO(npz_of(sensed)), allow_pickle=False) as stored:
         assert stored["names"].tolist() == ["red", "green"]
-        for name in ("rgb", "depth", "segmentation", "intrinsics", "T_world_camera", "poses"):
+        for name in ("rgb", "depth", "segmentation", "poses"):
             np.testing.assert_array_equal(stored[name], getattr(sensed, name))
+        np.testing.assert_array_equal(stored["intrinsics"], sensed.camera.K)
+        np.testing.assert_array_equal(stored["T_world_camera"], sensed.camera.T_world_camera)
+
+
+@needs_gl
+def test_the_pngs_and_the_camera_beside_them_are_enough(sensed):
+    record = json.loads(camera_json(sensed))
+    depth = np.asarray(Image.open(io.BytesIO(depth_png(sensed.depth)))) * record["depth_scale"]
+    labels = np.asarray(Image.open(io.BytesIO(segmentation_png(sensed.segmentation))))
+    assert labels.shape == (record["height"], record["width"])
+    points = back_projected(depth, np.array(record["K"]), np.array(record["T_world_camera"]))
+    assert [each["name"] for each in record["objects"]] == ["red", "green"]
+    for each, half in zip(record["objects"], (0.05, 0.04), strict=True):
+        mine = points[labels == each["label"]] - each["pose"][:3]
+        np.testing.assert_allclose(np.abs(mine).max(-1), half, atol=0.0015)
+
+
+@needs_gl
+@pytest.mark.parametrize("name", ["overhead", "side", "free", "off-centre"])
+def test_rays_and_opengl_see_the_same(name):
+    dining = find_pool("dining")
+    objects = [dining[each] for each in ("mug", "dinner_plate", "fork")]
+    support = cuboid_table()
+    poses = np.array(
+        [
+            [x, y, 0.7 + each.half_extents[2], 0.8, 0, 0, 0.6]
+            for each, (x, y) in zip(objects, ((-0.1, 0.05), (0.12, 0.0), (0.0, -0.2)), strict=True)
+        ]
+    )
+    camera = {"overhead": overhead(support), "side": side(support)}.get(name) or free(
+        support, np.random.default_rng(5), 320, 240, 307.5
+    )
+    if name == "off-centre":
+        # No picture of a real camera has its axis exactly in its middle, nor quite square pixels.
+        K = np.array([[300.0, 0, 171.3], [0, 310.0, 108.9], [0, 0, 1]])
+        camera = Camera(320, 240, K, camera.T_world_camera)
+    picture = PictureConfig(width=camera.width, height=camera.height, samples=1)
+    points = close_points(objects, poses, support)
+    with scene_renderer(objects, support, points, picture) as renderer:
+        renderer.camera = camera
+        drawn = renderer.measure([RenderStyle(pose) for pose in poses])
+    spec, _ = scene_spec(objects, poses, support)
+    sensor = RaySensor(spec.compile())
+    data = sensor.make_data()
+    sensor.pose(data, poses)
+    cast = sensor.sense(data, camera)
+    shifted = np.stack([np.roll(cast.label, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    is_inside = np.zeros_like(cast.label, bool)
+    is_inside[1:-1, 1:-1] = True
+    assert (shifted == drawn.label).any(0)[is_inside].all()
+    assert set(np.unique(cast.label)) == {FLOOR, SUPPORT, 2, 3, 4}
+    far = np.where(np.isfinite(cast.depth), cast.depth, 1e3)
+    around = np.stack([np.roll(far, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    is_smooth = is_inside & (np.ptp(around, axis=0) < 0.02) & (np.ptp(shifted, axis=0) == 0)
+    is_smooth &= far < 20
+    assert is_smooth.mean() > 0.5
+    np.testing.assert_allclose(drawn.depth[is_smooth], cast.depth[is_smooth], atol=0.001)
+    # Nor is the one a fraction of a pixel beside the other.
+    assert (drawn.label != cast.label).mean() < 0.003
 
 
 def test_depth_that_is_nothing_or_too_far_is_zero():

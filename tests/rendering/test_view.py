@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from cluttergen_jax.api.render import render
 from cluttergen_jax.api.text import parse_size
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import AssetError, BankError, ConfigError, MissingExtraError, PoolError
@@ -162,18 +163,25 @@ def test_scenes_to_draw(source):
 def test_render_writes_what_is_asked_for(bank, source, tmp_path):
     number = int(source.successes[0])
     quick = ["--size", "96x72", "--samples", "1", "--fps", "4", "--seconds", "1", "--out", str(tmp_path)]
-    asked = ["--turntable", "--replay", "--depth", "--segmentation", "--points"]
+    asked = ["--turntable", "--replay", "--depth", "--segmentation", "--points", "--bop", "--views", "2"]
     assert main(["render", f"{bank}:{number}", *asked, *quick]) == 0
     endings = [
         ".png",
         "-depth.png",
         "-segmentation.png",
+        "-camera.json",
         "-sensors.npz",
         "-points.ply",
         "-turntable.gif",
         "-replay.gif",
     ]
-    assert {each.name for each in tmp_path.iterdir()} == {f"{number:06d}{ending}" for ending in endings}
+    assert {each.name for each in tmp_path.iterdir()} == {f"{number:06d}{ending}" for ending in endings} | {
+        "bop"
+    }
+    views = tmp_path / "bop" / "train_synt" / f"{number:06d}" / "rgb"
+    assert [each.name for each in sorted(views.iterdir())] == ["000000.png", "000001.png"]
+    with pytest.raises(ConfigError, match="views = 0"):
+        render(bank, bop=True, views=0)
     assert main(["render", str(bank), "--sheet", *quick]) == 0
     assert (tmp_path / "sheet.png").exists()
 

@@ -1,8 +1,6 @@
 """The web viewer in a real browser without a screen: it loads, and its buttons do what they say."""
 
-import shutil
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -13,22 +11,7 @@ from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rollout.record import Recorder
-
-FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    # WebGL without a graphics card.
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--window-size=1100,900",
-)
-PATIENCE = 120
+from tests.helpers.browser import PATIENCE, Page, browsers
 
 
 class Scenes:
@@ -73,27 +56,15 @@ def viewer(tmp_path_factory):
 @pytest.fixture(scope="module")
 def open_page(viewer, tmp_path_factory):
     """Opens the viewer in one more browser."""
-    webdriver = pytest.importorskip("selenium.webdriver", reason="the extra browser is not installed")
-    binary = shutil.which("chromium") or shutil.which("google-chrome")
-    driver = shutil.which("chromedriver")
-    if not (binary and driver):
-        pytest.skip("no Chromium with its driver on this machine")
-    browsers = []
+    with browsers(lambda: tmp_path_factory.mktemp("profile")) as start:
 
-    def open_one(waits_for="objects placed"):
-        options = webdriver.ChromeOptions()
-        options.binary_location = binary
-        for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
-            options.add_argument(flag)
-        browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
-        browsers.append(browser)
-        known = set(viewer.sessions)
-        browser.get(f"http://127.0.0.1:{viewer.server.get_port()}")
-        return Page(browser, viewer, known, waits_for)
+        def open_one(waits_for="objects placed"):
+            browser = start()
+            known = set(viewer.sessions)
+            browser.get(f"http://127.0.0.1:{viewer.server.get_port()}")
+            return ViewerPage(browser, viewer, known, waits_for)
 
-    yield open_one
-    for browser in browsers:
-        browser.quit()
+        yield open_one
 
 
 @pytest.fixture(scope="module")
@@ -101,41 +72,16 @@ def page(open_page):
     return open_page()
 
 
-class Page:
+class ViewerPage(Page):
     """What a person does and sees."""
 
     def __init__(self, browser, viewer, known, waits_for):
-        self.browser, self.viewer = browser, viewer
+        super().__init__(browser)
+        self.viewer = viewer
         self.until(lambda: set(viewer.sessions) - known)
         (own,) = set(viewer.sessions) - known
         self.session = viewer.sessions[own]
         self.until(lambda: waits_for in self.text())
-
-    def text(self):
-        return self.browser.execute_script("return document.body.innerText")
-
-    def until(self, condition):
-        end = time.monotonic() + PATIENCE
-        while not condition():
-            assert time.monotonic() < end, f"in vain; the page says: {self.text()}"
-            time.sleep(0.1)
-
-    def press(self, label):
-        path = f"//button[normalize-space()='{label}']"
-        self._click(self.browser.find_element("xpath", path))
-
-    def tick(self, label):
-        path = f"//label[normalize-space()='{label}']/following::input[@type='checkbox'][1]"
-        self._click(self.browser.find_element("xpath", path))
-
-    def _click(self, element):
-        self.browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", element)
-        self.browser.execute_script("arguments[0].click()", element)
-
-    def enter(self, label, value):
-        path = f"//label[normalize-space()='{label}']/following::input[@type='text'][1]"
-        field = self.browser.find_element("xpath", path)
-        field.send_keys("\ue009a\ue000", str(value), "\ue007")
 
     def picture(self):
         """uint8[H, W, 3], what the browser draws of the scene."""

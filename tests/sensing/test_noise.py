@@ -67,6 +67,12 @@ def test_edges_drop_out():
     assert np.isfinite(np.delete(measured, [79, 80], 1)).all()
 
 
+def test_a_slope_has_no_edges_however_steep():
+    slope = np.tile(np.linspace(0.5, 5.0, 120, dtype=np.float32)[:, None], (1, 160))
+    config = replace(NOISE_OFF, bleeding=1.0, edge_dropout=1.0)
+    np.testing.assert_array_equal(drawn(slope, config)[0], slope)
+
+
 @pytest.mark.parametrize(("incidence", "share"), [(60.0, 0.0), (80.0, 0.5), (88.0, 0.9)])
 def test_grazing_surfaces_drop_out(incidence, share):
     # A plane 1 m ahead, its normal so far from the axis; a long lens sees it at one angle.

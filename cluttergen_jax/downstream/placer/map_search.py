@@ -23,8 +23,6 @@ from cluttergen_jax.types import Array
 APART = 0.03
 """Metres in plan between two proposals for one query."""
 
-_TAKEN = 1e9
-
 
 class Looked(struct.PyTreeNode):
     """N candidates on one map, wholly looked at.
@@ -85,14 +83,18 @@ def best_apart(cost: Array, xy: Array, number: int, distance: float = APART) -> 
       cost: f32[N]; xy: f32[N, 2], metres; number: N at most.
     """
 
-    place = jnp.asarray(xy)
+    cost, xy = jnp.asarray(cost), jnp.asarray(xy)
 
-    def step(taken: Array, _: None) -> tuple[Array, Array]:
-        index = jnp.argmin(taken)
-        near = jnp.linalg.norm(place - place[index], axis=1) < distance
-        return jnp.where(near, taken + _TAKEN, taken).at[index].set(jnp.inf), index
+    def step(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
+        is_left, is_apart = state
+        usable = jnp.where(jnp.any(is_apart), is_apart, is_left)
+        index = jnp.argmin(jnp.where(usable, cost, jnp.inf))
+        is_left = is_left.at[index].set(False)
+        far = jnp.linalg.norm(xy - xy[index], axis=1) >= distance
+        return (is_left, is_apart & is_left & far), index
 
-    return jax.lax.scan(step, jnp.asarray(cost), None, number)[1]
+    everything = jnp.ones(cost.shape, bool)
+    return jax.lax.scan(step, (everything, everything), None, number)[1]
 
 
 def _scores(

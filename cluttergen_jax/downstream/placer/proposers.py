@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from cluttergen_jax.downstream.placer.heads.trained import embedded_placers, load_placer, placer_folder
 from cluttergen_jax.downstream.placer.map_search import best_apart, draw, search
 from cluttergen_jax.downstream.placer.query import (
     NUM_PROPOSALS,
@@ -106,13 +107,16 @@ def find_placer(placer: str | Path) -> Placer | FullState:
 
     Raises:
       ConfigError: there is none.
+      PoolError: the folder holds no placer, or a damaged one.
     """
     name = str(placer)
     if name in BASELINES:
         return BASELINES[name]()
     if name in FULL_STATE:
         return FullState(name)
-    known = (*BASELINES, *FULL_STATE)
+    if folder := placer_folder(placer):
+        return load_placer(folder)
+    known = (*BASELINES, *embedded_placers(), *FULL_STATE)
     raise ConfigError(
         f"placer {name!r}",
         f"{', '.join(known)}, or the folder of a trained one",

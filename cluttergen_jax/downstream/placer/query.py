@@ -65,7 +65,7 @@ class Proposals(struct.PyTreeNode):
 
 
 class Placer(Protocol):
-    """Answers one query at a time; pure, to be compiled and mapped."""
+    """Answers one query at a time; a pytree and pure, to be compiled and mapped."""
 
     def __call__(self, key: Array, query: PlacementQuery) -> Proposals:
         """`NUM_PROPOSALS` proposals, drawn with `key`."""

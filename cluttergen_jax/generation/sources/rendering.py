@@ -17,17 +17,19 @@ from cluttergen_jax.generation.sources import BankSource, open_source
 from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.rendering.assets import render_scene
+from cluttergen_jax.rendering.bop import BopDataset
 from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.density import NUM_PROPOSALS, density_figure
 from cluttergen_jax.rendering.figure import closed_loop_figure
 from cluttergen_jax.rendering.film import replay, replay_frames, turntable
 from cluttergen_jax.rendering.gl import find_backend
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
-from cluttergen_jax.rendering.sensors import depth_png, npz_of, segmentation_png, sense
+from cluttergen_jax.rendering.sensors import camera_json, depth_png, npz_of, segmentation_png, sense
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.rendering.video import check_format, save_film
 from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.scene.bank.reference import missing_text
+from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, REALSENSE_SIZE, free
 
 _SHEET = 12
 _FINE, _QUICK = 32, 10
@@ -62,6 +64,7 @@ class Rendering:
       film: a format of films.
       pace: how fast films run.
       columns: of the contact sheet.
+      views: cameras that look at each scene of a BOP dataset; seed: of where they stand.
     """
 
     products: frozenset[str]
@@ -72,6 +75,8 @@ class Rendering:
     film: str
     pace: FilmConfig
     columns: int
+    views: int
+    seed: int
 
     def make(self, source: str, scenes: Sequence[int] | Literal["all"] | None) -> RenderReport:
         """Makes everything that is asked for of scenes of a source; see `chosen_numbers`."""
@@ -86,7 +91,8 @@ class Rendering:
         singles = self._makes("picture") and (not self._makes("sheet") or bool(scenes))
         made: list[Path] = []
         failures: list[_Failure] = []
-        for number in numbers:
+        shown = tracked(numbers, "bop", len(numbers), "scene") if self._makes("bop") else numbers
+        for number in shown:
             failures += self._make(opened, number, singles, sizes[_SMALL], made)
         if self._makes("sheet"):
             made.append(save_png(self._sheet(opened, numbers), self.out / "sheet.png"))
@@ -117,14 +123,14 @@ class Rendering:
         except ClutterGenError as error:
             yield stem.name, error
             return
-        for ending, make in self._products(recording, attempted is not None, singles, small):
+        for ending, make in self._products(recording, number, attempted is not None, singles, small):
             try:
                 made.extend(make(_named(stem, ending)))
             except ClutterGenError as error:
                 yield stem.name + ending, error
 
     def _products(
-        self, recording: Replay, has_attempts: bool, singles: bool, small: PictureConfig
+        self, recording: Replay, number: int, has_attempts: bool, singles: bool, small: PictureConfig
     ) -> Iterator[tuple[str, _Make]]:
         """The endings of the files that are asked for, and how each is made."""
         large = self._picture(_LARGE, _FINE)
@@ -136,6 +142,8 @@ class Rendering:
             yield "-density.png", lambda path: [save_png(density_figure(recording, picture=large), path)]
         if self._makes("depth", "segmentation"):
             yield "-sensors.npz", lambda path: self._sensed(recording, path, large)
+        if self._makes("bop"):
+            yield "-bop", lambda path: [self._bop(recording, number)]
         if self._makes("points"):
             yield "-points.ply", lambda path: [_written(path, _cloud(recording))]
         if self._makes("turntable"):
@@ -156,7 +164,19 @@ class Rendering:
             yield _written(_named(stem, "-depth.png"), depth_png(sensed.depth))
         if self._makes("segmentation"):
             yield _written(_named(stem, "-segmentation.png"), segmentation_png(sensed.segmentation))
+        yield _written(_named(stem, "-camera.json"), camera_json(sensed))
         yield _written(path, npz_of(sensed))
+
+    def _bop(self, recording: Replay, number: int) -> Path:
+        """Adds the scene to the dataset BOP below `out`, seen from places drawn for its number."""
+        picture = self._picture(REALSENSE_SIZE, _QUICK)
+        focal = REALSENSE_FOCAL * picture.width / REALSENSE_SIZE[0]
+        rng = np.random.default_rng([self.seed, number])
+        support = replace(recording.support, region=recording.region)
+        cameras = [free(support, rng, picture.width, picture.height, focal) for _ in range(self.views)]
+        poses = recording.poses[recording.placed]
+        dataset = BopDataset(self.out / "bop")
+        return dataset.add(number, _placed(recording), poses, recording.support, cameras, picture)
 
     def _filmed(self, frames: Iterable[np.ndarray], count: int, path: Path) -> Path:
         shown = tracked(frames, path.name, count, "frame")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.rectangle_text import recorded_rectangle
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import HAND, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
@@ -73,7 +73,7 @@ def replay_context_of(bank: Bank) -> ReplayContext:
         method, pool, checkpoint = recipe["method"], recipe["pool"], recipe.get("checkpoint")
     except KeyError as error:
         raise _not_recorded(bank, error) from error
-    trained = choose_method(method, pool, checkpoint).checkpoint
+    trained = None if method == HAND else choose_method(method, pool, checkpoint).checkpoint
     return ReplayContext(setup, {} if trained is None else {method: trained})
 
 
@@ -108,9 +108,16 @@ def replay(bank: Bank, context: ReplayContext, index: int, stored: Replay, num_p
     """Scene number `index` of a bank with its attempts, made once more; see `Recorder.record`.
 
     Raises:
-      BankError: made again it ends elsewhere: other versions, another machine, changed assets.
+      BankError: a person made it; or made again it ends elsewhere: other versions, another machine, changed
+        assets.
     """
     recipe = bank.record["recipe"]
+    if recipe["method"] == HAND:
+        raise BankError(
+            f"{stored.title} was made by hand: its attempts cannot be made again",
+            "attempts of scenes that a method made",
+            "the scene itself",
+        )
     width = int(recipe.get("block_size", BLOCK_SIZE))
     method, seed = recipe["method"], int(recipe["seed"])
     recording = context.record(method, seed, index, stored.title, width, num_proposals)

@@ -1,24 +1,32 @@
-"""Scenes in a browser, or in MuJoCo's own viewer."""
+"""Scenes in a browser, to be looked at or made by hand, or in MuJoCo's own viewer."""
 
 from __future__ import annotations
 
 import threading
 import webbrowser
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from cluttergen_jax.errors import BankError
+from cluttergen_jax.generation.generate import GeneratedBank
+from cluttergen_jax.generation.hand import HandBank
 from cluttergen_jax.generation.sources.live import LiveConfig
 from cluttergen_jax.generation.sources.opening import open_source
 from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.rendering.assets import scene_spec
 from cluttergen_jax.rendering.lighting import FLOOR
 from cluttergen_jax.rendering.viewer.native import check_display, show_native
+from cluttergen_jax.rendering.viewer.placing import PlacingPanel
 from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.rendering.viewer.viewer import Viewer, free_port, open_server
+
+if TYPE_CHECKING:
+    import viser
 
 
 def view_native(source: str | None, live: LiveConfig, show: Callable[[str], None]) -> None:
@@ -47,18 +55,49 @@ def view_web(
     first = _first(scenes, own)
     server = open_server(host, port, f"cluttergen: {scenes.name}")
     viewer = Viewer(scenes, server, first, screenshots)
-    url = f"http://{'localhost' if host == '0.0.0.0' else host}:{server.get_port()}"
-    show(f"viewer     {url} (Ctrl-C ends it)")
-    if notice := scenes.notice():
-        show(f"first      {notice}")
-    if browser:
-        webbrowser.open(url)
     try:
-        threading.Event().wait()
-    except KeyboardInterrupt:
-        show("\nviewer     ended")
+        _serve(server, host, browser, show, scenes.notice())
     finally:
         viewer.close()
+
+
+def place_web(
+    open_bank: Callable[[], HandBank], host: str, port: int, browser: bool, show: Callable[[str], None]
+) -> GeneratedBank:
+    """Placing by hand in a browser, until Ctrl-C; see `cluttergen_jax.place_by_hand`.
+
+    Args:
+      open_bank: called once the port is had.
+    """
+    server = open_server(host, port, "cluttergen: placing by hand")
+    try:
+        with open_bank() as bank:
+            show(f"opening    {bank.name}, which holds {bank.num_kept} scenes")
+            bank.rehearse()
+            panel = PlacingPanel(bank, server)
+            try:
+                _serve(server, host, browser, show)
+            finally:
+                panel.close()
+            return bank.summary()
+    finally:
+        server.stop()
+
+
+def _serve(
+    server: viser.ViserServer, host: str, browser: bool, show: Callable[[str], None], notice: str = ""
+) -> None:
+    """Says where the server is, opens a browser if wanted, and returns at Ctrl-C."""
+    url = f"http://{'localhost' if host == '0.0.0.0' else host}:{server.get_port()}"
+    # As soon as the address is known, Ctrl-C may come.
+    with suppress(KeyboardInterrupt):
+        show(f"viewer     {url} (Ctrl-C ends it)")
+        if notice:
+            show(f"first      {notice}")
+        if browser:
+            webbrowser.open(url)
+        threading.Event().wait()
+    show("\nviewer     ended")
 
 
 def _first(scenes: SceneSource, own: int | None) -> int:

@@ -148,8 +148,14 @@ def predictions_of(network: StabilityNetConfig, params: Any, examples: Examples)
     return jax.device_get(jax.jit(StabilityNet(network).apply)(params, examples.features))
 
 
-def draw_calibration(found: Mapping[str, Calibration], path: Path) -> None:
-    """The picture of what was trusted how far against what stood, a line for each; the diagonal is right."""
+def draw_calibration(
+    found: Mapping[str, Calibration], path: Path, of: str = "attempts, held-out families"
+) -> None:
+    """The picture of what was trusted how far against what stood, a line for each; the diagonal is right.
+
+    Args:
+      of: what was judged.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -161,7 +167,7 @@ def draw_calibration(found: Mapping[str, Calibration], path: Path) -> None:
         trust, stood = np.array(each.trust)[is_there], np.array(each.stood)[is_there]
         axis.plot(trust, stood, marker="o", markersize=4, label=f"{name}: AUC {each.auc:.3f}")
     axis.set(xlabel="trust before the attempt", ylabel="share that stood", xlim=(0, 1), ylim=(0, 1))
-    axis.set_title(f"{max(each.number for each in found.values()):,} attempts, held-out families", fontsize=9)
+    axis.set_title(f"{max(each.number for each in found.values()):,} {of}", fontsize=9)
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8, loc="upper left")
     FigureCanvasAgg(figure)

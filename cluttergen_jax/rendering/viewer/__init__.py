@@ -1,6 +1,7 @@
-"""Looking at scenes: in a browser (`Viewer`, extra `viewer`), or in MuJoCo's own window (`show_native`).
+"""Looking at scenes: in a browser (`Viewer`, extra `viewer`), or in MuJoCo's own window (`show_native`); and
+making them by hand (`PlacingPanel`).
 
-source: where scenes come from. scene_nodes: what the browser draws. words: what is said of a scene.
-server: the web server. viewer: all browsers. session: one browser, its panel and what its buttons do. native:
-MuJoCo's viewer.
+source: where scenes come from, and go to. scene_nodes: what the browser draws. words: what is said of them.
+server: the web server. viewer: all browsers. session: one browser, its panel and what its buttons do.
+placing: the panel for making scenes by hand. native: MuJoCo's viewer.
 """

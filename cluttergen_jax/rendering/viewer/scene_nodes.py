@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 RED = (214, 30, 36)
 _GHOST = (RED[0] / 255, RED[1] / 255, RED[2] / 255, 0.45)
 _BLUE, _ORANGE = (40, 110, 220), (245, 130, 20)
+_DIRECTION = np.array([0.62, -0.88, 0.78])
 _LIFT = 0.0015
 """Metres by which lines and points lie above the top, so that they are seen."""
 _DOT = 0.3
@@ -63,8 +64,8 @@ class SceneNodes:
         self.recording: Replay | None = None
         self._roots: list[Any] = []
         self._fixed: list[Any] = []
-        self._objects: dict[int, _ObjectNodes] = {}
-        self._failed: dict[int, _FailedAttempt] = {}
+        self._objects: dict[int, ObjectNodes] = {}
+        self._failed: dict[int, FailedAttempt] = {}
         self._region: list[Any] = []
         self._top_cloud: Any = None
         self._heat: dict[int, Any] = {}
@@ -83,11 +84,11 @@ class SceneNodes:
             self._add_region(recording)
             for index, asset in enumerate(recording.objects):
                 if recording.is_placed[index] or recording.attempts_at(index):
-                    self._objects[index] = _ObjectNodes(self.server, index, asset)
+                    self._objects[index] = ObjectNodes(self.server, f"/objects/{index}", asset, index)
             for number, attempt in enumerate(recording.attempts):
                 if not attempt.is_stable:
                     asset = recording.objects[attempt.object_index]
-                    self._failed[number] = _FailedAttempt(self.server, number, asset, attempt)
+                    self._failed[number] = FailedAttempt(self.server, number, asset, attempt)
                 if attempt.proposals is not None:
                     self._heat[number] = self._add_heat(recording, number, attempt)
             self.at(len(recording.attempts), None)
@@ -116,6 +117,15 @@ class SceneNodes:
             for node in self._region:
                 node.visible = self.shown.region
             self._top_cloud.visible = self.shown.scene_cloud
+
+    def put(self, poses: np.ndarray, is_placed: np.ndarray) -> None:
+        """Moves the objects of a shown scene without attempts, f[K, 7], and hides those not placed, bool[K].
+
+        Objects that were not placed when the scene was first shown are not there to be moved.
+        """
+        assert self.recording is not None
+        self.recording = replace(self.recording, poses=poses, is_placed=is_placed)
+        self.at(0, None)
 
     def _state(
         self, number: int, attempt: Attempt | None, progress: float | None
@@ -190,16 +200,15 @@ class SceneNodes:
         for name, rectangle, colour in named:
             self._region.append(
                 self.server.scene.add_line_segments(
-                    f"/{name}", _outline(rectangle, height), colour, thickness=0.004
+                    f"/{name}", outline(rectangle, height), colour, thickness=0.004
                 )
             )
 
 
-class _ObjectNodes:
-    """One object: a frame, its surfaces, its hulls and its cloud."""
+class ObjectNodes:
+    """One object: a frame called `root`, its surfaces, its hulls in colours by `index`, and its cloud."""
 
-    def __init__(self, server: viser.ViserServer, index: int, asset: ObjectAsset) -> None:
-        root = f"/objects/{index}"
+    def __init__(self, server: viser.ViserServer, root: str, asset: ObjectAsset, index: int = 0) -> None:
         self.frame = server.scene.add_frame(root, show_axes=False)
         self.surfaces = [
             _surface(server, f"{root}/visual-{k}", piece) for k, piece in enumerate(asset.pieces)
@@ -229,7 +238,7 @@ class _ObjectNodes:
         self.frame.remove()
 
 
-class _FailedAttempt:
+class FailedAttempt:
     """A failed attempt: the object in red where it ended, and its path."""
 
     def __init__(self, server: viser.ViserServer, number: int, asset: ObjectAsset, attempt: Attempt) -> None:
@@ -298,10 +307,19 @@ def _hull(server: viser.ViserServer, name: str, part: Mesh, colour: tuple[int, i
     )
 
 
-def _outline(rectangle: Rectangle, height: float) -> np.ndarray:
+def outline(rectangle: Rectangle, height: float) -> np.ndarray:
     """f32[4, 2, 3]: the sides of a rectangle at a height, world frame."""
     ring = np.column_stack([rectangle.corners, np.full(4, height)])
     return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1).astype(np.float32)
+
+
+def aim(camera: Any, region: Rectangle, top: float) -> None:
+    """Puts a browser's camera, or where cameras begin, so that the whole region at `top` metres is seen."""
+    reach = 1.25 * float(np.hypot(*region.half_extents)) + 0.25
+    target = np.array([*region.center, top + 0.05])
+    camera.fov = float(np.radians(42))
+    camera.position = target + 1.9 * reach * _DIRECTION / np.linalg.norm(_DIRECTION)
+    camera.look_at = target
 
 
 def _bytes(rgba: tuple[float, ...]) -> tuple[int, int, int]:

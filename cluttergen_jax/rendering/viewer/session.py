@@ -12,12 +12,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from PIL import Image
 
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.placement.rollout.replay import Replay
-from cluttergen_jax.rendering.viewer.scene_nodes import SceneNodes
+from cluttergen_jax.rendering.viewer.scene_nodes import SceneNodes, aim
 from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.rendering.viewer.words import attempt_words, scene_words
 
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 _FRAMES_PER_SECOND = 20
 _SECONDS_PER_ATTEMPT = 0.8
 _PROPOSALS = 512
-_DIRECTION = np.array([0.62, -0.88, 0.78])
 
 
 @dataclass(frozen=True)
@@ -240,15 +238,9 @@ class Session:
         """Puts the camera where the whole region is seen."""
         if self.recording is None:
             return
-        client = self.client
-        region, top = self.recording.region, self.recording.support.top
-        reach = 1.25 * float(np.hypot(*region.half_extents)) + 0.25
-        target = np.array([*region.center, top + 0.05])
-        with client.atomic():
-            client.camera.fov = float(np.radians(42))
-            client.camera.up_direction = (0.0, 0.0, 1.0)
-            client.camera.position = target + 1.9 * reach * _DIRECTION / np.linalg.norm(_DIRECTION)
-            client.camera.look_at = target
+        with self.client.atomic():
+            self.client.camera.up_direction = (0.0, 0.0, 1.0)
+            aim(self.client.camera, self.recording.region, self.recording.support.top)
 
     def _build_panel(self, methods: tuple[str, ...]) -> None:
         gui = self.client.gui

@@ -1,10 +1,12 @@
-"""Where a viewer's scenes come from; the command line fills it in."""
+"""Where a viewer's scenes come from, and where those made by hand go; the command line fills it in."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Protocol
 
+from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.placement.hand import HandScene
 from cluttergen_jax.placement.rollout.replay import Replay
 
 
@@ -44,4 +46,38 @@ class SceneSource(Protocol):
 
     def sample(self, method: str, seed: int, num_proposals: int = 0) -> Replay:
         """A new scene by one of `methods`; see `recorded`."""
+        ...
+
+
+class HandScenes(Protocol):
+    """Scenes that a person is to make, one after another, and where they are kept."""
+
+    num_kept: int
+    keep_out: tuple[Rectangle, ...]
+
+    @property
+    def name(self) -> str:
+        """What to call the place where they are kept."""
+        ...
+
+    @property
+    def support(self) -> SupportAsset:
+        """What carries the objects."""
+        ...
+
+    @property
+    def region(self) -> Rectangle:
+        """The queried region."""
+        ...
+
+    def begin(self) -> HandScene:
+        """The next scene, with none of its objects placed."""
+        ...
+
+    def keep(self, scene: HandScene) -> None:
+        """Stores a scene, whatever became of it, and closes it.
+
+        Raises:
+          ClutterGenError: it cannot be stored now; it may be kept later.
+        """
         ...

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 
+import numpy as np
+
+from cluttergen_jax.placement.hand import HandScene
+from cluttergen_jax.placement.hand.types import Check, Drop, Lowered
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.types import Verdict, small_length
 
@@ -51,3 +55,57 @@ def _end(attempt: Attempt) -> str:
     if attempt.is_stable:
         return f"stable after {attempt.num_steps} steps"
     return f"failed, {attempt.verdict.label}: {attempt.verdict.sentence} ({attempt.num_steps} steps)"
+
+
+def progress_words(scene: HandScene) -> str:
+    """How far a scene made by hand has come."""
+    minutes, seconds = divmod(int(scene.clock.seconds), 60)
+    placed = f"{scene.num_placed} of {len(scene.all)} objects placed"
+    tries = f"{scene.num_attempts} attempt{'' if scene.num_attempts == 1 else 's'}"
+    said = f"**scene {scene.number}**: {placed}, {tries}, {minutes}:{seconds:02d}"
+    return f"{said}\n\nleft: {', '.join(_name(scene, index) for index in scene.left) or 'nothing'}"
+
+
+def lowered_words(scene: HandScene, lowered: Lowered) -> str:
+    """What the current object touches."""
+    assert scene.current is not None
+    name = _name(scene, scene.current)
+    if lowered.is_on_top:
+        said = f"{name} touches the bare top"
+    else:
+        said = f"{name} touches something {100 * lowered.lift:.1f} cm above the bare top"
+    return said + (f"; {lowered.hanging:.0%} of it is over nothing" if lowered.hanging > 0 else "")
+
+
+def drop_words(scene: HandScene, drop: Drop) -> str:
+    """What came of an attempt, by which verdict, and why."""
+    attempt = drop.attempt
+    verdict, name = attempt.verdict, _name(scene, attempt.object_index)
+    if verdict == Verdict.STABLE:
+        return f"**{name}: stable** after {attempt.num_steps} steps"
+    said = f"**{name}: {verdict.label}**: {verdict.sentence}"
+    if verdict == Verdict.DISPLACED and drop.mover is not None:
+        moved = f"{small_length(drop.shift)} and {np.degrees(drop.turn):.1f} degrees"
+        said += f" ({_name(scene, drop.mover)}: by {moved} at most)"
+    elif verdict == Verdict.PENETRATING:
+        said += f" (by {small_length(drop.penetration)})"
+    elif verdict == Verdict.UNSUPPORTED and np.isfinite(drop.margin):
+        said += f" ({1000 * drop.margin:.1f} mm inside it)"
+    return f"{said}. In red, where it ended; the scene is what it was before."
+
+
+def check_words(scene: HandScene, check: Check) -> str:
+    """What came of the last check."""
+    if check.verdict == Verdict.STABLE:
+        return (
+            f"all {len(scene.all)} objects stand together (none moved more than {small_length(check.drift)})"
+        )
+    name, moved = _name(scene, check.mover), small_length(check.drift)
+    return (
+        f"**not saved: {check.verdict.label}**: {check.verdict.sentence} ({name}: by {moved}). Take objects "
+        "back and place them better, or give the scene up"
+    )
+
+
+def _name(scene: HandScene, index: int) -> str:
+    return scene.names[index]

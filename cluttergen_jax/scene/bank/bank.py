@@ -34,7 +34,7 @@ from cluttergen_jax.files import inside
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.blocks import AGAIN, StoredBlocks, record_in
 from cluttergen_jax.scene.bank.remote import is_url, mirrored
-from cluttergen_jax.scene.bank.table import CERTIFICATE, CLUTTER, SCHEMA, BankRow, is_certified, rows_of
+from cluttergen_jax.scene.bank.table import BankRow, rows_of, schema_of
 
 FORMAT = 1
 INDEX = "bank.json"
@@ -60,7 +60,9 @@ class Bank:
           BankError: there are none, or a block is damaged; the message names its file.
         """
         rows = list(self.tables())
-        names = [*SCHEMA.names, *CLUTTER.names, *(CERTIFICATE.names if all(map(is_certified, rows)) else [])]
+        names = [
+            name for name in schema_of(rows[0]).names if all(name in schema_of(each).names for each in rows)
+        ]
         return pa.concat_tables([each.select(names).replace_schema_metadata(None) for each in rows])
 
     def tables(self, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:

@@ -28,7 +28,7 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import file_whole, writing
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.remote import RemoteFolder, publish, remote_of
-from cluttergen_jax.scene.bank.table import CERTIFICATE, CLUTTER, SCHEMA, is_certified, with_added
+from cluttergen_jax.scene.bank.table import CLUTTER, SCHEMA, schema_of, with_added
 
 SHARD_BLOCKS = 768
 """Blocks of a full shard: of ten-object scenes, about 100 MB. Shard s begins with block 768 s."""
@@ -247,7 +247,7 @@ def _write_row_groups(target: Path, stored: StoredBlocks, blocks: range, record:
                 table = stored.read(block)
             except BankError as error:
                 raise _UnevenError from error
-            own = pa.unify_schemas([SCHEMA, CLUTTER, *([CERTIFICATE] if is_certified(table) else [])])
+            own = schema_of(table)
             if schema is None:
                 schema = own
                 stamped = with_record(own.empty_table(), record).schema

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
+
+import pyarrow as pa
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import HAND
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
-from cluttergen_jax.scene.bank.table import CERTIFICATE, CLUTTER, COUNTED, SCHEMA
+from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, CLUTTER, COUNTED, SCHEMA
 from cluttergen_jax.tables import markdown_table
 from cluttergen_jax.types import Verdict, small_length
 
@@ -40,6 +43,7 @@ _COLUMNS = {
     "num_touching": "pairs of objects that touch",
     "near": "metres, the mean over the objects of the gap in plan to the nearest other one, as boxes",
     "occlusion": "the mean share of an object that others hide from eight cameras 30 degrees up, as boxes",
+    "seconds": "that the person who made the scene spent on it, pauses of more than a minute left out",
     "residual_speed": "after `cluttergen certify`: m/s, the fastest object 0.25 s after the scene is let go",
     "residual_angular_speed": "after `certify`: rad/s, likewise",
     "horizon_drift": "after `certify`: metres, the most that an object moves within the horizon",
@@ -100,7 +104,7 @@ def card_text(bank: Bank, stats: BankStats) -> str:
         ),
         _about(bank, stats),
         _figures(stats),
-        _files(),
+        _files(BY_HAND if _is_by_hand(bank.record["recipe"]) else ()),
         _made(bank.record["recipe"]),
         _stability(bank.record["recipe"]),
         assets_section(assets, bank.support),
@@ -156,7 +160,12 @@ def _figures(stats: BankStats) -> str:
     return "\n".join(["## Figures", "", markdown_table(("", ""), rows)])
 
 
-def _files() -> str:
+def _is_by_hand(recipe: dict[str, Any]) -> bool:
+    return recipe.get("method") == HAND
+
+
+def _files(added: Iterable[pa.Field]) -> str:
+    """The files and the columns, with those that only some banks have."""
     lines = [
         "## Files",
         "",
@@ -174,7 +183,8 @@ def _files() -> str:
         "```",
         "",
     ]
-    fields = [(f"`{f.name}`", f"`{f.type}`", _COLUMNS[f.name]) for f in (*SCHEMA, *CLUTTER, *CERTIFICATE)]
+    columns = (*SCHEMA, *CLUTTER, *added, *CERTIFICATE)
+    fields = [(f"`{f.name}`", f"`{f.type}`", _COLUMNS[f.name]) for f in columns]
     return "\n".join([*lines, markdown_table(("column", "type", "meaning"), fields)])
 
 
@@ -185,7 +195,9 @@ def _made(recipe: dict[str, Any]) -> str:
         "support": Path(str(recipe.get("support"))).name,
         "objects per scene": placement.get("num_objects"),
         "order of objects": placement.get("order"),
-        "attempts per object": placement.get("max_attempts"),
+        "attempts per object": "as many as were wanted"
+        if _is_by_hand(recipe)
+        else placement.get("max_attempts"),
         "attempts per scene": placement.get("budget") or "so many for each object",
         "failed attempts after which objects are taken away": placement.get("ruin_after") or "none are",
         "method": recipe.get("method"),

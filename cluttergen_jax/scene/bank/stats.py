@@ -12,9 +12,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from cluttergen_jax.placement.world import base_name
+from cluttergen_jax.progress import time_text
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.clutter_stats import ClutterTally, FeatureStats
-from cluttergen_jax.scene.bank.table import CERTIFICATE, is_certified
+from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, is_certified
 from cluttergen_jax.scene.bank.totals import Totals, totals_of
 from cluttergen_jax.types import small_length
 
@@ -109,6 +110,7 @@ class BankStats:
       duplicates: indices of scenes that stand and are equal to the bit, objects and poses, group by group.
       certificate: None unless every scene that stands has one.
       clutter: features of the scenes that stand, as far as they are known.
+      hand_median, hand_total: seconds that a person spent on a scene, and on all; None where nobody did.
     """
 
     asked: int
@@ -126,6 +128,8 @@ class BankStats:
     duplicates: tuple[tuple[int, ...], ...]
     certificate: CertificateStats | None
     clutter: tuple[FeatureStats, ...] = ()
+    hand_median: float | None = None
+    hand_total: float | None = None
 
     @property
     def success_rate(self) -> float:
@@ -162,6 +166,7 @@ class _Tally:
         self._index: list[np.ndarray] = []
         self._digest: list[np.ndarray] = []
         self._certified: list[pa.Table] | None = []
+        self._seconds: list[np.ndarray] = []
 
     def add(self, rows: pa.Table) -> None:
         """Counts some more rows, which follow those before."""
@@ -175,6 +180,7 @@ class _Tally:
         self._drift.append(np.array(good["drift"]))
         self._index.append(np.array(good["index"]))
         self._digest.append(_digests(good))
+        self._seconds += [np.array(rows[name]) for name in BY_HAND.names if name in rows.schema.names]
         if self._certified is not None:
             self._certified = [*self._certified, _certificate_rows(good)] if is_certified(rows) else None
 
@@ -182,6 +188,7 @@ class _Tally:
         """The numbers of all that was added."""
         totals, drift = self._totals, np.concatenate(self._drift)
         self._look_for_gaps(np.array([self._bank.num_scenes]))
+        seconds = np.concatenate(self._seconds) if self._seconds else None
         certified = None if self._certified is None else pa.concat_tables(self._certified)
         return BankStats(
             asked=self._bank.num_scenes,
@@ -199,6 +206,8 @@ class _Tally:
             duplicates=_duplicates(self._bank, np.concatenate(self._index), np.concatenate(self._digest)),
             certificate=None if certified is None else _certificate(certified),
             clutter=self._clutter.features(),
+            hand_median=None if seconds is None else float(np.median(seconds)),
+            hand_total=None if seconds is None else float(seconds.sum()),
         )
 
     def _look_for_gaps(self, index: np.ndarray) -> None:
@@ -291,6 +300,9 @@ def stats_text(bank: Bank, stats: BankStats) -> str:
     if stats.certificate is not None:
         facts = stats.certificate.lines()
         lines += [f"{'' if place else 'certified':11}{fact}" for place, fact in enumerate(facts)]
+    if stats.hand_median is not None and stats.hand_total is not None:
+        median, total = time_text(stats.hand_median), time_text(stats.hand_total)
+        lines.append(f"by hand    {median} a scene in the median, {total} in all")
     runs = ", ".join(f"{first} to {last}" if first < last else f"{first}" for first, last in stats.missing)
     lines.append(f"missing    {runs or 'nothing'} of the {stats.asked} scenes asked for")
     lines.append(f"duplicates {_duplicates_text(stats)}")

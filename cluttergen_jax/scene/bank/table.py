@@ -59,6 +59,9 @@ CLUTTER = pa.schema(
 """How cluttered a scene is, of what is placed: null in banks of older versions.
 `levels` has an entry per slot, -1 where nothing is placed."""
 
+BY_HAND = pa.schema([("seconds", pa.float32())])
+"""What banks made by hand have besides: the seconds that a person spent on the scene, pauses left out."""
+
 CERTIFICATE = pa.schema(
     [
         ("residual_speed", pa.float32()),
@@ -137,6 +140,12 @@ def with_added(rows: pa.Table) -> pa.Table:
             if field.name not in rows.schema.names:
                 rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
     return rows
+
+
+def schema_of(rows: pa.Table) -> pa.Schema:
+    """The columns that rows of a bank have, but for a certificate that is not whole."""
+    by_hand = [BY_HAND] if set(BY_HAND.names) <= set(rows.schema.names) else []
+    return pa.unify_schemas([SCHEMA, CLUTTER, *by_hand, *([CERTIFICATE] if is_certified(rows) else [])])
 
 
 def is_fully_certified(rows: pa.Table) -> bool:

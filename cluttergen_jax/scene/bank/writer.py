@@ -91,6 +91,8 @@ class BankWriter:
             self.close()
             raise
 
+    _num_scenes: int
+
     def __enter__(self) -> BankWriter:
         return self
 
@@ -148,6 +150,16 @@ class BankWriter:
             and write_shard(self.path, blocks, self._record)
         ):
             self._loose -= set(blocks)
+
+    def extend(self, num_scenes: int) -> None:
+        """The bank is asked for at least so many scenes from now on.
+
+        Raises:
+          BankError: it cannot be written.
+        """
+        self._num_scenes = max(self._num_scenes, num_scenes)
+        with writing(self.path):
+            self._write_index()
 
     def keep_digests(self, files: dict[str, str]) -> None:
         """Enters the digests of scene files, by path within the bank, into `bank.json`.

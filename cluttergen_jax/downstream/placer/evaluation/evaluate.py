@@ -5,31 +5,32 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.downstream.placer.bench import Bench, Outcome
-from cluttergen_jax.downstream.placer.figures import MANY, figures_of
-from cluttergen_jax.downstream.placer.pairs import PairLabels, PairSet, load_queries
+from cluttergen_jax.downstream.placer.evaluation.bench import Bench, Outcome
+from cluttergen_jax.downstream.placer.evaluation.chain import Chains
+from cluttergen_jax.downstream.placer.evaluation.figures import figures_of
+from cluttergen_jax.downstream.placer.evaluation.tables import Row, chain_table, tables_of
+from cluttergen_jax.downstream.placer.heads.trained import placer_folder
+from cluttergen_jax.downstream.placer.pairs.stored import PairLabels, PairSet, load_queries
+from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import FullState, find_placer
-from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Placer
+from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.store import Store, json_bytes
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.methods import checkpoint_of
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.proportions import proportion
+from cluttergen_jax.scene.bank import Bank, read_bank
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig
 from cluttergen_jax.tables import Table
-from cluttergen_jax.types import Verdict
-
-Row = dict[str, Any]
-_SHOWN = (Verdict.DISPLACED, Verdict.PENETRATING, Verdict.UNSETTLED, Verdict.OUTSIDE)
-_NAMES = {"drop": "drop (full state)", "guided": "guided (full state)", "policy": "policy (full state)"}
 
 
 @dataclass(frozen=True)
@@ -39,10 +40,12 @@ class PlacerComparison:
     Attributes:
       rows: one for each placer and noise: `trial`, `sources` and `figures` (`figures.figures_of`).
       tables: the same for people.
+      chains: figures of tables that placers filled by themselves (`chain.Chains.run`), if asked for.
     """
 
     rows: list[Row]
     tables: list[Table]
+    chains: list[Row] = field(default_factory=list)
 
     def __str__(self) -> str:
         return "\n\n".join(f"{table.title}\n\n{table.markdown()}" for table in self.tables)
@@ -51,6 +54,8 @@ class PlacerComparison:
         """Writes table.md and results.json."""
         write_atomically(folder / "table.md", f"{self}\n".encode())
         write_atomically(folder / "results.json", json_bytes(self.rows))
+        if self.chains:
+            write_atomically(folder / "chains.json", json_bytes(self.chains))
 
 
 class Trials:
@@ -100,6 +105,38 @@ class Trials:
         on_made(self.num_pairs)
         return known
 
+    def bank(self) -> Bank:
+        """The bank behind the split.
+
+        Raises:
+          ConfigError: the folder does not hold it.
+        """
+        place = self.pairs.path / f"bank-{self.split}"
+        if not place.is_dir():
+            raise ConfigError(
+                f"`chains` with {self.pairs.path}, which does not hold the bank behind {self.split!r}",
+                "pairs whose bank was made along with them",
+                "placer_data without `bank`, or leaving out `chains`",
+            )
+        return read_bank(place)
+
+    def chain(self, placer: str, noise: float, number: int) -> Row | None:
+        """How far a placer gets in filling tables by itself (`chain.Chains`); None of full-state methods."""
+        found = find_placer(placer)
+        if isinstance(found, FullState):
+            return None
+        trial = self._trial(placer, noise) | {"chains": number}
+        text = json.dumps([trial, self._sources(placer, found)], sort_keys=True)
+        key = hashlib.sha256(text.encode()).hexdigest()[:20]
+        title = f"{number} chains by {Path(placer).name} noise {noise:g} {trial['pool']} {trial['support']}"
+        known = None if self.is_fresh else self.store.read(title, key)
+        if known is not None:
+            return known["figures"]
+        scenes = PartialScenes(self.bank(), self._num_threads)
+        chains = Chains(scenes, number, self.made["camera"], noise_of(noise), self.seed, self._num_threads)
+        figures = chains.run(found) | {"trial": trial | {"chains": chains.num_chains}}
+        return self.store.keep(title, key, figures)
+
     def _trial(self, placer: str, noise: float) -> dict[str, Any]:
         recipe = self.made["recipe"]
         return {
@@ -120,7 +157,8 @@ class Trials:
             checkpoint = checkpoint_of(found.method, self.made["recipe"]["pool"])
             weights = None if checkpoint is None else checkpoint.hash
         else:
-            weights = _folder_hash(Path(placer)) if Path(placer).is_dir() else None
+            folder = placer_folder(placer)
+            weights = None if folder is None else _folder_hash(folder)
         told = {name: value for name, value in self.made.items() if name != "num_pairs"}
         text = json.dumps([told, self.pairs.record["assets"]], sort_keys=True)
         return {
@@ -162,9 +200,16 @@ class Trials:
 
 
 def compare_placers(
-    trials: Trials, placers: Sequence[str], noises: Sequence[float], folder: Path | None
+    trials: Trials,
+    placers: Sequence[str],
+    noises: Sequence[float],
+    folder: Path | None,
+    num_chains: int = 0,
 ) -> PlacerComparison:
     """The rows of placers and their tables, written into the folder if there is one; by noise, then placer.
+
+    Args:
+      num_chains: tables that each placer fills by itself besides.
 
     Raises:
       ConfigError, PoolError: there is no such placer, or it is damaged.
@@ -172,10 +217,15 @@ def compare_placers(
     for placer in placers:
         # Before an hour of work.
         find_placer(placer)
+    if num_chains:
+        trials.bank()
     total = len(placers) * len(noises) * trials.num_pairs
-    with Progress("judging", total, "query") as progress:
+    with Progress("placing", total, "proposal") as progress:
         rows = [trials.row(placer, noise, progress.update) for noise in noises for placer in placers]
-    found = PlacerComparison(rows, tables_of(rows))
+    asked = [(placer, noise) for noise in noises for placer in placers] if num_chains else []
+    chains = [row for each in asked if (row := trials.chain(*each, num_chains)) is not None]
+    tables = tables_of(rows) + ([chain_table(chains)] if chains else [])
+    found = PlacerComparison(rows, tables, chains)
     if folder is not None:
         found.write(folder)
     return found
@@ -184,76 +234,6 @@ def compare_placers(
 def noise_of(factor: float) -> NoiseConfig:
     """So many times the noise of a depth camera; 0 for none."""
     return REALSENSE.scaled(factor) if factor else NOISE_OFF
-
-
-def tables_of(rows: Sequence[Row]) -> list[Table]:
-    """The main table, then shares by number standing, by what is unseen, and by object."""
-    asked = rows[0]["trial"]
-    place = f"{asked['queries']} queries of {asked['pool']} on {asked['support']}, camera {asked['camera']}"
-    columns = (
-        "placer",
-        "noise",
-        "stands [95 %]",
-        f"{MANY} or more standing",
-        f"best of {NUM_PROPOSALS}",
-        "with margin",
-        "paper's count",
-        "z error mm",
-        *(verdict.label for verdict in _SHOWN),
-        "other",
-    )
-    notes = [
-        "stands: the first proposal comes to rest as docs/contract.md asks, and then the whole scene stands",
-        "z error: median distance of the proposed height from that of a release on the true map",
-        "full state: a method that sees the scene itself, five attempts; it is no placer",
-    ]
-    main = Table(place, columns, tuple(map(_main, rows)), tuple(notes))
-    return [
-        main,
-        _by(rows, "by_standing", "By number of objects that stand", lambda each: str(each["standing"])),
-        _by(rows, "by_unseen", "By share of the region unseen", lambda e: f"{e['from']:.0%}-{e['to']:.0%}"),
-        _by(rows, "by_object", "By object", lambda each: each["object"]),
-    ]
-
-
-def _main(row: Row) -> tuple[str, ...]:
-    figures = row["figures"]
-    verdicts = figures["verdicts"]
-    told = {verdict.label for verdict in (*_SHOWN, Verdict.STABLE)}
-    other = sum(share for name, share in verdicts.items() if name not in told)
-    error = figures["z_error"]["median"]
-    return (
-        *_head(row),
-        _with_interval(figures["success"]),
-        _cell(figures["many"]["share"]),
-        _cell(figures["best_of_all"]["share"]),
-        _cell(figures["with_margin"]["share"]),
-        _cell(figures["paper"]["share"]),
-        "-" if error is None else f"{1000 * error:.1f}",
-        *(_cell(verdicts[verdict.label]) for verdict in _SHOWN),
-        _cell(other),
-    )
-
-
-def _by(rows: Sequence[Row], name: str, title: str, word: Callable[[Row], str]) -> Table:
-    """A table of shares with a column for each class of queries, and how many queries each has."""
-    classes = rows[0]["figures"][name]
-    columns = ("placer", "noise", *(f"{word(each)} ({each['queries']})" for each in classes))
-    cells = tuple((*_head(row), *(_cell(each["share"]) for each in row["figures"][name])) for row in rows)
-    return Table(f"{title} (queries)", columns, cells)
-
-
-def _head(row: Row) -> tuple[str, str]:
-    placer = row["trial"]["placer"]
-    return _NAMES.get(placer, Path(placer).name), f"{row['trial']['noise']:g}"
-
-
-def _cell(share: float | None) -> str:
-    return "-" if share is None else f"{share:.3f}"
-
-
-def _with_interval(figure: dict[str, float]) -> str:
-    return f"{figure['share']:.3f} [{figure['low95']:.3f}, {figure['high95']:.3f}]"
 
 
 def _folder_hash(folder: Path) -> str:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
+from cluttergen_jax.downstream.placer.evaluation.paper_count import PaperCount
 from cluttergen_jax.downstream.placer.judge import Judge
-from cluttergen_jax.downstream.placer.pairs import PairLabels
-from cluttergen_jax.downstream.placer.paper_count import PaperCount
+from cluttergen_jax.downstream.placer.pairs.stored import PairLabels
 from cluttergen_jax.downstream.placer.partial_scenes import episode_of, judging_rules
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
 from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer, Proposals
@@ -73,14 +74,12 @@ class Bench:
         Raises:
           PoolError: a full-state method has no checkpoint for the pool.
         """
-        if isinstance(placer, FullState):
-            rules, propose = placer.in_world(self.problem)
-            asked: Any = self._of(rules)
-            answer: Any = jax.vmap(lambda key, episode: proposals_of(propose, key, episode, rules))
-        else:
-            asked, answer = queries, jax.vmap(placer)
         keys = jax.vmap(lambda pair: jax.random.fold_in(jax.random.key(seed), pair))(self.labels.pair)
-        return interruptible(_in_parts, jax.jit(answer), keys, asked)
+        if not isinstance(placer, FullState):
+            return answers(placer, keys, queries)
+        rules, propose = placer.in_world(self.problem)
+        answer: Any = jax.jit(jax.vmap(partial(proposals_of, rules=rules), in_axes=(None, 0, 0)))
+        return interruptible(_in_parts, answer, propose, keys, self._of(rules))
 
     def judge(self, proposals: Proposals) -> Outcome:
         """Tries each query's proposals, best first, until one is good."""
@@ -143,11 +142,20 @@ def _height_above(mapper: HeightMapper, rules: Rules, episode: Episode, pose: Ar
     return pose[2] - fit.rest[0] - CLEARANCE
 
 
-def _in_parts(answer: Any, keys: Array, asked: Any) -> Proposals:
+_answers: Any = jax.jit(jax.vmap(lambda placer, key, query: placer(key, query), in_axes=(None, 0, 0)))
+"""Placers are arguments: those of equal sizes share what is compiled."""
+
+
+def answers(placer: Placer, keys: Array, queries: PlacementQuery) -> Proposals:
+    """What a placer proposes for many queries, NumPy arrays; one key for each."""
+    return interruptible(_in_parts, _answers, placer, keys, queries)
+
+
+def _in_parts(answer: Any, placer: Any, keys: Array, asked: Any) -> Proposals:
     """The answers to many queries, some at a time, all parts of one size."""
     number, parts = len(keys), []
     for first in range(0, number, _AT_ONCE):
-        rows = np.minimum(first + np.arange(_AT_ONCE), number - 1)
-        found = answer(keys[rows], jax.tree.map(lambda leaf, rows=rows: leaf[rows], asked))
+        rows = np.minimum(first + np.arange(min(_AT_ONCE, number)), number - 1)
+        found = answer(placer, keys[rows], jax.tree.map(lambda leaf, rows=rows: leaf[rows], asked))
         parts.append(jax.tree.map(np.asarray, found))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:number], *parts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -49,13 +50,13 @@ class CandidateDraw:
     """
 
     def __init__(self, rules: Rules) -> None:
-        self._search = LowestFit(rules, _SEARCH)
-        self._draw: Any = jax.jit(jax.vmap(_drawn, in_axes=(None, 0, 0, 0)))
+        # Nothing is simulated here: worlds of equal sizes share what is compiled.
+        self._search = LowestFit(replace(rules, physics=None), _SEARCH)  # type: ignore[arg-type]
 
     def __call__(self, seeds: np.ndarray, episodes: Episode, queries: PlacementQuery) -> np.ndarray:
         """f32[Q, 32, 4]: x, y, z and yaw of T_region_object; seeds: u32[Q]."""
         keys = jax.vmap(jax.random.key)(seeds)
-        return np.asarray(self._draw(self._search, keys, episodes, queries))
+        return np.asarray(_draw_many(self._search, keys, episodes, queries))
 
 
 def _drawn(true: LowestFit, key: Array, episode: Episode, query: PlacementQuery) -> Array:
@@ -67,6 +68,9 @@ def _drawn(true: LowestFit, key: Array, episode: Episode, query: PlacementQuery)
         _random(keys[3], query),
     ]
     return jnp.concatenate(parts)
+
+
+_draw_many: Any = jax.jit(jax.vmap(_drawn, in_axes=(None, 0, 0, 0)))
 
 
 def _by_search(key: Array, true: LowestFit, episode: Episode) -> Array:

@@ -17,10 +17,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluttergen_jax.downstream.placer.candidate_draw import SOURCES, CandidateDraw
-from cluttergen_jax.downstream.placer.card import write_card
 from cluttergen_jax.downstream.placer.judge import Judge
-from cluttergen_jax.downstream.placer.pairs import (
+from cluttergen_jax.downstream.placer.pairs.candidate_draw import SOURCES, CandidateDraw
+from cluttergen_jax.downstream.placer.pairs.card import write_card
+from cluttergen_jax.downstream.placer.pairs.stored import (
     BLOCK_SIZE,
     FORMAT,
     INDEX,

@@ -201,7 +201,7 @@ def read_block(path: Path, split: str, block: int, num_rows: int) -> pa.Table | 
 
 def load_queries(
     dataset: str | Path | PairSet,
-    noise: NoiseConfig = NOISE_OFF,
+    noise: NoiseConfig | Sequence[NoiseConfig] = NOISE_OFF,
     seed: int = 0,
     split: str = "train",
     num_pairs: int | None = None,
@@ -210,7 +210,7 @@ def load_queries(
     """The queries of a split, NumPy arrays with a leading axis, and what is known beside them.
 
     Args:
-      noise: of the depth camera, drawn here: another `seed` draws it anew.
+      noise: of the depth camera, drawn here: another `seed` draws it anew; of several, pairs take turns.
       num_pairs: the first so many; all if None.
       num_threads: 0 takes every core.
 
@@ -225,6 +225,7 @@ def load_queries(
         raise ConfigError(f"num_pairs = {num_pairs}", f"1 to {total}, the pairs of {split!r} in {pairs.path}")
     total, problem = num_pairs or total, pairs.setup(split).problem
     maker, names = QueryMaker(problem), {name: k for k, name in enumerate(problem.world.names)}
+    noises = (noise,) if isinstance(noise, NoiseConfig) else tuple(noise)
     queries: list[PlacementQuery] = []
     labels: list[PairLabels] = []
     with (
@@ -236,7 +237,11 @@ def load_queries(
             part = labels_of(table, names, problem.rules.num_slots)
             images = images_of(table, maker.T_world_region)
             sights = list(
-                pool.map(lambda image, pair: see_pair(maker, image, noise, seed, pair), images, part.pair)
+                pool.map(
+                    lambda image, pair: see_pair(maker, image, noises[pair % len(noises)], seed, pair),
+                    images,
+                    part.pair,
+                )
             )
             seen = zip(sights, part.object_index, strict=True)
             queries.append(stacked([maker.query(sight, index) for sight, index in seen]))

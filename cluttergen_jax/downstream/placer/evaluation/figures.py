@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.downstream.placer.bench import Outcome
-from cluttergen_jax.downstream.placer.pairs import PairLabels
+from cluttergen_jax.downstream.placer.evaluation.bench import Outcome
+from cluttergen_jax.downstream.placer.pairs.stored import PairLabels
 from cluttergen_jax.proportions import finite, proportion
 from cluttergen_jax.types import Verdict
 

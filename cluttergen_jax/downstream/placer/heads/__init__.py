@@ -1,0 +1,1 @@
+"""Heads: what learns from pairs and proposes poses, and the trained ones on disk."""

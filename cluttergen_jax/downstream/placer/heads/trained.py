@@ -1,0 +1,103 @@
+"""Trained placers: from a folder, or from those that come with the package."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from cluttergen_jax.assets.pool import embedded_root
+from cluttergen_jax.downstream.placer.heads.head import Head
+from cluttergen_jax.downstream.placer.heads.mixture import MixtureConfig, MixtureHead
+from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig, RegressionHead
+from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead
+from cluttergen_jax.downstream.placer.query import Placer
+from cluttergen_jax.errors import PoolError
+from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_record
+
+KIND = "placer"
+"""Of a checkpoint, as its record names it."""
+HEADS: Mapping[str, tuple[Any, Any]] = {
+    "scored": (ScoredHead, ScoredConfig),
+    "mixture": (MixtureHead, MixtureConfig),
+    "regression": (RegressionHead, RegressionConfig),
+}
+"""By kind: what learns, and the sizes of its network."""
+_HINT = "the folder `placer` of a run of `cluttergen placer train`"
+
+
+def embedded_placers() -> dict[str, Path]:
+    """The trained placers that come with the package, by the name of their head."""
+    root = embedded_root() / "placers"
+    folders = sorted(root.iterdir()) if root.is_dir() else []
+    return {folder.name: folder for folder in folders if (folder / "record.json").is_file()}
+
+
+def head_of(record: Mapping[str, Any], path: Path, wanted: str | None = None) -> Head:
+    """The head that a checkpoint's record names.
+
+    Args:
+      wanted: the only kind that will do; any if None.
+
+    Raises:
+      PoolError: it is of no placer, of another head, or of sizes that this version does not know.
+    """
+    if record.get("kind") != KIND:
+        kind = record.get("kind", "pose")
+        raise PoolError(f"{path} holds a network of kind {kind!r}, and no placer", hint=_HINT)
+    name = str(record.get("head"))
+    if name not in HEADS or wanted not in (None, name):
+        raise PoolError(f"{path} holds a placer with the head {name!r}", wanted or ", ".join(HEADS), _HINT)
+    head, config = HEADS[name]
+    try:
+        sizes = {each.name: record["network"][each.name] for each in fields(config)}
+        return head(config(**{key: _as_given(value) for key, value in sizes.items()}))
+    except (TypeError, KeyError) as error:
+        raise PoolError(
+            f"{path / 'record.json'} does not say what network it holds ({error})",
+            hint="a placer that `cluttergen placer train` of this version left",
+        ) from error
+
+
+def placer_folder(placer: str | Path) -> Path | None:
+    """Where a trained placer is: that of a name that comes with the package, a folder of its own, or a run's.
+
+    None if it is neither a name nor a folder.
+    """
+    path = embedded_placers().get(str(placer), Path(placer))
+    inner = path / "placer"
+    if (inner / "record.json").is_file():
+        return inner
+    return path if path.is_dir() else None
+
+
+def load_placer(path: Path, wanted: str | None = None) -> Placer:
+    """The placer in a folder.
+
+    Args:
+      wanted: the head that it must have; any if None.
+
+    Raises:
+      PoolError: there is none, it is damaged, or of another kind or head.
+    """
+    record = read_record(path)
+    head = head_of(record, path, wanted)
+    temperature = record.get("temperature", 1.0)
+    if not isinstance(temperature, int | float) or not 0 < temperature < 1e3:
+        raise PoolError(f"{path / 'record.json'}: temperature {temperature!r}", "a positive number", _HINT)
+    return head.placer(read_policy(path, blank_params(head)), float(temperature))
+
+
+def blank_params(head: Head) -> Any:
+    """Weights of a head's shapes, all zero."""
+    shapes = jax.eval_shape(head.init, jax.random.key(0))
+    return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
+
+
+def _as_given(value: Any) -> Any:
+    """As a config has it: lists of a file were tuples."""
+    return tuple(value) if isinstance(value, list) else value

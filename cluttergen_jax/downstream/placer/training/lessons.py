@@ -1,0 +1,147 @@
+"""Lessons out of folders of pairs: queries seen with and without noise, and what became of candidates."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import numpy as np
+
+from cluttergen_jax.config import PlacerNoise
+from cluttergen_jax.downstream.placer.heads.head import Lesson
+from cluttergen_jax.downstream.placer.pairs.stored import PairLabels, PairSet, load_queries, read_pairs
+from cluttergen_jax.downstream.placer.query import PlacementQuery, padded
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.search.fit import UnderSide
+from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
+
+_HELD_OUT = 10
+"""Where there is no validation split, every tenth scene of the training split is one."""
+_SAME = 1e-6
+_NOISES = {"on": (REALSENSE,), "off": (NOISE_OFF,), "both": (NOISE_OFF, REALSENSE)}
+"""Of odd pairs the candidates were drawn on noisy maps."""
+
+
+@dataclass(frozen=True)
+class LessonSource:
+    """Where lessons come from.
+
+    Attributes:
+      data: folders that `placer data` made.
+      noise: of the camera: "on", "off", or "both": every other pair is seen with noise.
+      seed: of the noise.
+      num_pairs: of each folder's training split, the first so many; all if None.
+    """
+
+    data: tuple[Path, ...]
+    noise: PlacerNoise = "both"
+    seed: int = 0
+    num_pairs: int | None = None
+
+    @cached_property
+    def sets(self) -> tuple[PairSet, ...]:
+        """The folders, opened."""
+        return tuple(read_pairs(path) for path in self.data)
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What decides the lessons: JSON values."""
+        return {
+            "pairs": [_digest(each) for each in self.sets],
+            "noise": self.noise,
+            "seed": self.seed,
+            "num_pairs": self.num_pairs,
+        }
+
+    def load(self, split: Literal["train", "val"]) -> Lesson:
+        """All lessons of a split, NumPy arrays with a leading axis.
+
+        Raises:
+          ConfigError: there are none, or the folders' maps have cells of different sizes.
+          BankError: a folder holds no pairs, or damaged ones.
+        """
+        parts = [part for pairs in self.sets if (part := self._load(pairs, split)) is not None]
+        if not parts:
+            raise ConfigError(
+                f"no pairs to {'learn from' if split == 'train' else 'validate with'} in "
+                f"{', '.join(str(path) for path in self.data)}",
+                "pairs of ten scenes or more",
+                "cluttergen placer data --split train",
+            )
+        return joined_lessons(parts)
+
+    def _load(self, pairs: PairSet, split: Literal["train", "val"]) -> Lesson | None:
+        """The lessons of one folder; None where it has none of the split."""
+        has_val = "val" in pairs.splits
+        source = "train" if split == "train" or not has_val else "val"
+        number = self.num_pairs if source == "train" else None
+        queries, labels = load_queries(pairs, _NOISES[self.noise], self.seed, source, number)
+        found = lessons_of(queries, labels)
+        if has_val:
+            return found
+        is_held_out = labels.scene % _HELD_OUT == _HELD_OUT - 1
+        return taken(found, is_held_out if split == "val" else ~is_held_out)
+
+
+def _digest(pairs: PairSet) -> str:
+    """Equal for equal lessons: a test split may come later."""
+    told = [pairs.record["assets"], *(pairs.record["splits"].get(name) for name in ("train", "val"))]
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:20]
+
+
+def lessons_of(queries: PlacementQuery, labels: PairLabels) -> Lesson:
+    """The lessons of pairs, as `pairs.load_queries` gives them."""
+    w, z = labels.target[:, 3], labels.target[:, 6]
+    target = np.column_stack([labels.target[:, :3], 2 * np.arctan2(z, w)]).astype(np.float32)
+    return Lesson(queries, target, labels.candidate, labels.verdict)
+
+
+def num_lessons(lessons: Any) -> int:
+    """How many there are: the leading axis of all arrays."""
+    return len(jax.tree.leaves(lessons)[0])
+
+
+def taken(lessons: Any, which: np.ndarray) -> Any:
+    """Some of the lessons: i[M] or bool[N]; None if there are none."""
+    index = np.flatnonzero(which) if which.dtype == bool else which
+    return jax.tree.map(lambda leaf: leaf[index], lessons) if len(index) else None
+
+
+def joined_lessons(parts: Sequence[Lesson]) -> Lesson:
+    """Lessons of several worlds as one, their maps and columns padded to one size.
+
+    Raises:
+      ConfigError: the maps have cells of different sizes.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    cells = [part.query.heights.cell for part in parts]
+    if np.ptp(np.array(cells), axis=0).max() > _SAME:
+        raise ConfigError(f"pairs with cells of {cells} m", "cells of one size", "one folder at a time")
+    shapes = np.array([part.query.heights.height.shape[1:] for part in parts]).max(0)
+    columns = max(part.query.under.is_column.shape[1] for part in parts)
+    same = [_padded(part, (int(shapes[0]), int(shapes[1])), columns, cells[0]) for part in parts]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *same)
+
+
+def _padded(lessons: Lesson, shape: tuple[int, int], num_columns: int, cell: tuple[float, float]) -> Lesson:
+    query = lessons.query
+    maps = {
+        name: each.replace(height=padded(each.height, shape), cell=cell)
+        for name, each in (("heights", query.heights), ("ceilings", query.ceilings))
+    }
+    under = query.under
+    more = num_columns - under.is_column.shape[1]
+    wider = UnderSide(
+        xy=np.pad(under.xy, [(0, 0), (0, more), (0, 0)]),
+        bottom=np.pad(under.bottom, [(0, 0), (0, more)]),
+        is_column=np.pad(under.is_column, [(0, 0), (0, more)]),
+        center_of_mass=under.center_of_mass,
+    )
+    return lessons.replace(query=query.replace(**maps, under=wider))

@@ -1,0 +1,399 @@
+"""Heads of placers: what they read, that they learn, what they propose, how they are stored and refused."""
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from cluttergen_jax.downstream.placer.heads.features import (
+    CROP_SIDE,
+    MIRRORED,
+    UNSEEN,
+    crops_of,
+    features_of,
+    own_shape,
+)
+from cluttergen_jax.downstream.placer.heads.mixture import MixtureConfig, MixtureHead
+from cluttergen_jax.downstream.placer.heads.regression import (
+    Clouds,
+    RegressionConfig,
+    RegressionHead,
+    RegressionLesson,
+)
+from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead, lowered
+from cluttergen_jax.downstream.placer.heads.trained import (
+    embedded_placers,
+    head_of,
+    load_placer,
+    placer_folder,
+)
+from cluttergen_jax.downstream.placer.map_search import APART
+from cluttergen_jax.downstream.placer.proposers import find_placer
+from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
+from cluttergen_jax.downstream.placer.training.fitting import FitConfig, best_temperature
+from cluttergen_jax.downstream.placer.training.lessons import joined_lessons, num_lessons, taken
+from cluttergen_jax.downstream.placer.training.presets import preset
+from cluttergen_jax.downstream.placer.training.run import PlacerTraining
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.learning.policies.embedded import list_policies
+from cluttergen_jax.learning.ppo.checkpoint import save_policy
+from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.placement.search.fit import Candidates
+from cluttergen_jax.placement.search.search import CLEARANCE
+from tests.helpers.queries import HALF, TALL, made_up_lessons, made_up_query, stacked
+
+HEADS = {
+    "scored": ScoredHead(ScoredConfig(8, 16, 16, 32, 16, 4, 2)),
+    "mixture": MixtureHead(MixtureConfig(6, 4, (8,), 16)),
+    "regression": RegressionHead(
+        RegressionConfig(features=16, scene_points=64, object_points=32, widths=(16,))
+    ),
+}
+
+
+features_of, crops_of = jax.jit(features_of), jax.jit(crops_of)
+own_shape, lowered = jax.jit(own_shape), jax.jit(lowered)
+
+
+@pytest.fixture(scope="module")
+def lessons():
+    return made_up_lessons(8)
+
+
+@jax.jit
+def answered(placer, keys, queries):
+    return jax.vmap(placer)(keys, queries)
+
+
+def proposed(placer, lessons):
+    """What a placer proposes for three queries."""
+    queries = jax.tree.map(lambda leaf: leaf[:3], lessons.query)
+    return answered(placer, jax.random.split(jax.random.key(0), 3), queries)
+
+
+def pose_at(*poses):
+    return np.array(poses, np.float32)
+
+
+# What is read
+
+
+def turned(query):
+    """The query in a region frame turned by a quarter: what was along x lies along y."""
+    maps = {
+        name: each.replace(height=np.ascontiguousarray(np.rot90(each.height)))
+        for name, each in (("heights", query.heights), ("ceilings", query.ceilings))
+    }
+    return query.replace(**maps)
+
+
+def test_features_and_pictures_do_not_change_when_all_is_turned():
+    query = made_up_query()
+    poses = pose_at([-0.05, 0.02, 0.05, 0.3], [0.1, 0.01, 0.05, 1.0], [0.04, 0.03, 0.16, 2.0])
+    # A quarter of a turn takes x, y to -y, x.
+    after = np.column_stack([-poses[:, 1], poses[:, 0], poses[:, 2], poses[:, 3] + np.pi / 2])
+    shape = own_shape(query)
+    other = turned(query)
+    features = np.array(features_of(query, poses))
+    # The distances to the region's sides along x and y change places.
+    features[:, [7, 8]] = features[:, [8, 7]]
+    # Columns at the border of two cells may fall to either side, and crowding looks around by 8 x 8 cells.
+    found = np.asarray(features_of(other, after.astype(np.float32)))
+    np.testing.assert_allclose(found, features, atol=0.1)
+    assert (np.abs(found - features) < 1e-3).mean() > 0.85
+    pictures = [crops_of(q.heights, q.ceilings, shape, p) for q, p in ((query, poses), (other, after))]
+    # A point at the border of two cells may fall to either side.
+    assert np.mean(np.abs(np.subtract(*pictures)) > 1e-3) < 0.01
+
+
+def test_a_mirrored_scene_is_a_mirrored_picture():
+    query = made_up_query(standing=(0.05, 0.03), half=(0.03, 0.03, 0.04))
+    mirrored = query.replace(
+        heights=query.heights.replace(height=query.heights.height[:, ::-1].copy()),
+        ceilings=query.ceilings.replace(height=query.ceilings.height[:, ::-1].copy()),
+    )
+    shape, pose = own_shape(query), pose_at([0.02, 0.013, 0.05, 0.0])
+    other = pose * np.array([1, -1, 1, -1], np.float32)
+    picture = crops_of(query.heights, query.ceilings, shape, pose)
+    np.testing.assert_allclose(
+        crops_of(mirrored.heights, mirrored.ceilings, shape, other), picture[:, :, ::-1], atol=1e-5
+    )
+    assert MIRRORED == (26, 27)
+    query = query.replace(center_of_mass=np.array([0.01, 0.02, 0.0], np.float32))
+    np.testing.assert_allclose(features_of(query, pose)[0, 26:28], [0.2, 0.4], rtol=1e-5)
+
+
+def test_what_is_hidden_is_seen_in_the_features():
+    query = made_up_query()
+    on_top, behind, free = pose_at(
+        [0.05, 0.0, TALL + 0.041, 0.0], [0.105, 0.0, 0.041, np.pi / 2], [-0.1, 0.0, 0.041, 0.0]
+    )
+    features = np.asarray(features_of(query, np.stack([on_top, behind, free])))
+    np.testing.assert_allclose(features[:, 0], [10 * (TALL + 0.001), 0.01, 0.01], atol=1e-5)
+    hidden, into = features[:, 2], features[:, 3]
+    assert hidden[0] == into[0] == hidden[2] == into[2] == 0
+    assert hidden[1] > 0.9
+    assert into[1] > 0.9
+    assert TALL > UNSEEN
+    # Over what may be there, it would rest on top of that.
+    np.testing.assert_allclose(features[1, 16:18], [-3.0, 10 * (0.001 - TALL)], atol=1e-5)
+
+
+def test_a_lowered_object_just_clears_what_was_seen():
+    query, shape = made_up_query(), None
+    shape = own_shape(query)
+    rng = np.random.default_rng(0)
+    poses = lowered(query, Candidates(rng.uniform(-0.1, 0.1, (20, 2)), rng.uniform(0, 6, 20)))
+    picture = np.asarray(crops_of(query.heights, query.ceilings, shape, poses))
+    own = picture[..., 6] > 0
+    lowest = np.array([each[mask].min() / 100 for each, mask in zip(picture[..., 0], own, strict=True)])
+    assert (lowest < CLEARANCE + 1e-4).mean() > 0.9
+    assert picture.shape == (20, CROP_SIDE, CROP_SIDE, 7)
+
+
+def test_padded_queries_are_read_as_before(lessons):
+    """Worlds of other sizes are joined: maps and under-sides are padded, and nothing that is read changes."""
+    small = stacked([made_up_query()])
+    large = lessons.replace(
+        query=lessons.query.replace(
+            heights=_wider(lessons.query.heights), ceilings=_wider(lessons.query.ceilings)
+        )
+    )
+    one = taken(lessons, np.arange(1)).replace(query=small)
+    both = joined_lessons([one, large])
+    assert num_lessons(both) == 9
+    first = jax.tree.map(lambda leaf: leaf[0], both)
+    alone = jax.tree.map(lambda leaf: leaf[0], one)
+    before, after = (np.asarray(features_of(each.query, each.candidate)) for each in (alone, first))
+    # The last feature is a share of the map's cells that are there, which padding leaves as it is.
+    np.testing.assert_allclose(after, before, atol=1e-6)
+
+
+def _wider(heights):
+    return heights.replace(height=np.pad(heights.height, [(0, 0), (0, 5), (0, 3)], constant_values=-1e3))
+
+
+# Learning
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_placers_propose_under_jit_and_vmap(name, lessons):
+    head = HEADS[name]
+    found = proposed(head.placer(jax.jit(head.init)(jax.random.key(1)), 1.5), lessons)
+    assert found.pose.shape == (3, NUM_PROPOSALS, 4)
+    assert np.isfinite(found.pose).all()
+    if name == "regression":
+        # It names one pose.
+        assert np.ptp(found.pose, axis=1).max() == 0
+        return
+    assert np.abs(found.pose[..., :2]).max() <= HALF
+    apart = np.linalg.norm(found.pose[:, :, None, :2] - found.pose[:, None, :, :2], axis=-1)
+    assert apart[:, ~np.eye(NUM_PROPOSALS, dtype=bool)].min() >= APART
+    scores = np.asarray(found.score)
+    if name == "scored":
+        assert ((scores > 0) & (scores < 1)).all()
+        assert (np.diff(scores, axis=1) <= 0).all()
+    else:
+        assert np.isnan(scores).all()
+
+
+def one_lesson(yaw):
+    clouds = Clouds(
+        *(np.zeros((1, 64, 3)), np.ones((1, 64), bool)),
+        np.zeros((1, 32, 3)),
+        np.ones((1, 2)),
+        np.ones((1, 3)),
+    )
+    return RegressionLesson(clouds, np.array([[0.1, 0.0, 0.2, yaw]], np.float32))
+
+
+@pytest.fixture(scope="module")
+def params():
+    return jax.jit(HEADS["regression"].init)(jax.random.key(0))
+
+
+def test_the_printed_loss_weighs_each_error_by_the_others_share(params):
+    head = HEADS["regression"]
+
+    def of(name):
+        def part(params):
+            total, parts = head.loss(params, one_lesson(0.5), jax.random.key(0))
+            return parts.get(name, total)
+
+        return part
+
+    slopes = jax.jit(
+        lambda params: {name: jax.value_and_grad(of(name))(params) for name in ("total", "position", "turn")}
+    )(params)
+    a, b = float(slopes["position"][0]), float(slopes["turn"][0])
+    assert float(slopes["total"][0]) == pytest.approx(2 * a * b / (a + b), rel=1e-5)
+    expected = jax.tree.map(
+        lambda p, t: b / (a + b) * p + a / (a + b) * t, slopes["position"][1], slopes["turn"][1]
+    )
+    jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=1e-6), slopes["total"][1], expected)
+
+
+def test_a_whole_turn_makes_no_difference_to_the_symmetric_loss(params):
+    printed = HEADS["regression"]
+    symmetric = dataclasses.replace(printed, config=dataclasses.replace(printed.config, loss="symmetric"))
+    parts = jax.jit(
+        lambda params, lesson: [head.loss(params, lesson, None)[1]["turn"] for head in (printed, symmetric)]
+    )
+    once, again = (np.array(parts(params, one_lesson(0.5 + turn))) for turn in (0, 2 * np.pi))
+    assert once[1] == pytest.approx(again[1], rel=1e-4)
+    # q and -q turn alike and are told apart by the printed one.
+    assert abs(once[0] - again[0]) > 0.1
+
+
+@pytest.mark.parametrize("true", [0.5, 1.0, 3.0])
+def test_the_temperature_that_spread_the_logits_is_found(true):
+    rng = np.random.default_rng(0)
+    logits = rng.normal(scale=2.0, size=40_000)
+    stood = rng.uniform(size=len(logits)) < 1 / (1 + np.exp(-logits))
+    assert best_temperature(true * logits, stood) == pytest.approx(true, rel=0.06)
+
+
+# Runs
+
+
+class Taught:
+    """A source of a few lessons."""
+
+    @property
+    def record(self):
+        return {"made": "up"}
+
+    def load(self, split):
+        return made_up_lessons(4) if split == "val" else made_up_lessons(8)
+
+
+CONFIG = FitConfig(num_epochs=4, batch_size=4, learning_rate=1e-2)
+
+
+def run(folder, head="mixture", config=CONFIG):
+    return PlacerTraining(HEADS[head], config, Taught(), folder, lambda line: None)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """A short run of each head."""
+    return {name: run(tmp_path_factory.mktemp(name), name).run() for name in HEADS}
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_gradient_steps_lower_the_loss(name, runs):
+    rows = read_rows(runs[name].parent / "metrics.csv")
+    assert [row["update"] for row in rows] == [0, 1, 2, 3]
+    assert rows[-1]["loss"] < rows[0]["loss"] - 1e-3
+    record = json.loads((runs[name] / "record.json").read_text())
+    assert (record["kind"], record["head"]) == ("placer", name)
+    assert record["validation"]["loss"] == pytest.approx(min(row["val_loss"] for row in rows), rel=1e-5)
+
+
+def test_a_run_leaves_a_placer_that_tells_chances(runs):
+    record = json.loads((runs["scored"] / "record.json").read_text())
+    assert record["validation"]["calibration"]["number"] == 4 * 6
+    assert (runs["scored"] / "calibration.png").stat().st_size > 1000
+    # A run's folder will do as well as that of its placer.
+    placer = load_placer(placer_folder(runs["scored"].parent))
+    assert placer.config == HEADS["scored"].config
+    assert float(placer.temperature) == pytest.approx(record["temperature"])
+
+
+def test_a_run_that_was_stopped_ends_as_one_that_was_not(runs, tmp_path, monkeypatch):
+    whole = runs["mixture"]
+    stopped = run(tmp_path / "stopped")
+    batch = PlacerTraining._batch
+
+    def stop(self, number, *sizes):
+        if number == 3:
+            import signal
+
+            signal.raise_signal(signal.SIGINT)
+        return batch(self, number, *sizes)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(PlacerTraining, "_batch", stop)
+        with pytest.raises(KeyboardInterrupt):
+            stopped.run()
+    assert not (tmp_path / "stopped" / "placer").exists()
+    again = run(tmp_path / "stopped").run()
+    files = [{path.name: path.read_bytes() for path in folder.iterdir()} for folder in (whole, again)]
+    assert set(files[0]) == {"record.json", "weights.npz"}
+    weights = [np.load(folder / "weights.npz") for folder in (whole, again)]
+    for name in weights[0].files:
+        np.testing.assert_array_equal(weights[0][name], weights[1][name])
+    rows = [(folder.parent / "metrics.csv").read_text().splitlines() for folder in (whole, again)]
+    assert len(rows[0]) == len(rows[1]) == 5
+    with pytest.raises(ConfigError, match="another fit"):
+        run(tmp_path / "stopped", config=dataclasses.replace(CONFIG, num_epochs=5))
+    with pytest.raises(ConfigError, match=r"8 pairs in batches of 9"):
+        run(tmp_path / "large", config=FitConfig(num_epochs=1, batch_size=9)).run()
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_a_stored_placer_proposes_what_it_did(name, tmp_path, lessons):
+    head = HEADS[name]
+    # What half precision can hold, so that what is stored is what was there.
+    drawn = jax.jit(head.init)(jax.random.key(2))
+    params = jax.tree.map(lambda leaf: np.asarray(leaf, np.float16).astype(np.float32), drawn)
+    record = {"kind": "placer", "head": name, "network": dataclasses.asdict(head.config), "temperature": 1.5}
+    save_policy(tmp_path, params, record)
+    there, back = (proposed(each, lessons) for each in (head.placer(params, 1.5), load_placer(tmp_path)))
+    np.testing.assert_array_equal(there.pose, back.pose)
+    np.testing.assert_array_equal(there.score, back.score)
+
+
+def test_what_is_no_such_placer_is_refused(tmp_path):
+    head = HEADS["mixture"]
+    record = {"kind": "placer", "head": "mixture", "network": dataclasses.asdict(head.config)}
+    save_policy(tmp_path, jax.jit(head.init)(jax.random.key(0)), record)
+    with pytest.raises(PoolError, match="placer with the head 'mixture'"):
+        load_placer(tmp_path, "scored")
+    with pytest.raises(PoolError, match="kind 'stability', and no placer"):
+        load_placer(list_policies()["guided"])
+    with pytest.raises(PoolError, match="not a checkpoint"):
+        load_placer(tmp_path / "nowhere")
+    with pytest.raises(PoolError, match="head 'other'"):
+        head_of(record | {"head": "other"}, tmp_path)
+    with pytest.raises(PoolError, match="does not say what network"):
+        head_of(record | {"network": {"num_cells": 6}}, tmp_path)
+    larger = dataclasses.asdict(MixtureConfig(6, 4, (9,), 16))
+    (tmp_path / "record.json").write_text(json.dumps({"format": 1, **record, "network": larger}))
+    with pytest.raises(PoolError, match="weights of another network"):
+        load_placer(tmp_path)
+    for temperature in (0, "hot", None):
+        (tmp_path / "record.json").write_text(json.dumps({"format": 1, **record, "temperature": temperature}))
+        with pytest.raises(PoolError, match="temperature"):
+            load_placer(tmp_path)
+
+
+def test_presets_take_the_options_of_their_head_alone():
+    head, config = preset("regression", "paper", "symmetric", None, num_epochs=7, seed=3)
+    assert (head.config.features, head.config.loss) == (1024, "symmetric")
+    assert (config.num_epochs, config.seed, config.schedule) == (7, 3, "linear")
+    with pytest.raises(ConfigError, match="preset 'paper' of head 'scored'"):
+        preset("scored", "paper", "printed", None)
+    with pytest.raises(ConfigError, match="loss = 'symmetric' with head 'mixture'"):
+        preset("mixture", "cpu", "symmetric", None)
+    with pytest.raises(ConfigError, match="Did you mean 'scored'"):
+        preset("score", "cpu", "printed", None)
+    with pytest.raises(ConfigError, match="num_epochs = 0"):
+        preset("scored", "cpu", "printed", None, num_epochs=0)
+
+
+def test_the_placer_that_comes_with_the_package_is_small_and_proposes():
+    folder = placer_folder("scored")
+    assert folder == embedded_placers()["scored"]
+    assert sum(path.stat().st_size for path in folder.iterdir()) <= 600_000
+    query = made_up_query()
+    found = jax.jit(find_placer("scored"))(jax.random.key(0), query)
+    assert float(found.score.min()) > 0.9
+    # Beside the box, or in the middle of its top, which is as large as the object.
+    place = np.abs(np.asarray(found.pose)[:, :2] - np.array([0.05, 0.0])).max(1)
+    is_on = place < 0.02
+    assert (is_on | (place > 0.04)).all()
+    assert not is_on[0]
+    np.testing.assert_allclose(found.pose[:, 2], np.where(is_on, TALL, 0.0) + 0.04 + CLEARANCE, atol=1e-5)

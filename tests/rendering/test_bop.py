@@ -1,0 +1,220 @@
+"""A BOP dataset, read as bop_toolkit's documentation says (it is on no package index)."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from scipy.ndimage import maximum_filter
+from scipy.spatial import cKDTree
+
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.rendering.bop import SPLIT, BopDataset, model_ply
+from cluttergen_jax.rendering.scene_renderer import PictureConfig
+from cluttergen_jax.sensing.camera import Camera, free
+from tests.helpers.drawing import GREEN, RED, needs_gl
+from tests.helpers.recordings import cubes
+
+TABLE = cuboid_table()
+SIZE = (160, 120)
+PICTURE = PictureConfig(width=160, height=120, samples=1)
+
+
+def load(path):
+    """As bop_toolkit does: keys are whole numbers, poses matrices."""
+    record = json.loads(path.read_bytes())
+    return {int(key): value for key, value in record.items()}
+
+
+def pixels(path):
+    return np.asarray(Image.open(path))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A plate, a mug and two forks."""
+    dining = find_pool("dining")
+    objects = [dining[name] for name in ("dinner_plate", "mug", "fork", "fork")]
+    half = [each.half_extents[2] for each in objects]
+    turn = [0.8, 0.0, 0.0, 0.6]
+    xy = [(0.0, 0.15), (0.1, -0.1), (-0.1, -0.1), (-0.15, 0.0)]
+    return objects, np.array([[*at, 0.7 + z, *turn] for at, z in zip(xy, half, strict=True)])
+
+
+@pytest.fixture(scope="module")
+def dataset(scene, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bop")
+    rng = np.random.default_rng(1)
+    cameras = [free(TABLE, rng, *SIZE) for _ in range(2)]
+    BopDataset(folder).add(3, *scene, TABLE, cameras, PICTURE)
+    return folder, cameras
+
+
+@needs_gl
+def test_files_and_their_entries_are_those_of_the_format(dataset, scene):
+    folder, _ = dataset
+    images = folder / SPLIT / "000003"
+    assert {each.name for each in images.iterdir()} == {
+        "rgb", "depth", "mask", "mask_visib", "scene_camera.json", "scene_gt.json", "scene_gt_info.json"
+    }  # fmt: skip
+    names = [f"{view:06d}.png" for view in range(2)]
+    masks = [f"{view:06d}_{index:06d}.png" for view in range(2) for index in range(4)]
+    for kind, expected in (("rgb", names), ("depth", names), ("mask", masks), ("mask_visib", masks)):
+        assert sorted(each.name for each in (images / kind).iterdir()) == expected
+    cameras, poses, infos = (load(images / f"scene_{name}.json") for name in ("camera", "gt", "gt_info"))
+    assert list(cameras) == list(poses) == list(infos) == [0, 1]
+    for view in range(2):
+        sizes = {name: len(cameras[view][name]) for name in ("cam_K", "cam_R_w2c", "cam_t_w2c")}
+        assert sizes == {"cam_K": 9, "cam_R_w2c": 9, "cam_t_w2c": 3}
+        assert len(poses[view]) == len(infos[view]) == 4
+        for pose in poses[view]:
+            assert {name: np.size(value) for name, value in pose.items()} == {
+                "obj_id": 1, "cam_R_m2c": 9, "cam_t_m2c": 3
+            }  # fmt: skip
+    assert pixels(images / "rgb" / "000000.png").shape == (120, 160, 3)
+    assert pixels(images / "depth" / "000000.png").dtype == np.uint16
+    sensor = json.loads((folder / "camera.json").read_bytes())
+    assert {"cx", "cy", "depth_scale", "fx", "fy", "height", "width"} == set(sensor)
+    info = load(folder / "models" / "models_info.json")
+    assert {each["name"] for each in info.values()} == {"dinner_plate", "fork", "mug"}
+    assert sorted(info) == [1, 2, 3]
+    ids = [pose["obj_id"] for pose in poses[0]]
+    assert [info[number]["name"] for number in ids] == [each.name for each in scene[0]]
+    assert all(each["licence"] for each in info.values())
+
+
+@needs_gl
+def test_projected_models_cover_their_masks_and_lie_where_depth_says(dataset):
+    folder, _ = dataset
+    images = folder / SPLIT / "000003"
+    cameras, poses, infos = (load(images / f"scene_{name}.json") for name in ("camera", "gt", "gt_info"))
+    for view in range(2):
+        K = np.reshape(cameras[view]["cam_K"], (3, 3))
+        depth = pixels(images / "depth" / f"{view:06d}.png") * cameras[view]["depth_scale"]
+        claimed = np.zeros(depth.shape, int)
+        for index, (pose, info) in enumerate(zip(poses[view], infos[view], strict=True)):
+            model = trimesh.load(folder / "models" / f"obj_{pose['obj_id']:06d}.ply", process=False)
+            points = trimesh.sample.sample_surface(model, 30_000, seed=0)[0]
+            seen = points @ np.reshape(pose["cam_R_m2c"], (3, 3)).T + pose["cam_t_m2c"]
+            at = (seen @ K.T / seen[:, 2:])[:, :2]
+            # A pixel's middle is at whole numbers.
+            column, row = np.round(at).astype(int).T
+            inside = (column >= 0) & (column < 160) & (row >= 0) & (row < 120)
+            mask = pixels(images / "mask" / f"{view:06d}_{index:06d}.png") > 0
+            visible = pixels(images / "mask_visib" / f"{view:06d}_{index:06d}.png") > 0
+            assert mask[visible].all()
+            # Some round across the silhouette's edge.
+            assert maximum_filter(mask, 3)[row[inside], column[inside]].all()
+            filled = np.zeros_like(mask)
+            filled[row[inside], column[inside]] = True
+            assert maximum_filter(filled, 3)[mask].all()
+            if mask.sum() > 300:
+                assert mask[row[inside], column[inside]].mean() > 0.85
+            # What depth shows lies on the model.
+            rows, columns = np.nonzero(visible)
+            sight = np.column_stack([columns, rows, np.ones(len(rows))]) @ np.linalg.inv(K).T
+            shown = sight * depth[visible][:, None] - pose["cam_t_m2c"]
+            shown = shown @ np.reshape(pose["cam_R_m2c"], (3, 3))
+            assert len(shown) > 20
+            assert cKDTree(points).query(shown)[0].max() < 4
+            claimed += visible
+            assert info["px_count_visib"] == visible.sum()
+            assert info["px_count_valid"] == mask.sum()
+            assert info["px_count_all"] >= mask.sum()
+            assert info["visib_fract"] == pytest.approx(visible.sum() / info["px_count_all"])
+            low, size = np.array(info["bbox_visib"][:2]), np.array(info["bbox_visib"][2:])
+            assert [columns.min(), rows.min()] == low.tolist()
+            assert [columns.max(), rows.max()] == (low + size).tolist()
+        assert claimed.max() == 1
+
+
+@needs_gl
+def test_the_cameras_place_is_told_in_the_world(dataset, scene):
+    folder, cameras = dataset
+    records = load(folder / SPLIT / "000003" / "scene_camera.json")
+    poses = load(folder / SPLIT / "000003" / "scene_gt.json")
+    for view, camera in enumerate(cameras):
+        turn = np.reshape(records[view]["cam_R_w2c"], (3, 3))
+        np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-9)
+        eye = -turn.T @ records[view]["cam_t_w2c"]
+        np.testing.assert_allclose(eye, 1000 * camera.eye, atol=1e-6)
+        for pose, truth in zip(poses[view], scene[1], strict=True):
+            origin = turn.T @ (np.array(pose["cam_t_m2c"]) - records[view]["cam_t_w2c"])
+            np.testing.assert_allclose(origin, 1000 * truth[:3], atol=1e-6)
+
+
+@needs_gl
+def test_colours_are_where_the_masks_are(tmp_path):
+    recording = cubes()
+    camera = Camera.looking([0.3, -0.6, 1.0], [0.0, 0.0, 0.45], *SIZE)
+    scene = (recording.objects, recording.poses, recording.support)
+    BopDataset(tmp_path).add(0, *scene, [camera], PICTURE)
+    images = tmp_path / SPLIT / "000000"
+    rgb = pixels(images / "rgb" / "000000.png").astype(int)
+    for index, channel in ((0, 0), (1, 1)):
+        mask = pixels(images / "mask_visib" / f"000000_{index:06d}.png") > 0
+        others = np.delete(rgb[mask], channel, axis=1)
+        assert mask.sum() > 50
+        assert (rgb[mask][:, channel] > others.max(1) + 30).mean() > 0.97
+
+
+@needs_gl
+def test_a_hidden_object_has_a_visible_share_of_nothing(tmp_path):
+    # The green cube behind the red one, as seen along x.
+    poses = np.array([[0.0, 0, 0.75, 1, 0, 0, 0], [0.12, 0, 0.74, 1, 0, 0, 0]])
+    camera = Camera.looking([-1.0, 0, 0.75], [0, 0, 0.75], *SIZE, 300.0)
+    BopDataset(tmp_path).add(0, [RED, GREEN], poses, TABLE, [camera], PICTURE)
+    red, green = load(tmp_path / SPLIT / "000000" / "scene_gt_info.json")[0]
+    assert red["visib_fract"] == 1.0
+    assert green["px_count_all"] > 300
+    assert (green["px_count_visib"], green["visib_fract"]) == (0, 0.0)
+    assert green["bbox_visib"] == [-1, -1, -1, -1]
+    # Both are seen along the axis, which goes between two pixels: their middles are at whole numbers.
+    K = np.reshape(load(tmp_path / SPLIT / "000000" / "scene_camera.json")[0]["cam_K"], (3, 3))
+    for index in range(2):
+        _, columns = np.nonzero(pixels(tmp_path / SPLIT / "000000" / "mask" / f"000000_{index:06d}.png"))
+        assert columns.mean() == pytest.approx(K[0, 2]) == 79.5
+
+
+def test_models_are_in_millimetres_with_normals_and_colours():
+    mug = find_pool("dining")["mug"]
+    model = trimesh.load(trimesh.util.wrap_as_stream(model_ply(mug)), file_type="ply", process=False)
+    vertices = np.concatenate([piece.mesh.vertices for piece in mug.pieces]) * 1000
+    np.testing.assert_allclose(model.bounds, [vertices.min(0), vertices.max(0)], atol=1e-3)
+    area = sum(trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces).area for piece in mug.pieces)
+    assert model.area == pytest.approx(area * 1e6, rel=1e-3)
+    np.testing.assert_allclose(np.linalg.norm(model.vertex_normals, axis=1), 1.0, atol=1e-4)
+    colours = {tuple(row[:3]) for row in model.visual.vertex_colors}
+    assert {tuple(np.round(255 * np.array(piece.rgba[:3])).astype(int)) for piece in mug.pieces} == colours
+
+
+@needs_gl
+def test_a_second_scene_keeps_the_models_numbers(dataset, scene, tmp_path):
+    objects, poses = scene
+    dining = find_pool("dining")
+    camera = free(TABLE, np.random.default_rng(0), *SIZE)
+    both = BopDataset(tmp_path)
+    both.add(0, objects[1:2], poses[1:2], TABLE, [camera], PICTURE)
+    both.add(1, [dining["bowl"], *objects[:2]], poses[[0, 0, 1]], TABLE, [camera], PICTURE)
+    info = load(tmp_path / "models" / "models_info.json")
+    assert [info[key]["name"] for key in sorted(info)] == ["mug", "bowl", "dinner_plate"]
+    gt = load(tmp_path / SPLIT / "000001" / "scene_gt.json")[0]
+    assert [each["obj_id"] for each in gt] == [2, 3, 1]
+    vertices = 1000 * np.concatenate([piece.mesh.vertices for piece in objects[1].pieces])
+    farthest = max(np.linalg.norm(vertices - vertex, axis=1).max() for vertex in vertices)
+    assert info[1]["diameter"] == pytest.approx(farthest, rel=1e-6)
+    impostor = type(objects[1])(**{**vars(dining["bowl"]), "name": "mug"})
+    with pytest.raises(ConfigError, match="another model of the name 'mug'"):
+        both.add(2, [impostor], poses[:1], TABLE, [camera], PICTURE)
+    assert not (tmp_path / SPLIT / "000002").exists()
+
+
+@needs_gl
+def test_a_scene_without_objects_is_one_too(tmp_path):
+    camera = free(TABLE, np.random.default_rng(0), *SIZE)
+    BopDataset(tmp_path).add(0, [], np.zeros((0, 7)), TABLE, [camera], PICTURE)
+    assert load(tmp_path / SPLIT / "000000" / "scene_gt.json") == {0: []}
+    assert pixels(tmp_path / SPLIT / "000000" / "depth" / "000000.png").max() > 0

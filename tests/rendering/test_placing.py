@@ -1,0 +1,179 @@
+"""The panel for placing by hand on a real server: what its buttons do, say and allow."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.placement.hand import HandScene
+from cluttergen_jax.placement.region import no_keep_out
+from cluttergen_jax.placement.rules import empty_start
+from cluttergen_jax.placement.setup import Setup
+from cluttergen_jax.rendering.viewer.viewer import open_server
+from tests.helpers.problems import HalfTable, trio_problem
+
+PATIENCE = 60
+
+
+class Scenes:
+    """Scenes of two objects by a physics with known answers: what is let go at x > 0 stands."""
+
+    name, keep_out = "test", (Rectangle((0.1, 0.1), (0.02, 0.02)),)
+
+    def __init__(self):
+        problem = trio_problem(history_stride=0, num_objects=2)
+        rules = problem.rules.replace(physics=HalfTable())
+        self.setup = Setup(replace(problem, rules=rules), no_keep_out(), empty_start(3))
+        self.support, self.region = problem.world.support, problem.region
+        self.kept, self.is_full = [], False
+
+    @property
+    def num_kept(self):
+        return len(self.kept)
+
+    def begin(self):
+        return HandScene(self.setup, jax.random.key(self.num_kept), self.num_kept)
+
+    def keep(self, scene):
+        if self.is_full:
+            raise BankError("the disk is full", hint="another disk")
+        self.kept.append(scene.result())
+        scene.close()
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return Scenes()
+
+
+@pytest.fixture
+def panel(scenes):
+    pytest.importorskip("viser", reason="the extra viewer is not installed")
+    from cluttergen_jax.rendering.viewer.placing import PlacingPanel
+
+    server = open_server("127.0.0.1", 0, "test")
+    scenes.kept, scenes.is_full = [], False
+    panel = PlacingPanel(scenes, server)
+    yield panel
+    panel.close()
+    server.stop()
+
+
+def press(panel, act):
+    """What the panel says once it has done something in its own thread."""
+    panel._worker.submit(panel._do, act).result(PATIENCE)
+    return panel._said.content
+
+
+def hold(panel, x):
+    pose = panel.scene.held_pose
+    panel._worker.submit(panel._move, np.array([x, 0.0, pose[2]]), pose[3:]).result(PATIENCE)
+
+
+def test_only_what_can_be_done_is_offered(panel):
+    # Nobody has come yet, so no time is spent.
+    assert panel.scene.clock.seconds == 0
+
+    def offered():
+        return {
+            name
+            for name, button in (
+                ("drop", panel._drop),
+                ("lower", panel._lower),
+                ("skip", panel._skip),
+                ("undo", panel._undo),
+                ("save", panel._save),
+            )
+            if not button.disabled
+        }
+
+    hand = {"drop", "lower", "skip"}
+    assert offered() == hand
+    hold(panel, 0.1)
+    press(panel, panel.drop)
+    assert offered() == hand | {"undo"}
+    hold(panel, 0.2)
+    assert "Every object is placed" in press(panel, panel.drop)
+    assert offered() == {"undo", "save"}
+    assert not panel.handle.visible
+    assert "saved** as scene 0 of test" in press(panel, panel.save)
+    assert offered() == set()
+    press(panel, panel.new)
+    assert (offered(), panel.scene.number) == (hand, 1)
+    assert panel.handle.visible
+
+
+def test_the_handle_moves_within_the_plane_alone(panel):
+    assert panel.handle.active_axes == (True, True, False)
+    hold(panel, 0.12)
+    assert panel.handle.position[0] == pytest.approx(0.12)
+    # Dragged off the region it comes back to its side.
+    hold(panel, 3.0)
+    assert panel.handle.position[0] == pytest.approx(panel.scenes.region.half_extents[0])
+    height = float(panel.handle.position[2])
+    assert "touches the bare top" in press(panel, panel.lower)
+    assert panel.handle.position[2] < height
+
+
+def test_a_failure_is_told_drawn_and_cleared_away(panel):
+    stood = panel.scene.poses.copy()
+    hold(panel, -0.1)
+    said = press(panel, panel.drop)
+    name = panel.scene.names[panel.scene.current]
+    assert said.startswith(f"**{name}: unsettled**: did not come to rest in time")
+    assert panel._failed is not None
+    # Why it failed is still to be seen while the object is moved.
+    hold(panel, -0.05)
+    assert (panel._failed is not None, panel._said.content) == (True, said)
+    np.testing.assert_array_equal(panel.scene.poses, stood)
+    press(panel, panel.skip)
+    assert panel._failed is None
+    assert panel.scene.names[panel.scene.current] == panel._object.value != name
+    assert panel._object.options == tuple(panel.scene.names[index] for index in panel.scene.left)
+
+
+def test_what_goes_wrong_is_said_and_nothing_is_lost(panel):
+    for x in (0.1, 0.2):
+        hold(panel, x)
+        press(panel, panel.drop)
+    panel.scenes.is_full = True
+    assert "the disk is full. Try: another disk." in press(panel, panel.save)
+    assert not panel.scene.is_closed
+    panel.scenes.is_full = False
+    press(panel, panel.save)
+    assert [bool(scene.is_success) for scene in panel.scenes.kept] == [True]
+
+
+def test_a_scene_is_given_up_only_when_that_is_confirmed(panel):
+    assert "nothing was tried" in press(panel, panel.new)
+    hold(panel, 0.1)
+    press(panel, panel.drop)
+    press(panel, panel.new)
+    assert (panel.scene.number, panel.scenes.kept) == (0, [])
+    assert panel.scene.clock.seconds > 0
+    given_up = panel.scene
+    assert "scene 0 was kept as one that failed" in press(panel, lambda: panel.give_up(given_up))
+    assert panel.scene.number == 1
+    # Asked twice, it is given up once, and the next scene goes on.
+    press(panel, lambda: panel.give_up(given_up))
+    assert (panel.scene.number, len(panel.scenes.kept)) == (1, 1)
+    (kept,) = panel.scenes.kept
+    assert (bool(kept.is_success), kept.is_placed.tolist()) == (False, [True, False])
+    # What stands is no failure, whatever it is called.
+    for x in (0.1, 0.2):
+        hold(panel, x)
+        press(panel, panel.drop)
+    assert "scene 1 stands, and was saved" in press(panel, lambda: panel.give_up(panel.scene))
+
+
+def test_undo_brings_the_object_back_into_the_hand(panel):
+    hold(panel, 0.1)
+    name = panel._object.value
+    press(panel, panel.drop)
+    assert press(panel, panel.undo) == f"{name} was taken back"
+    assert (panel._object.value, panel.scene.num_placed) == (name, 0)
+    assert panel.handle.position[0] == pytest.approx(0.1)
+    assert "1 attempt," in panel._status.content

@@ -1,0 +1,61 @@
+"""Masks of single objects against shadows worked out by hand."""
+
+import numpy as np
+import pytest
+
+from cluttergen_jax.sensing.camera import Camera, side
+from cluttergen_jax.sensing.instances import InstanceSensor
+from cluttergen_jax.sensing.rays import FIRST_OBJECT
+from tests.helpers.worlds import box
+from tests.sensing.scenes import TABLE, random_boxes, standing
+
+AHEAD = Camera.looking([-1.0, 0.0, 0.8], [0.0, 0.0, 0.8], 160, 120, 160.0)
+
+
+def test_a_hidden_object_is_masked_and_not_visible():
+    objects = [box("before", (0.02, 0.1, 0.1)), box("behind", (0.02, 0.05, 0.05))]
+    poses = np.stack([standing(-0.1, 0, 0.1), standing(0.1, 0, 0.05)])
+    image, (before, behind) = InstanceSensor(objects, TABLE, surfaces=False).sense(poses, AHEAD)
+    assert behind.mask.sum() > 100
+    assert behind.visible_share == 0.0
+    assert before.visible_share == 1.0
+    assert behind.num_pixels == behind.mask.sum()
+    assert (image.label == FIRST_OBJECT + 1).sum() == 0
+    assert before.mask[behind.mask].all()
+
+
+def test_half_an_object_is_seen_beside_what_stands_before_it():
+    objects = [box("before", (0.01, 0.1, 0.1)), box("behind", (0.01, 0.1, 0.05))]
+    # From the eye, the edge of the one hides just half of the other.
+    poses = np.stack([standing(-0.2, 0.1, 0.1), standing(0.2, 0, 0.05)])
+    _, (_, behind) = InstanceSensor(objects, TABLE, surfaces=False).sense(poses, AHEAD)
+    assert behind.visible_share == pytest.approx(0.5, abs=0.02)
+
+
+def test_what_is_cut_off_by_the_picture_counts_as_not_seen():
+    one = [box("one", (0.001, 0.1, 0.05))]
+    sensor = InstanceSensor(one, TABLE, surfaces=False)
+    # The right edge of the picture is half a metre to the right at a distance of one.
+    _, (cut,) = sensor.sense(standing(0.0, -0.5, 0.05)[None], AHEAD)
+    assert cut.visible_share == pytest.approx(0.5, abs=0.02)
+    assert cut.box[1] > 160
+    assert (cut.mask == cut.visible).all()
+    _, (gone,) = sensor.sense(standing(-2.0, 0.0, 0.05)[None], AHEAD)
+    assert (gone.num_pixels, gone.box, gone.visible_share) == (0, None, 0.0)
+    # Beside the camera and beyond: neither before it nor behind.
+    _, (near,) = sensor.sense(standing(-1.0, 0.3, 0.05)[None], AHEAD)
+    assert near.visible.sum() == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_masks_and_labels_go_together(seed):
+    objects, poses, _ = random_boxes(np.random.default_rng(seed), 6)
+    camera = side(TABLE)
+    image, instances = InstanceSensor(objects, TABLE, surfaces=False).sense(poses, camera)
+    for index, instance in enumerate(instances):
+        np.testing.assert_array_equal(instance.visible, image.label == FIRST_OBJECT + index)
+        assert instance.mask[instance.visible].all()
+        assert instance.num_pixels >= instance.mask.sum()
+        # Where it would be and is not seen, something else is nearer: of any object's mask one is visible.
+        hidden = instance.mask & ~instance.visible
+        assert (image.label[hidden] >= FIRST_OBJECT).all()
