@@ -83,6 +83,7 @@ class Mover:
         self._rng, self._seed = np.random.default_rng(seed), seed
         self._opening = 0.0
         self._T_tool_object = np.eye(4)
+        self._known: tuple[int, np.ndarray] | None = None
 
     # Picking up
 
@@ -144,14 +145,16 @@ class Mover:
                 yield pose[index] @ turn, float(grasps.width[index])
 
     def _fits(self, T_object_tool: np.ndarray, places: np.ndarray, opening: float) -> bool:
-        """Whether the hand can put the object down at one of the places, and leave it there."""
+        """Whether the hand can put the object down at one of the places, and leave it there; keeps how."""
         stood, T_tool_object = self.execution.poses()[self.target], inverse(T_object_tool)
         try:
-            return any(
-                self._lowering(joints, place, T_tool_object, opening) is not None
-                for place in places
-                for joints in self.kinematics.solutions(_tool_at(place, T_tool_object), _ARMS, self._rng)
-            )
+            for number, place in enumerate(places):
+                target = _tool_at(place, T_tool_object)
+                for joints in self.kinematics.solutions(target, _ARMS, self._rng):
+                    if self._lowering(joints, place, T_tool_object, opening) is not None:
+                        self._known = number, joints
+                        return True
+            return False
         finally:
             self.world.release(stood)
 
@@ -188,13 +191,21 @@ class Mover:
         """
         has_joints = False
         for number, place in enumerate(places):
-            for joints in self.kinematics.solutions(_tool_at(place, self._T_tool_object), _ARMS, self._rng):
+            for joints in self._arms(number, _tool_at(place, self._T_tool_object)):
                 has_joints = True
                 found = self._put(joints, place)
                 if found is not None:
                     self._run_put(found, place)
                     return number
         raise Failed(Outcome.NO_PATH if has_joints else Outcome.NO_IK, "to put it down")
+
+    def _arms(self, number: int, T_world_tool: np.ndarray) -> list[np.ndarray]:
+        """Joints f64[7] that put the object down at a place, those first that were found beforehand."""
+        known = None
+        if self._known is not None and self._known[0] == number:
+            known = self.kinematics.solve(T_world_tool, self._known[1])
+        others = self.kinematics.solutions(T_world_tool, 2 * _ARMS, self._rng)
+        return others if known is None else [known, *others]
 
     def _put(self, joints: np.ndarray, place: np.ndarray) -> Put | None:
         found = self._lowering(joints, place, self._T_tool_object, self._opening)
