@@ -110,6 +110,8 @@ def robot_place(
       PoolError: there is no such pool or support.
       MissingExtraError: the extra `robot` is not installed.
     """
+    import hashlib
+    import json
     import os
     from dataclasses import replace
     from typing import Any, get_args
@@ -149,7 +151,9 @@ def robot_place(
     center, half_extents = tuple(asked_region["center"]), tuple(asked_region["half_extents"])
     queried = Rectangle(center, half_extents, asked_region["yaw"])
     scenes = [replace(scene, support=replace(scene.support, region=queried)) for scene in read_scenes(found)]
-    rows = {"task": task, "placer": placer, "seed": seed, "pool": recipe["pool"], "bank": recipe["seed"]}
+    # Of another bank's scenes the rows would not be comparable.
+    made = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
+    rows = {"task": task, "placer": placer, "seed": seed, "pool": recipe["pool"], "bank": made}
     threads = num_threads or os.cpu_count() or 1
     folder = Path(out) / task
     if task == "lift" or placer == "none":
