@@ -47,6 +47,8 @@ Suite = Literal["paper", "extended", "downstream", "honest"]
 """`honest` is the former name of `extended`, understood in this release."""
 Split = Literal["train", "val", "test"]
 SensedFrom = Literal["free", "overhead", "side"]
+RobotTask = Literal["lift", "place"]
+RobotPlacer = Literal["drop", "guided", "none"]
 Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 Tier = Literal["standard", "light"]
 CameraName = Literal["overhead", "front", "side", "wrist"]

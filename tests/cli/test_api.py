@@ -36,6 +36,8 @@ FUNCTIONS = (
     "placer_data",
     "placer_eval",
     "placer_train",
+    "robot_grasps",
+    "robot_place",
 )
 # Options and defaults as `--help` told them before commands were made from functions.
 OPTIONS = json.loads((Path(__file__).parent / "options.json").read_text())

@@ -1,0 +1,162 @@
+"""A robot arm in simulation: grasps of a pool's objects, and objects picked up and put down."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cluttergen_jax.config import Method, RobotPlacer, RobotTask, check_workers
+from cluttergen_jax.errors import ConfigError
+
+if TYPE_CHECKING:
+    from cluttergen_jax.downstream.robot.grasp_sets import GraspSets
+    from cluttergen_jax.downstream.robot.trials import RobotTrials
+
+_MOST_GRASPS = 4096
+_MOST_SEED = 999_999
+_MOST_EPISODES = 1_000_000
+_REGION = "0.5x0.5"
+_NUM_OBJECTS = 8
+
+
+def robot_grasps(
+    pool: str | Path = "household",
+    objects: Sequence[str] = (),
+    *,
+    num_grasps: int = 64,
+    seed: int = 0,
+    num_threads: int = 0,
+    fresh: bool = False,
+    out: str | Path | None = None,
+) -> GraspSets:
+    """Finds grasps of a pool's objects for the hand of a Franka Panda (`cluttergen robot grasps`).
+
+    Each is tested in MuJoCo: the hand closes, lifts by 15 cm, shakes and turns. What is found is kept for
+    each object in the folder `grasps` beside the pools of your own; the same call reads it.
+
+    Args:
+      pool: a pool's name or folder, or several joined by +.
+      objects: only these of its objects.
+      num_grasps: for each object at most, spread over it.
+      seed: of what is drawn.
+      num_threads: 0 takes every core.
+      fresh: make again what is kept.
+      out: write all of them to this Parquet file too.
+
+    Returns:
+      The grasps of each object; printed, a table that names objects with too few.
+
+    Raises:
+      ConfigError: a number is out of range.
+      PoolError: there is no such pool or object, or a file of grasps is damaged.
+      MissingExtraError: the extra `robot` is not installed.
+    """
+    from cluttergen_jax.assets.pool import find_pool
+    from cluttergen_jax.downstream.robot.grasp_sets import grasp_sets
+    from cluttergen_jax.downstream.robot.grasps import write_grasps
+    from cluttergen_jax.placement.setup import check_range
+
+    check_workers("num_threads", num_threads)
+    check_range("num_grasps", num_grasps, 1, _MOST_GRASPS, 64)
+    check_range("seed", seed, 0, _MOST_SEED, 0)
+    found = find_pool(pool)
+    chosen = tuple(found[name] for name in objects) or found.objects
+    sets = grasp_sets(chosen, num_grasps, seed, num_threads, fresh)
+    if out is not None:
+        write_grasps(Path(out), sets.sets)
+    return sets
+
+
+def robot_place(
+    out: str | Path = "out/robot",
+    bank: str | Path | None = None,
+    *,
+    task: RobotTask = "place",
+    placer: RobotPlacer = "drop",
+    num_episodes: int = 40,
+    pool: str | Path | None = None,
+    method: Method | None = None,
+    support: str | Path | None = None,
+    num_objects: int | None = None,
+    region: str | None = None,
+    seed: int = 0,
+    num_threads: int = 0,
+) -> RobotTrials:
+    """Lets a simulated Franka Panda move the last object of scenes (`cluttergen robot place`).
+
+    In `place` it picks the object from a stand beside the table, puts it where the generator put it, or at
+    another place that a search finds, and leaves; in `lift` it lifts it out of the others. The true state is
+    known to it. The same call continues an interrupted one, and each episode is made again by its seed.
+
+    Args:
+      out: the folder; rows are kept there.
+      bank: whose scenes; if not given, one is made in the folder.
+      task: place or lift.
+      placer: what proposes more places, where the scene's own is not reached: drop or guided, which know the
+        whole scene; or none.
+      num_episodes: how many; scenes are taken again where the bank has fewer.
+      pool, method, support, num_objects, region: of a bank that is made along, as `generate` takes them;
+        household, guided, the usual table, 8 and 0.5x0.5 if not given.
+      seed: of all that is drawn.
+      num_threads: 0 takes every core.
+
+    Returns:
+      The episodes; printed, the share of successes, and failures by cause and by object.
+
+    Raises:
+      ConfigError: a setting is out of range, or contradicts the bank.
+      BankError: the bank cannot be read or holds no scene that stands, or the folder holds other episodes.
+      PoolError: there is no such pool or support.
+      MissingExtraError: the extra `robot` is not installed.
+    """
+    import hashlib
+    import json
+    import os
+    from dataclasses import replace
+    from typing import Any, get_args
+
+    from cluttergen_jax.api.generate import generate
+    from cluttergen_jax.assets.support import Rectangle
+    from cluttergen_jax.downstream.robot.model import panda_folder
+    from cluttergen_jax.downstream.robot.places import SearchPlaces
+    from cluttergen_jax.downstream.robot.trials import run_trials
+    from cluttergen_jax.placement.setup import check_range
+    from cluttergen_jax.scene.bank.bank import Bank, read_bank
+    from cluttergen_jax.scene.bank.scene import read_scenes
+
+    check_workers("num_threads", num_threads)
+    check_range("num_episodes", num_episodes, 1, _MOST_EPISODES, 40)
+    check_range("seed", seed, 0, _MOST_SEED, 0)
+    for name, value, known in (("task", task, RobotTask), ("placer", placer, RobotPlacer)):
+        if value not in get_args(known):
+            raise ConfigError(f"{name} = {value!r}", ", ".join(get_args(known)))
+    panda_folder()
+    asked = {"pool": pool, "method": method, "support": support, "num_objects": num_objects, "region": region}
+    given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    if bank is None:
+        # In a random order the last object is any of the pool, not mostly a small one.
+        usual = {"pool": "household", "num_objects": _NUM_OBJECTS, "region": _REGION, "order": "random"}
+        settings = {**usual, **given, "num_scenes": num_episodes, "seed": seed}
+        found: Bank = generate(
+            Path(out) / "bank", render=False, max_files=0, num_threads=num_threads, **settings
+        )
+    elif given:
+        first = next(iter(given))
+        raise ConfigError(f"`{first}` together with `bank`", "one or the other", f"leaving out `{first}`")
+    else:
+        found = read_bank(bank)
+    recipe = found.record["recipe"]
+    asked_region = recipe["region"]
+    center, half_extents = tuple(asked_region["center"]), tuple(asked_region["half_extents"])
+    queried = Rectangle(center, half_extents, asked_region["yaw"])
+    scenes = [replace(scene, support=replace(scene.support, region=queried)) for scene in read_scenes(found)]
+    # Of another bank's scenes the rows would not be comparable.
+    made = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
+    rows = {"task": task, "placer": placer, "seed": seed, "pool": recipe["pool"], "bank": made}
+    threads = num_threads or os.cpu_count() or 1
+    folder = Path(out) / task
+    if task == "lift" or placer == "none":
+        return run_trials(scenes, task, num_episodes, seed, folder, rows, num_threads=threads)
+    places = SearchPlaces(found, placer, seed, threads)
+    return run_trials(scenes, task, num_episodes, seed, folder, rows, num_threads=threads, places=places)

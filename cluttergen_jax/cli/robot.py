@@ -1,0 +1,55 @@
+"""`cluttergen robot`: grasps of a pool's objects, and objects picked up and put down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from cluttergen_jax.api.robot import robot_grasps, robot_place
+from cluttergen_jax.cli.options import Options, options_from
+
+
+@options_from(robot_grasps, pool=Annotated[str, tyro.conf.Positional])
+class RobotGrasps(Options):
+    """Find grasps of a pool's objects for the hand of a Franka Panda, each tested in MuJoCo (extra `robot`).
+
+    Example: `cluttergen robot grasps household --num-grasps 64`
+    """
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        print(self.call(robot_grasps))
+        return 0
+
+
+@options_from(robot_place, bank=Annotated[str | None, tyro.conf.Positional])
+class RobotPlace(Options):
+    """Let a simulated Franka Panda put objects into scenes, or lift them out of them (extra `robot`).
+
+    Example: `cluttergen robot place --pool household --num-episodes 40`
+    """
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        print(self.call(robot_place))
+        return 0
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot arm in simulation: `robot grasps` and `robot place`.
+
+    Attributes:
+      action: what to do.
+    """
+
+    action: (
+        Annotated[RobotGrasps, tyro.conf.subcommand("grasps")]
+        | Annotated[RobotPlace, tyro.conf.subcommand("place")]
+    )
+
+    def run(self) -> int:
+        """Runs the chosen action; the exit status."""
+        return self.action.run()

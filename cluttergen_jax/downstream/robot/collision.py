@@ -1,0 +1,196 @@
+"""Collision queries: may the arm, and what it holds, be where its joints bring it?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.mjcf import add_part, populated_spec
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import Box, SupportAsset
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.downstream.robot.frames import pose_of
+from cluttergen_jax.downstream.robot.model import HAND, PREFIX, TOOL_DEPTH, Panda, panda_spec
+from cluttergen_jax.geometry import yaw_quaternion
+
+CLEARANCE = 0.005
+"""Metres that everything that moves keeps from everything else on its way."""
+NEAR = 0.001
+"""Metres that the hand keeps from neighbours while it comes straight to an object or leaves it."""
+_TOUCH = -0.001
+"""Metres that a held object may overlap with what it is taken from or put on."""
+_AWAY = 100.0
+_HELD = "held"
+_GROUND = "ground"
+
+
+class Kind(IntEnum):
+    """What a geom belongs to."""
+
+    GROUND = 0
+    OTHER = 1
+    TARGET = 2
+    ARM = 3
+    HAND = 4
+    HELD = 5
+
+
+class Mode(IntEnum):
+    """What is allowed.
+
+    TRAVEL: nothing comes within the clearance of anything.
+    COME: the open hand is about the target, near to it and to all else.
+    CARRY: as TRAVEL, but what is held may touch what it stood on or will stand on.
+    """
+
+    TRAVEL = 0
+    COME = 1
+    CARRY = 2
+
+
+def _thresholds() -> np.ndarray:
+    """f64[modes, kinds, kinds]: metres below which a pair of geoms is too close."""
+    limit = np.full((len(Mode), len(Kind), len(Kind)), CLEARANCE)
+    moving = (Kind.ARM, Kind.HAND, Kind.HELD)
+    for a in moving:
+        for b in moving:
+            # The arm is near to itself wherever it is.
+            limit[:, a, b] = 0.0
+    for mode in (Mode.COME, Mode.CARRY):
+        for other in (Kind.GROUND, Kind.OTHER):
+            limit[mode, Kind.HAND, other] = limit[mode, other, Kind.HAND] = NEAR
+    for mode in (Mode.COME, Mode.CARRY):
+        limit[mode, Kind.HAND, Kind.GROUND] = limit[mode, Kind.GROUND, Kind.HAND] = 0.0
+        limit[mode, Kind.HAND, Kind.TARGET] = limit[mode, Kind.TARGET, Kind.HAND] = NEAR
+    for other in (Kind.GROUND, Kind.OTHER):
+        limit[Mode.CARRY, Kind.HELD, other] = limit[Mode.CARRY, other, Kind.HELD] = _TOUCH
+    return limit
+
+
+_LIMIT = _thresholds()
+
+
+class PlanningWorld:
+    """A scene that stands still, the arm, and one object that may be in its hand.
+
+    Only the arm's joints move, so that objects which lie on each other cost nothing.
+
+    Args:
+      names, objects: N of the scene; poses: f64[N, 7], T_world_object.
+      target: the number of the object that is to be moved.
+      base: f64[7], T_world_base.
+      stands: more boxes that objects can stand on.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        objects: Sequence[ObjectAsset],
+        poses: np.ndarray,
+        target: int,
+        support: SupportAsset,
+        base: np.ndarray,
+        stands: Sequence[Box] = (),
+    ) -> None:
+        contact = ContactConfig()
+        spec = populated_spec(names, objects, support, StabilityConfig().timestep, contact, poses=poses)
+        for joint in list(spec.joints):
+            spec.delete(joint)
+        for number, box in enumerate(stands):
+            add_stand(spec, box, f"{_GROUND}-{number}")
+        arm = panda_spec(contact)
+        _without_drawings(arm)
+        held = arm.body(HAND).add_body(name=_HELD)
+        for index, part in enumerate(objects[target].parts):
+            add_part(arm, held, f"{_HELD}/part-{index}", part.vertices)
+        for geom in arm.geoms:
+            geom.margin = CLEARANCE
+        for option in ("timestep", "gravity", "cone", "impratio", "iterations", "noslip_iterations"):
+            setattr(arm.option, option, getattr(spec.option, option))
+        arm.option.integrator = spec.option.integrator
+        spec.attach(arm, prefix=PREFIX, frame=spec.worldbody.add_frame(pos=base[:3], quat=base[3:]))
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.panda = Panda.of(self.model)
+        self._bodies = [self.model.body(name).id for name in names]
+        self._target = self._bodies[target]
+        self._held = self.model.body(PREFIX + _HELD).id
+        self._kind = self._kinds()
+        self.num_checks = 0
+        self.release(poses[target])
+
+    def _kinds(self) -> np.ndarray:
+        """i[ngeom]: the kind of each geom."""
+        kind = np.full(self.model.nbody, Kind.GROUND)
+        kind[self._bodies] = Kind.OTHER
+        kind[self._target] = Kind.TARGET
+        kind[self.panda.is_arm] = Kind.ARM
+        kind[[self.panda.hand, *self.panda.finger_bodies]] = Kind.HAND
+        kind[self._held] = Kind.HELD
+        return kind[self.model.geom_bodyid]
+
+    def move(self, number: int, pose: np.ndarray) -> None:
+        """Object `number` stands at f64[7] from now on."""
+        self._put(self._bodies[number], pose)
+
+    def hold(self, T_tool_object: np.ndarray) -> None:
+        """The target is in the hand from now on."""
+        T_hand_object = T_tool_object.copy()
+        T_hand_object[2, 3] += TOOL_DEPTH
+        self._put(self._held, pose_of(T_hand_object))
+        self._put(self._target, np.array([0, 0, -_AWAY, 1, 0, 0, 0]))
+
+    def release(self, pose: np.ndarray) -> None:
+        """The target stands at f64[7] from now on."""
+        self._put(self._held, np.array([0, 0, _AWAY, 1, 0, 0, 0]))
+        self._put(self._target, pose)
+
+    def _put(self, body: int, pose: np.ndarray) -> None:
+        self.model.body_pos[body], self.model.body_quat[body] = pose[:3], pose[3:]
+
+    def is_free(self, joints: np.ndarray, opening: float, mode: Mode = Mode.TRAVEL) -> bool:
+        """Whether the arm may be at joints f64[7], each finger `opening` metres from the middle."""
+        return self.blocker(joints, opening, mode) is None
+
+    def blocker(self, joints: np.ndarray, opening: float, mode: Mode = Mode.TRAVEL) -> tuple[str, str] | None:
+        """The names of two bodies that come too close, None where none do."""
+        self.num_checks += 1
+        data = self.data
+        data.qpos[self.panda.qpos], data.qpos[self.panda.fingers] = joints, opening
+        mujoco.mj_kinematics(self.model, data)
+        mujoco.mj_collision(self.model, data)
+        if not data.ncon:
+            return None
+        geoms = data.contact.geom
+        kinds = self._kind[geoms]
+        too_close = data.contact.dist < _LIMIT[mode][kinds[:, 0], kinds[:, 1]]
+        if not too_close.any():
+            return None
+        a, b = (self.model.body(self.model.geom_bodyid[geom]).name for geom in geoms[too_close.argmax()])
+        return a, b
+
+
+def add_stand(spec: mujoco.MjSpec, box: Box, name: str) -> None:
+    """A box that objects can stand on."""
+    spec.worldbody.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=box.center,
+        quat=yaw_quaternion(box.yaw),
+        size=box.half_extents,
+        rgba=box.rgba,
+    )
+
+
+def _without_drawings(arm: mujoco.MjSpec) -> None:
+    """Takes away the surfaces that are only drawn, and their meshes."""
+    for geom in list(arm.geoms):
+        if not (geom.contype or geom.conaffinity):
+            arm.delete(geom)
+    used = {geom.meshname for geom in arm.geoms}
+    for mesh in list(arm.meshes):
+        if mesh.name not in used:
+            arm.delete(mesh)

@@ -1,0 +1,221 @@
+"""Episodes: an object is lifted out of clutter, or brought from a stand into it, and all of it is judged."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cluttergen_jax.assets.support import Box, SupportAsset
+from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.downstream.robot.collision import PlanningWorld
+from cluttergen_jax.downstream.robot.execute import Execution, Phase
+from cluttergen_jax.downstream.robot.frames import angle_between, matrix_of
+from cluttergen_jax.downstream.robot.grasps import Grasps
+from cluttergen_jax.downstream.robot.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.model import PandaConfig, base_pose
+from cluttergen_jax.downstream.robot.mover import LIFT, Mover
+from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.geometry import product, turned, yaw_quaternion
+from cluttergen_jax.scene import Scene
+
+STAND_SIDE = 0.26
+"""Metres; the square beside the table from which objects are picked up."""
+WATCHED = 2.0
+"""Seconds for which everything must stand once the hand has left."""
+_STAND_GAP, _STAND_HALF_HEIGHT, _STAND_BEFORE = 0.01, 0.01, 0.1
+
+
+@dataclass(frozen=True)
+class EpisodeResult:
+    """What became of an episode.
+
+    Attributes:
+      outcome: an `Outcome`, as text; detail: of what, in words.
+      object: the name of the object that was moved; num_others: objects besides it.
+      error, turn_error: metres in plan and radians about z from where it was meant to stand; nan if it is not
+        there. z_error: metres.
+      displaced: metres that another object moved at most.
+      proposal: which of the proposed places was used, -1 if none was.
+      seconds: of the simulated time. cpu: seconds of this process.
+    """
+
+    outcome: str
+    detail: str
+    object: str
+    num_others: int
+    error: float
+    turn_error: float
+    z_error: float
+    displaced: float
+    proposal: int
+    seconds: float
+    cpu: float
+
+    @property
+    def is_success(self) -> bool:
+        """Nothing went wrong."""
+        return self.outcome == Outcome.SUCCESS
+
+
+def stand_beside(support: SupportAsset) -> Box:
+    """A square on the level of the support's top, beside it at the region's -y, nearer to the arm."""
+    region = support.region
+    low = min(_low_side(box, region.yaw, np.asarray(region.center)) for box in support.boxes)
+    middle = np.array([-_STAND_BEFORE, low - _STAND_GAP - STAND_SIDE / 2])
+    x, y = np.asarray(region.center) + turned(middle, region.yaw)
+    half = STAND_SIDE / 2
+    center = (float(x), float(y), support.top - _STAND_HALF_HEIGHT)
+    return Box(center, (half, half, _STAND_HALF_HEIGHT), region.yaw)
+
+
+def _low_side(box: Box, yaw: float, center: np.ndarray) -> float:
+    """The least y of a box in the region's frame."""
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    corners = np.asarray(box.center[:2]) + turned(signs * box.half_extents[:2], box.yaw) - center
+    return float(turned(corners, -yaw)[:, 1].min())
+
+
+class Lab:
+    """An episode's world: the simulation and its copy for planning.
+
+    Args:
+      scene: all objects, where they stand at the start.
+      target: the number of the one that is to be moved.
+      stands: more boxes that objects can stand on.
+      seed: of what is drawn.
+      every: see `Execution`.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        target: int,
+        stands: tuple[Box, ...],
+        seed: int,
+        config: PandaConfig | None = None,
+        every: int = 0,
+    ) -> None:
+        self.scene, self.target = scene, target
+        base = base_pose(scene.support, config)
+        self.execution = Execution(scene, target, stands, config, every)
+        world = PlanningWorld(scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
+        self.mover = Mover(self.execution, world, ArmKinematics(base), target, seed)
+        self._others = [k for k in range(len(scene.names)) if k != target]
+        self.displaced = 0.0
+
+    def check_others(self) -> None:
+        """Compares the other objects with where they stood at the start.
+
+        Raises:
+          Failed: one has moved by more than `StabilityConfig` allows of neighbours.
+        """
+        limits = StabilityConfig()
+        now, then = self.execution.poses()[self._others], self.scene.poses[self._others]
+        shift = np.linalg.norm(now[:, :3] - then[:, :3], axis=1)
+        turn = angle_between(matrix_of(now), matrix_of(then)) if self._others else shift
+        self.displaced = max(self.displaced, float(shift.max(initial=0.0)))
+        moved = np.flatnonzero((shift > limits.max_shift) | (turn > limits.max_turn))
+        if moved.size:
+            raise Failed(Outcome.DISPLACED, self.scene.names[self._others[int(moved[0])]])
+
+    def check_stands(self) -> None:
+        """Waits, and looks whether the object stays where it was let go.
+
+        Raises:
+          Failed: it moved by more than the last check of scenes allows, or another did.
+        """
+        limits, start = StabilityConfig(), self.execution.pose(self.target)
+        for _ in range(round(WATCHED / 0.1)):
+            self.execution.wait(0.1, Phase.FREE)
+            now = self.execution.pose(self.target)
+            shift, turn = np.linalg.norm(now[:3, 3] - start[:3, 3]), float(angle_between(now, start))
+            if shift > limits.stand_full_shift or turn > limits.stand_full_turn:
+                raise Failed(Outcome.UNSTABLE, f"{1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg")
+            self.check_others()
+
+
+def lift_episode(scene: Scene, target: int, grasps: Grasps, seed: int, every: int = 0) -> EpisodeResult:
+    """One object is lifted by `mover.LIFT` out of those that stand around it."""
+    episode_lab = Lab(scene, target, (), seed, every=every)
+
+    def run(lab: Lab) -> int:
+        height = lab.execution.pose(target)[2, 3]
+        lab.mover.pick(lab.mover.find_hold(grasps))
+        lab.check_others()
+        if lab.execution.pose(target)[2, 3] < height + 0.8 * LIFT:
+            raise Failed(Outcome.SLIP, "not lifted")
+        return 0
+
+    return _ended(episode_lab, run, None)
+
+
+def place_episode(
+    scene: Scene, target: int, grasps: Grasps, places: np.ndarray, seed: int, every: int = 0
+) -> EpisodeResult:
+    """One object is picked from a stand beside the table and put among the others.
+
+    Args:
+      scene: all objects; where the target stands in it does not count.
+      places: f64[M, 7], T_world_object, settled poses that are proposed for it, best first.
+      seed: of its turn on the stand, and of the motions.
+    """
+    stand = stand_beside(scene.support)
+    rng = np.random.default_rng(seed)
+    asset = scene.objects[target]
+    yaw = rng.uniform(-np.pi, np.pi)
+    quaternion = product(np.array(yaw_quaternion(yaw)), np.asarray(asset.resting[0].quaternion, np.float64))
+    start = np.array([*stand.center[:2], scene.support.top + asset.resting[0].height, *quaternion])
+    poses = scene.poses.copy()
+    poses[target] = start
+    episode_lab = Lab(replace(scene, poses=poses), target, (stand,), seed, every=every)
+    wanted = matrix_of(places)
+
+    def run(lab: Lab) -> int:
+        lab.mover.pick(lab.mover.find_hold(grasps, wanted))
+        lab.check_others()
+        used = lab.mover.put(wanted)
+        lab.check_others()
+        lab.check_stands()
+        _check_region(scene, target, lab.execution.pose(target))
+        return used
+
+    return _ended(episode_lab, run, wanted)
+
+
+def _check_region(scene: Scene, target: int, pose: np.ndarray) -> None:
+    """The middle of the object's box lies in the region, as scenes are judged by default."""
+    region = scene.support.region
+    place = turned(pose[:2, 3] - np.asarray(region.center), -region.yaw)
+    if (np.abs(place) > np.asarray(region.half_extents)).any():
+        raise Failed(Outcome.OUTSIDE, scene.names[target])
+
+
+def _ended(lab: Lab, run: Callable[[Lab], int], wanted: np.ndarray | None) -> EpisodeResult:
+    begun, proposal = time.process_time(), -1
+    try:
+        proposal = run(lab)
+        outcome, detail = Outcome.SUCCESS, ""
+    except Failed as failure:
+        outcome, detail = failure.outcome, failure.detail
+    error = turn_error = z_error = float("nan")
+    if wanted is not None and proposal >= 0:
+        pose, place = lab.execution.pose(lab.target), wanted[proposal]
+        error = float(np.linalg.norm(pose[:2, 3] - place[:2, 3]))
+        z_error = float(pose[2, 3] - place[2, 3])
+        turn_error = float(angle_between(pose, place))
+    return EpisodeResult(
+        outcome=str(outcome),
+        detail=detail,
+        object=lab.scene.objects[lab.target].name,
+        num_others=len(lab.scene.names) - 1,
+        error=error,
+        turn_error=turn_error,
+        z_error=z_error,
+        displaced=lab.displaced,
+        proposal=proposal,
+        seconds=lab.execution.num_steps * lab.execution.step_time,
+        cpu=time.process_time() - begun,
+    )

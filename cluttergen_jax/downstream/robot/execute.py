@@ -1,0 +1,186 @@
+"""Execution: the arm's motors alone move the arm, and what it touches is watched.
+
+After the start nothing is ever written into the state of the simulation: set-points of servos go in, and
+poses that a perfect camera would see come out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.support import Box
+from cluttergen_jax.downstream.robot.collision import Kind, add_stand
+from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.robot.model import MAX_OPENING, Panda, PandaConfig, home_pose, with_panda
+from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.robot.timing import Trajectory
+from cluttergen_jax.scene import Scene
+
+MAX_FORCE = 2.0
+"""N; an unplanned contact that presses harder ends an episode."""
+CLOSING = 0.5
+"""Seconds in which the fingers close."""
+_REST = 0.15
+
+
+class Phase(IntEnum):
+    """Which contacts are planned, besides those among objects and with what they stand on.
+
+    FREE: none of the arm. GRASP: the hand may touch the target. CARRY: so it may, and the target touches
+    nothing else. TOUCH: as GRASP, the target may touch what it stands on or will.
+    """
+
+    FREE = 0
+    GRASP = 1
+    CARRY = 2
+    TOUCH = 3
+
+
+def _unplanned() -> np.ndarray:
+    """bool[phases, kinds, kinds]."""
+    table = np.zeros((len(Phase), len(Kind), len(Kind)), bool)
+    table[:, [Kind.ARM, Kind.HAND], :] = True
+    table[:, :, [Kind.ARM, Kind.HAND]] = True
+    # Fingers meet where an object is lost, which is told otherwise.
+    table[:, Kind.HAND, Kind.HAND] = False
+    for phase in (Phase.GRASP, Phase.CARRY, Phase.TOUCH):
+        table[phase, Kind.HAND, Kind.TARGET] = table[phase, Kind.TARGET, Kind.HAND] = False
+    for other in (Kind.GROUND, Kind.OTHER):
+        table[Phase.CARRY, Kind.TARGET, other] = table[Phase.CARRY, other, Kind.TARGET] = True
+    return table
+
+
+_UNPLANNED = _unplanned()
+
+
+class Execution:
+    """A scene with the arm before it, simulated.
+
+    Args:
+      scene: what stands there at the start. target: the number of the object that is to be moved.
+      stands: more boxes that objects can stand on.
+      every: keep the state of every so manieth step for films; 0 keeps none.
+
+    Attributes:
+      trace: f64[nq] each, the states that were kept.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        target: int,
+        stands: Sequence[Box] = (),
+        config: PandaConfig | None = None,
+        every: int = 0,
+    ) -> None:
+        self.config = config or PandaConfig()
+        spec = with_panda(scene, self.config)
+        for number, box in enumerate(stands):
+            add_stand(spec, box, f"ground-{number}")
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.panda = Panda.of(self.model)
+        self.step_time = float(self.model.opt.timestep)
+        self._bodies = [self.model.body(name).id for name in scene.names]
+        self._kind = self._kinds(target)
+        self._every, self.num_steps = every, 0
+        self.trace: list[np.ndarray] = []
+        self._start(scene)
+
+    def _kinds(self, target: int) -> np.ndarray:
+        kind = np.full(self.model.nbody, Kind.GROUND)
+        kind[self._bodies] = Kind.OTHER
+        kind[self._bodies[target]] = Kind.TARGET
+        kind[self.panda.is_arm] = Kind.ARM
+        kind[[self.panda.hand, *self.panda.finger_bodies]] = Kind.HAND
+        return kind[self.model.geom_bodyid]
+
+    def _start(self, scene: Scene) -> None:
+        for name, pose in zip(scene.names, scene.poses, strict=True):
+            first = int(self.model.joint(name).qposadr[0])
+            self.data.qpos[first : first + 7] = pose
+        self.data.qpos[self.panda.qpos] = self.data.ctrl[self.panda.ctrl] = home_pose()
+        self.data.qpos[self.panda.fingers] = self.data.ctrl[self.panda.grip] = MAX_OPENING
+        mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def joints(self) -> np.ndarray:
+        """f64[7]: where the arm is."""
+        return self.data.qpos[self.panda.qpos].copy()
+
+    @property
+    def set_point(self) -> np.ndarray:
+        """f64[7]: where the arm's servos want it, as long as it rests."""
+        return self.data.ctrl[self.panda.ctrl].copy()
+
+    @property
+    def tool(self) -> np.ndarray:
+        """f64[4, 4]: T_world_tool."""
+        mujoco.mj_kinematics(self.model, self.data)
+        return self.panda.tool(self.data)
+
+    def poses(self) -> np.ndarray:
+        """f64[N, 7]: T_world_object of the scene's objects."""
+        mujoco.mj_kinematics(self.model, self.data)
+        return np.concatenate([self.data.xpos[self._bodies], self.data.xquat[self._bodies]], axis=1)
+
+    def pose(self, number: int) -> np.ndarray:
+        """f64[4, 4]: T_world_object of one."""
+        return matrix_of(self.poses()[number])
+
+    def follow(self, motion: Trajectory, phase: Phase) -> None:
+        """Runs along a motion.
+
+        Raises:
+          Failed: an unplanned contact pressed harder than `MAX_FORCE`.
+        """
+        # A servo with damping trails behind a moving set-point by a known time.
+        points = motion.joints + self.panda.lag * motion.speed
+        for joints in np.clip(points, self.panda.low, self.panda.high):
+            self.data.ctrl[self.panda.ctrl] = joints
+            self._step(phase)
+        self.data.ctrl[self.panda.ctrl] = motion.joints[-1]
+
+    def wait(self, seconds: float, phase: Phase) -> None:
+        """Lets time pass, the set-points as they are."""
+        for _ in range(round(seconds / self.step_time)):
+            self._step(phase)
+
+    def move_fingers(self, target: float, phase: Phase, seconds: float = CLOSING) -> None:
+        """Brings the set-point of the gripper to metres from the middle for each finger, evenly."""
+        start = float(self.data.ctrl[self.panda.grip])
+        number = round(seconds / self.step_time)
+        for step in range(1, number + 1):
+            self.data.ctrl[self.panda.grip] = start + (target - start) * step / number
+            self._step(phase)
+        self.wait(_REST, phase)
+
+    def close(self) -> None:
+        """Closes the fingers on what is between them."""
+        self.move_fingers(self.config.grip_target, Phase.GRASP)
+
+    def _step(self, phase: Phase) -> None:
+        mujoco.mj_step(self.model, self.data)
+        self.num_steps += 1
+        if self._every and self.num_steps % self._every == 0:
+            self.trace.append(self.data.qpos.copy())
+        self._watch(phase)
+
+    def _watch(self, phase: Phase) -> None:
+        data = self.data
+        if not data.ncon:
+            return
+        geoms = data.contact.geom
+        kinds = self._kind[geoms]
+        force = np.zeros(6)
+        for contact in np.flatnonzero(_UNPLANNED[phase][kinds[:, 0], kinds[:, 1]]):
+            mujoco.mj_contactForce(self.model, data, int(contact), force)
+            if np.linalg.norm(force[:3]) > MAX_FORCE:
+                a, b = (
+                    self.model.body(self.model.geom_bodyid[geom]).name or "ground" for geom in geoms[contact]
+                )
+                raise Failed(Outcome.CONTACT, f"{a} and {b}, {phase.name.lower()}")

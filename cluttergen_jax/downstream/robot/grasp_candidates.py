@@ -1,0 +1,176 @@
+"""Candidates for grasps of an object: antipodal pairs, and the ways in which the hand gets around them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.mjcf import add_object
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.downstream.robot.antipodal import Pairs, Union, sample_pairs
+from cluttergen_jax.downstream.robot.frames import inverse, made, pose_of, shifted
+from cluttergen_jax.downstream.robot.model import MAX_OPENING, TOOL_DEPTH, hand_spec
+
+MIN_COVER = 0.012
+"""Metres of a pad's 17 mm, along and across the approach, that must lie on an object that has so much."""
+SPARE = 0.01
+"""Metres by which each finger is opened wider than the object, where the hand opens so far."""
+OBJECT = "object"
+_LEAST_WIDTH = 0.001
+_PAD = 0.0085
+"""Metres: half the length of a finger's pad along the approach."""
+_SHALLOW = (0.0, 0.005)
+"""Metres by which a grasp's points may lie nearer to the finger's tips than the middle of the pads."""
+_INSIDE = 5e-4
+_STEEPEST_UP = 0.1
+_CLEARANCE = 0.0015
+"""Metres between the hand and the object; the arm is where it should be to a millimetre."""
+_PLANE, _GROUND_GAP, _GROUND_HALF = "plane", 0.001, (0.5, 0.5, 0.05)
+_BACK = (0.0, 0.03, 0.06, 0.1)
+"""Metres before the grasp at which the hand must be clear of the object too."""
+T_HAND_TOOL = made(np.eye(3), np.array([0.0, 0.0, TOOL_DEPTH]))
+
+
+class Candidates(NamedTuple):
+    """C ways to hold an object.
+
+    Attributes:
+      pose: f64[C, 4, 4], T_object_tool. width: f64[C], metres between the fingers.
+      is_low: bool[C], the hand can come there while the object rests on a plane; the others need room below.
+    """
+
+    pose: np.ndarray
+    width: np.ndarray
+    is_low: np.ndarray
+
+    def take(self, index: np.ndarray | slice) -> Candidates:
+        """Those at `index`."""
+        return Candidates(*(each[index] for each in self))
+
+    @property
+    def opening(self) -> np.ndarray:
+        """f64[C]: metres that each finger is from the middle as the hand comes."""
+        return opening_of(self.width)
+
+
+def opening_of(width: np.ndarray) -> np.ndarray:
+    """Metres that each finger is from the middle before it closes on something of this width."""
+    return np.minimum(MAX_OPENING, np.asarray(width) / 2 + SPARE)
+
+
+def candidates_of(asset: ObjectAsset, number: int, num_lines: int, rng: np.random.Generator) -> Candidates:
+    """At most `number` candidates of which the hand is clear where it comes, spread over the object.
+
+    Those that can be had while the object rests on a plane as it does in scenes come first.
+
+    Args:
+      num_lines: lines that are cast to find pairs; half as many ways of approach are looked at.
+    """
+    union = Union(asset.parts)
+    found = _approached(union, sample_pairs(union, num_lines, rng), max(num_lines // 2, 1), rng)
+    found = found.take(spread(found.pose, min(len(found.width), 4 * number), rng))
+    hand = HandCheck(asset)
+    clear = [hand.clear_of(*each) for each in zip(found.pose, found.width, strict=True)]
+    of_object, of_plane = np.array(clear, bool).reshape(-1, 2).T
+    found = found._replace(is_low=of_object & of_plane)
+    order = np.concatenate([np.flatnonzero(found.is_low), np.flatnonzero(of_object & ~of_plane)])
+    return found.take(order[:number])
+
+
+def _approached(union: Union, pairs: Pairs, number: int, rng: np.random.Generator) -> Candidates:
+    """So many poses of the tool about random pairs, deep enough; half of them come from straight above."""
+    wide = np.flatnonzero(pairs.width >= _LEAST_WIDTH)
+    if not wide.size:
+        return Candidates(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, bool))
+    row = rng.choice(wide, number)
+    axis, width, middle = pairs.axis[row], pairs.width[row], pairs.middle[row]
+    down = _downwards(axis)
+    side = np.cross(axis, down)
+    angle = np.where(np.arange(number) % 2, rng.uniform(-np.pi / 2, np.pi / 2, number), 0.0)
+    approach = np.cos(angle)[:, None] * down + np.sin(angle)[:, None] * side
+    shallow = rng.choice(_SHALLOW, number)
+    first = pairs.first[row] + _INSIDE * axis
+    ahead, behind = union.reach(first, approach), union.reach(first, -approach)
+    depth = np.minimum(ahead, _PAD - shallow) + np.minimum(behind, _PAD + shallow)
+    across = np.cross(axis, approach)
+    left, right = union.reach(first, across), union.reach(first, -across)
+    cover = np.minimum(left, _PAD) + np.minimum(right, _PAD)
+    is_deep = (depth >= np.minimum(MIN_COVER, 0.75 * (ahead + behind))) & (
+        cover >= np.minimum(MIN_COVER, 0.75 * (left + right))
+    )
+    keep = is_deep & (approach[:, 2] <= _STEEPEST_UP)
+    turn = np.stack([across, axis, approach], axis=-1)
+    pose = made(turn, middle - shallow[:, None] * approach)[keep]
+    return Candidates(pose, width[keep], np.zeros(len(pose), bool))
+
+
+def _downwards(axis: np.ndarray) -> np.ndarray:
+    """f64[P, 3]: of the directions across each axis the one that points down the most."""
+    down = np.array([0.0, 0.0, -1.0]) + axis * axis[:, 2:]
+    length = np.linalg.norm(down, axis=1, keepdims=True)
+    # Across an upright axis any direction is as good as another.
+    return np.where(length > 1e-3, down / np.maximum(length, 1e-3), np.array([1.0, 0.0, 0.0]))
+
+
+class HandCheck:
+    """Says of which poses the open hand is clear of an object and of the plane that the object rests on.
+
+    Args:
+      asset: the object.
+    """
+
+    def __init__(self, asset: ObjectAsset) -> None:
+        contact = ContactConfig()
+        spec = hand_spec(contact)
+        for geom in spec.geoms:
+            geom.margin = _CLEARANCE
+        body = add_object(spec, asset, OBJECT)
+        below = -asset.half_extents[2] - _GROUND_GAP - _GROUND_HALF[2]
+        body.add_geom(name=_PLANE, type=mujoco.mjtGeom.mjGEOM_BOX, size=_GROUND_HALF, pos=(0.0, 0.0, below))
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._start = int(self._model.joint(OBJECT).qposadr[0])
+        self._plane = self._model.geom(_PLANE).id
+
+    def clear_of(self, pose: np.ndarray, width: float) -> tuple[bool, bool]:
+        """Whether the hand touches neither the object nor the plane at T_object_tool f64[4, 4].
+
+        Nor before, where it comes straight.
+        """
+        data, of_plane = self._data, True
+        data.qpos[: self._start] = opening_of(np.array(width))
+        T_tool_object = inverse(pose)
+        for back in _BACK:
+            T_hand_object = shifted(T_HAND_TOOL, (0.0, 0.0, back)) @ T_tool_object
+            data.qpos[self._start :] = pose_of(T_hand_object)
+            mujoco.mj_kinematics(self._model, data)
+            mujoco.mj_collision(self._model, data)
+            # The plane's distance is allowed for in where it lies.
+            on_plane = (data.contact.geom == self._plane).any(1)
+            if not on_plane.all():
+                return False, False
+            of_plane = of_plane and not (data.contact.dist < 0).any()
+        return True, of_plane
+
+
+def spread(pose: np.ndarray, number: int, rng: np.random.Generator) -> np.ndarray:
+    """i[number]: poses f64[C, 4, 4], each the farthest from those before it.
+
+    Two poses are as far apart as their positions, and as their axes of approach and of closing, where half
+    a turn about the approach changes nothing: a right angle counts as much as 10 cm.
+    """
+    if not len(pose):
+        return np.zeros(0, np.int64)
+    distance = np.full(len(pose), np.inf)
+    chosen = [int(rng.integers(len(pose)))]
+    while len(chosen) < number:
+        near = pose[chosen[-1]]
+        place = np.linalg.norm(pose[:, :3, 3] - near[:3, 3], axis=1)
+        approach = np.arccos(np.clip(pose[:, :3, 2] @ near[:3, 2], -1, 1))
+        closing = np.arccos(np.clip(np.abs(pose[:, :3, 1] @ near[:3, 1]), 0, 1))
+        distance = np.minimum(distance, place + 0.1 * (approach + closing) / (np.pi / 2))
+        chosen.append(int(distance.argmax()))
+    return np.array(chosen[:number], np.int64)

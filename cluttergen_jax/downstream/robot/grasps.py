@@ -1,0 +1,173 @@
+"""Verified grasps of objects, made once for each and kept on disk.
+
+A file is called after the object and the hash of its content, so pools that share an object share its grasps,
+and an object that is changed is looked at anew. Files lie in `grasps` beside the user's own pools.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from mujoco.rollout import Rollout
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.assets.pool import user_root
+from cluttergen_jax.downstream.robot.frames import pose_of
+from cluttergen_jax.downstream.robot.grasp_candidates import candidates_of, spread
+from cluttergen_jax.downstream.robot.grip_test import GripTest, grip_test
+from cluttergen_jax.errors import PoolError
+from cluttergen_jax.files import file_whole
+from cluttergen_jax.progress import Progress
+
+MIN_GRASPS = 8
+"""As many an object needs; one with fewer is named."""
+_VERSION = 1
+_NUM_LINES = 6000
+_CANDIDATES = 4
+"""Times the grasps that are wanted are tested at most."""
+_AT_ONCE = 16
+_COLUMNS = {"width": "metres", "shift": "metres", "slip": "metres", "turn": "radians", "margin": "weights"}
+
+
+@dataclass(frozen=True, eq=False)
+class Grasps:
+    """G verified grasps of one object, spread over it.
+
+    Attributes:
+      name: of the object. hash: of its content.
+      pose: f64[G, 7], T_object_tool: z is the approach, y the direction in which the fingers close.
+      width: f64[G], metres between the fingers.
+      shift: f64[G], metres by which the closing fingers moved the object as it floated.
+      slip, turn: f64[G], metres and radians that it slipped in the test.
+      margin: f64[G], times its weight that it held, at most `grip_test.MAX_LOAD`.
+      is_low: bool[G], the hand can come there while the object rests on a plane.
+      num_tested: candidates that were tested.
+    """
+
+    name: str
+    hash: str
+    pose: np.ndarray
+    width: np.ndarray
+    shift: np.ndarray
+    slip: np.ndarray
+    turn: np.ndarray
+    margin: np.ndarray
+    is_low: np.ndarray
+    num_tested: int
+
+    def __len__(self) -> int:
+        return len(self.width)
+
+
+def make_grasps(asset: ObjectAsset, number: int, seed: int, pool: Rollout) -> Grasps:
+    """Draws candidates for an object and tests them until `number` hold; of those the low ones come first.
+
+    Args:
+      pool: MuJoCo's threads; their number changes nothing.
+    """
+    content = object_hash(asset)
+    # An object's own numbers, whatever pool it is in.
+    rng = np.random.default_rng([seed, int(content[:12], 16)])
+    candidates = candidates_of(asset, _CANDIDATES * number, _NUM_LINES, rng)
+    tests: list[GripTest] = []
+    for first in range(0, len(candidates.width), _AT_ONCE):
+        tests.append(grip_test(asset, candidates.take(slice(first, first + _AT_ONCE)), pool))
+        if sum(int(test.is_held.sum()) for test in tests) >= number:
+            break
+    num_tested = sum(len(test.is_held) for test in tests)
+    result = GripTest(*(np.concatenate(each) for each in zip(*tests, strict=True))) if tests else _NO_TEST
+    held = np.flatnonzero(result.is_held)
+    chosen = held[spread(candidates.pose[held], min(number, len(held)), rng)]
+    chosen = chosen[np.argsort(~candidates.is_low[chosen], kind="stable")]
+    return Grasps(
+        name=asset.name,
+        hash=content,
+        pose=pose_of(candidates.pose[chosen]),
+        width=candidates.width[chosen],
+        shift=result.shift[chosen],
+        slip=result.slip[chosen],
+        turn=result.turn[chosen],
+        margin=result.margin[chosen],
+        is_low=candidates.is_low[chosen],
+        num_tested=num_tested,
+    )
+
+
+_NO_TEST = GripTest(np.zeros(0, bool), *(np.zeros(0) for _ in range(4)))
+
+
+def grasp_file(asset: ObjectAsset, number: int, seed: int) -> Path:
+    """Where the grasps of an object are kept."""
+    name = f"{asset.name}-{object_hash(asset)[:16]}-{number}-{seed}.parquet"
+    return user_root().with_name("grasps") / name
+
+
+def grasps_of(
+    objects: Sequence[ObjectAsset], number: int = 64, seed: int = 0, num_threads: int = 1, fresh: bool = False
+) -> Iterator[Grasps]:
+    """The grasps of objects one after another, from disk where they are kept, and made and kept where not."""
+    with Progress("grasping", len(objects), "object") as progress, Rollout(nthread=num_threads) as pool:
+        for asset in objects:
+            path = grasp_file(asset, number, seed)
+            found = None if fresh else read_grasps(path, asset)
+            if found is None:
+                found = make_grasps(asset, number, seed, pool)
+                write_grasps(path, [found])
+            progress.update(note=f"{len(found)} of {asset.name}")
+            yield found
+
+
+def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
+    """Writes a Parquet file of grasps, a row each; objects without any are named in its metadata."""
+    rows = {
+        "object": [each.name for each in sets for _ in each.width],
+        "hash": [each.hash for each in sets for _ in each.width],
+        "pose": [row for each in sets for row in each.pose.tolist()],
+        **{name: np.concatenate([getattr(each, name) for each in sets]) for name in _COLUMNS},
+        "is_low": np.concatenate([each.is_low for each in sets]),
+    }
+    schema = pa.schema(
+        [
+            ("object", pa.string()),
+            ("hash", pa.string()),
+            pa.field("pose", pa.list_(pa.float64(), 7), metadata={"what": "T_object_tool, metres, wxyz"}),
+            *(pa.field(name, pa.float64(), metadata={"unit": unit}) for name, unit in _COLUMNS.items()),
+            ("is_low", pa.bool_()),
+        ],
+        metadata={
+            "cluttergen_grasps": str(_VERSION),
+            "gripper": "Franka hand; tool frame: z approach, y closing, between the pads",
+            "tested": " ".join(f"{each.name}={each.num_tested}" for each in sets),
+        },
+    )
+    with file_whole(path) as fresh:
+        pq.write_table(pa.table(rows, schema=schema), fresh)
+    return path
+
+
+def read_grasps(path: Path, asset: ObjectAsset) -> Grasps | None:
+    """The grasps of one object in a file; None where there is no file, or one of another version.
+
+    Raises:
+      PoolError: the file is damaged.
+    """
+    if not path.is_file():
+        return None
+    try:
+        table = pq.read_table(path)
+        metadata = {key.decode(): text.decode() for key, text in (table.schema.metadata or {}).items()}
+        if metadata.get("cluttergen_grasps") != str(_VERSION):
+            return None
+        tested = dict(each.split("=") for each in metadata["tested"].split())
+        rows = table.filter(pa.compute.equal(table["hash"], object_hash(asset)))
+        pose = np.array(rows["pose"].to_pylist(), np.float64).reshape(-1, 7)
+        columns = {name: rows[name].to_numpy() for name in (*_COLUMNS, "is_low")}
+        return Grasps(asset.name, object_hash(asset), pose, num_tested=int(tested[asset.name]), **columns)
+    except (pa.ArrowException, KeyError, ValueError) as error:
+        raise PoolError(f"{path}: damaged ({error})", "a file of `robot grasps`", "removing it") from error

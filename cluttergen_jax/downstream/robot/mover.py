@@ -1,0 +1,320 @@
+"""Picking up and putting down: grasps, joints and ways are chosen, then run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
+from cluttergen_jax.downstream.robot.execute import Execution, Phase
+from cluttergen_jax.downstream.robot.frames import angle_between, inverse, matrix_of, pose_of
+from cluttergen_jax.downstream.robot.grasp_candidates import opening_of
+from cluttergen_jax.downstream.robot.grasps import Grasps
+from cluttergen_jax.downstream.robot.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.robot.plan import Planner
+from cluttergen_jax.downstream.robot.timing import timed
+
+APPROACH = (0.10, 0.06)
+"""Metres that the hand comes straight to an object and leaves it, the first that is free."""
+LIFT = 0.12
+"""Metres that an object is lifted, and lowered from."""
+RELEASE = 0.001
+"""Metres over where it shall stand at which an object is let go."""
+TOUCH = 0.01
+"""Metres of lifting and lowering in which an object may touch what it stands on."""
+MAX_SLIP, MAX_TURN = 0.015, np.radians(20)
+"""How far an object may slip in the hand from the closing of the fingers on."""
+CARRY_SHARE = 0.25
+"""Of Franka's limits, while something is held."""
+_UP = np.array([0.0, 0.0, 1.0])
+_FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
+_ARMS = 3
+"""Solutions of the inverse kinematics that are tried for a pose."""
+
+
+class Hold(NamedTuple):
+    """How an object can be had.
+
+    Attributes:
+      T_object_tool: f64[4, 4]. width: metres between the fingers.
+      way: f64[L, 7], joints, to before the object; come: f64[L, 7], from there to it; lift: f64[L, 7].
+    """
+
+    T_object_tool: np.ndarray
+    width: float
+    way: np.ndarray
+    come: np.ndarray
+    lift: np.ndarray
+
+
+class Put(NamedTuple):
+    """How what is held can be put down.
+
+    Attributes:
+      way: f64[L, 7], joints, to above the place; lower: f64[L, 7]; leave: f64[L, 7], out of the hand.
+    """
+
+    way: np.ndarray
+    lower: np.ndarray
+    leave: np.ndarray
+
+
+class Mover:
+    """Moves one object of a scene that it knows wholly.
+
+    Args:
+      execution: the simulation; world: its copy for planning; target: the object's number.
+      seed: of what is drawn; equal seeds do the same.
+    """
+
+    def __init__(
+        self,
+        execution: Execution,
+        world: PlanningWorld,
+        kinematics: ArmKinematics,
+        target: int,
+        seed: int,
+    ) -> None:
+        self.execution, self.world, self.kinematics, self.target = execution, world, kinematics, target
+        self.planner = Planner(world, kinematics)
+        self._rng, self._seed = np.random.default_rng(seed), seed
+        self._opening = 0.0
+        self._T_tool_object = np.eye(4)
+        self._known: tuple[int, np.ndarray] | None = None
+
+    # Picking up
+
+    def find_hold(self, grasps: Grasps, places: np.ndarray | None = None) -> Hold:
+        """The first grasp that is free of contact, reached, and left upwards with the object.
+
+        Args:
+          places: f64[M, 4, 4], T_world_object where the object shall come; at one of them at least the same
+            grasp must be possible too.
+
+        Raises:
+          Failed: no grasp, no joints for one, or no way to one.
+        """
+        T_world_object = self.execution.pose(self.target)
+        self._see()
+        has_free = has_joints = False
+        for T_object_tool, width in self._ranked(grasps, T_world_object):
+            T_world_tool, opening = T_world_object @ T_object_tool, float(opening_of(np.array(width)))
+            for joints in self.kinematics.solutions(T_world_tool, _ARMS, self._rng):
+                has_joints = True
+                if not self.world.is_free(joints, opening, Mode.COME):
+                    continue
+                has_free = True
+                if places is not None and not self._fits(T_object_tool, places, opening):
+                    break
+                hold = self._hold(joints, T_object_tool, width, T_world_tool, opening)
+                if hold is not None:
+                    return hold
+        if not has_joints:
+            raise Failed(Outcome.NO_IK if len(grasps) else Outcome.NO_GRASP)
+        raise Failed(Outcome.NO_PATH if has_free else Outcome.NO_GRASP, "to pick it up")
+
+    def pick(self, hold: Hold) -> None:
+        """Runs it: the object is lifted by `LIFT` afterwards.
+
+        Raises:
+          Failed: an unplanned contact, or the object was lost.
+        """
+        run, opening = self.execution, float(opening_of(np.array(hold.width)))
+        self._opening = opening
+        run.move_fingers(opening, Phase.FREE, 0.2)
+        run.follow(timed(hold.way, run.step_time), Phase.FREE)
+        run.follow(timed(hold.come, run.step_time, CARRY_SHARE), Phase.FREE)
+        run.wait(0.1, Phase.FREE)
+        run.close()
+        before = self._in_hand()
+        first, rest = _split(hold.lift, self.kinematics, TOUCH)
+        run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.TOUCH)
+        self._carry(rest, before)
+
+    def _ranked(self, grasps: Grasps, T_world_object: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
+        """The grasps, those that come from above and hold well first, and each turned about the approach."""
+        pose = matrix_of(grasps.pose)
+        down = -(T_world_object[:3, :3] @ pose[:, :3, 2, None])[:, 2, 0]
+        # A centimetre of slip or of shift counts as much as half a turn from straight down.
+        worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip)
+        for index in np.argsort(-worth, kind="stable"):
+            for turn in (np.eye(4), _FLIP):
+                yield pose[index] @ turn, float(grasps.width[index])
+
+    def _fits(self, T_object_tool: np.ndarray, places: np.ndarray, opening: float) -> bool:
+        """Whether the hand can put the object down at one of the places, and leave it there; keeps how."""
+        stood, T_tool_object = self.execution.poses()[self.target], inverse(T_object_tool)
+        try:
+            for number, place in enumerate(places):
+                target = _tool_at(place, T_tool_object)
+                for joints in self.kinematics.solutions(target, _ARMS, self._rng):
+                    if self._lowering(joints, place, T_tool_object, opening) is not None:
+                        self._known = number, joints
+                        return True
+            return False
+        finally:
+            self.world.release(stood)
+
+    def _hold(
+        self,
+        joints: np.ndarray,
+        T_object_tool: np.ndarray,
+        width: float,
+        T_world_tool: np.ndarray,
+        opening: float,
+    ) -> Hold | None:
+        back = self._back(joints, T_world_tool, opening)
+        if back is None:
+            return None
+        stood = self.execution.poses()[self.target]
+        self.world.hold(inverse(T_object_tool))
+        lift = self.planner.line(joints, LIFT * _UP, opening, Mode.CARRY)
+        self.world.release(stood)
+        if lift is None:
+            return None
+        way = self.planner.connect(self.execution.set_point, back[-1], opening, self._next_seed())
+        return None if way is None else Hold(T_object_tool, width, way, back[::-1], lift)
+
+    # Putting down
+
+    def put(self, places: np.ndarray) -> int:
+        """Puts down what is held at the first of places f64[M, 4, 4] (T_world_object) that works, and leaves.
+
+        Returns:
+          Which of them it was.
+
+        Raises:
+          Failed: none is reached, an unplanned contact, or the object slipped.
+        """
+        has_joints = False
+        for number, place in enumerate(places):
+            for joints in self._arms(number, _tool_at(place, self._T_tool_object)):
+                has_joints = True
+                found = self._put(joints, place)
+                if found is not None:
+                    self._run_put(found, place)
+                    return number
+        raise Failed(Outcome.NO_PATH if has_joints else Outcome.NO_IK, "to put it down")
+
+    def _arms(self, number: int, T_world_tool: np.ndarray) -> list[np.ndarray]:
+        """Joints f64[7] that put the object down at a place, those first that were found beforehand."""
+        known = None
+        if self._known is not None and self._known[0] == number:
+            known = self.kinematics.solve(T_world_tool, self._known[1])
+        others = self.kinematics.solutions(T_world_tool, 2 * _ARMS, self._rng)
+        return others if known is None else [known, *others]
+
+    def _put(self, joints: np.ndarray, place: np.ndarray) -> Put | None:
+        found = self._lowering(joints, place, self._T_tool_object, self._opening)
+        if found is None:
+            return None
+        lift, leave = found
+        self.world.hold(self._T_tool_object)
+        way = self.planner.connect(self.execution.set_point, lift[-1], self._opening, self._next_seed())
+        return None if way is None else Put(way, lift[::-1], leave)
+
+    def _lowering(
+        self, joints: np.ndarray, place: np.ndarray, T_tool_object: np.ndarray, opening: float
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Joints f64[L, 7] straight up from where the object is put down, and out of the hand."""
+        self.world.hold(T_tool_object)
+        lift = self.planner.line(joints, LIFT * _UP, opening, Mode.CARRY)
+        if lift is None or not self.world.is_free(lift[-1], opening):
+            return None
+        self.world.release(pose_of(place))
+        leave = self._back(joints, _tool_at(place, T_tool_object), opening)
+        return None if leave is None else (lift, leave)
+
+    def _run_put(self, put: Put, place: np.ndarray) -> None:
+        run = self.execution
+        before = self._T_tool_object
+        self._carry(put.way, before)
+        lower = self._corrected(put.lower, place)
+        upper, last = _split(lower, self.kinematics, TOUCH, from_end=True)
+        self._carry(upper, self._T_tool_object, rest=0.0)
+        run.follow(timed(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH)
+        run.wait(0.2, Phase.TOUCH)
+        run.move_fingers(self._opening, Phase.TOUCH)
+        leave = self.kinematics.line(run.set_point, self._leaving(put.leave))
+        first, rest = _split(put.leave if leave is None else leave, self.kinematics, TOUCH)
+        run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.GRASP)
+        run.follow(timed(rest, run.step_time), Phase.FREE)
+
+    def _corrected(self, lower: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """The way down, with the object as it really lies in the hand."""
+        start = self.kinematics.solve(_raised(_tool_at(place, self._T_tool_object), LIFT), lower[0])
+        path = None if start is None else self.kinematics.line(start, -LIFT * _UP)
+        return lower if path is None else np.concatenate([self.execution.set_point[None], path])
+
+    def _leaving(self, leave: np.ndarray) -> np.ndarray:
+        return self.kinematics.tool(leave[-1])[:3, 3] - self.kinematics.tool(leave[0])[:3, 3]
+
+    # What both need
+
+    def _back(self, joints: np.ndarray, T_world_tool: np.ndarray, opening: float) -> np.ndarray | None:
+        """Joints along a straight line out of a grasp."""
+        for distance in APPROACH:
+            path = self.planner.line(joints, -distance * T_world_tool[:3, 2], opening, Mode.COME)
+            if path is not None and self.world.is_free(path[-1], opening):
+                return path
+        return None
+
+    def _see(self) -> None:
+        """Objects stand in the copy for planning where they stand."""
+        for number, pose in enumerate(self.execution.poses()):
+            if number != self.target:
+                self.world.move(number, pose)
+        self.world.release(self.execution.poses()[self.target])
+
+    def _in_hand(self) -> np.ndarray:
+        self._T_tool_object = inverse(self.execution.tool) @ self.execution.pose(self.target)
+        return self._T_tool_object
+
+    def _carry(self, path: np.ndarray, before: np.ndarray, rest: float = 0.2) -> None:
+        """Moves what is held; where it touches something because it slipped, the slip is the cause."""
+        try:
+            self.execution.follow(timed(path, self.execution.step_time, CARRY_SHARE), Phase.CARRY)
+            self.execution.wait(rest, Phase.CARRY)
+        except Failed:
+            self._check_slip(before, TOUCH / 2)
+            raise
+        self._check_slip(before)
+
+    def _check_slip(self, before: np.ndarray, most: float = MAX_SLIP) -> None:
+        now = self._in_hand()
+        # Of the object's point that was between the fingers.
+        moved = np.linalg.norm((now @ inverse(before))[:3, 3])
+        turned = float(angle_between(now, before))
+        if moved > most or turned > MAX_TURN:
+            raise Failed(Outcome.SLIP, f"{1e3 * moved:.0f} mm, {np.degrees(turned):.0f} deg")
+
+    def _next_seed(self) -> int:
+        self._seed += 1
+        return self._seed
+
+
+def _tool_at(place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray:
+    """f64[4, 4]: T_world_tool that holds an object just above a place."""
+    return _raised(place, RELEASE) @ inverse(T_tool_object)
+
+
+def _raised(matrix: np.ndarray, height: float) -> np.ndarray:
+    """A pose moved along the world's z."""
+    moved = matrix.copy()
+    moved[2, 3] += height
+    return moved
+
+
+def _split(
+    path: np.ndarray, kinematics: ArmKinematics, distance: float, from_end: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """A straight way in two, of which the first is `distance` metres long, or the last."""
+    places = np.array([kinematics.tool(joints)[:3, 3] for joints in path])
+    end = places[-1] if from_end else places[0]
+    far = np.linalg.norm(places - end, axis=1) > distance
+    cut = int(np.flatnonzero(far)[-1 if from_end else 0]) if far.any() else len(path) // 2
+    cut = min(max(cut, 1), len(path) - 2)
+    return path[: cut + 1], path[cut:]

