@@ -66,6 +66,8 @@ class PlacerEval(Options):
 class Placer:
     """Stable placement from one camera's view: `placer data`, `placer train` and `placer eval`.
 
+    Example: `cluttergen placer data --num-scenes 500 --pool household --out pairs`
+
     Attributes:
       action: what to do.
     """

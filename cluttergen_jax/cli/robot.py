@@ -41,6 +41,8 @@ class RobotPlace(Options):
 class Robot:
     """A robot arm in simulation: `robot grasps` and `robot place`.
 
+    Example: `cluttergen robot grasps household`
+
     Attributes:
       action: what to do.
     """

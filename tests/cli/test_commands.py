@@ -16,6 +16,7 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.commands import COMMANDS, load, overview
 from cluttergen_jax.cli.main import main, parsed
+from cluttergen_jax.downstream.suite import NAME as DOWNSTREAM
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.evaluation.suites import FORMER_NAMES, SUITES
 from cluttergen_jax.generation import generate, make_sampler
@@ -94,7 +95,7 @@ def test_the_table_of_commands_says_what_their_docstrings_say():
         (config.Method, METHODS),
         (config.Preset, PRESETS),
         (config.Change, REGION_CHANGES),
-        (config.Suite, (*SUITES, *FORMER_NAMES)),
+        (config.Suite, (*SUITES, DOWNSTREAM, *FORMER_NAMES)),
         (config.ExportFormat, FORMATS),
     ],
 )
