@@ -52,7 +52,7 @@ def placer_train(
       PoolError: `encoder_weights` does not hold what the encoders need.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
-    from cluttergen_jax.downstream.placer.training.lessons import LessonSource
+    from cluttergen_jax.downstream.placer.training.examples import ExampleSource
     from cluttergen_jax.downstream.placer.training.presets import preset as preset_of
     from cluttergen_jax.downstream.placer.training.run import PlacerTraining
     from cluttergen_jax.placement.setup import check_range
@@ -70,7 +70,7 @@ def placer_train(
         learning_rate=learning_rate,
         seed=seed,
     )
-    source = LessonSource(tuple(Path(each) for each in folders), noise, seed, num_pairs)
+    source = ExampleSource(tuple(Path(each) for each in folders), noise, seed, num_pairs)
     folder = Path(out or f"runs/placer-{head}-{seed}")
     show(f"run        {folder}")
     return PlacerTraining(found, config, source, folder, show).run()

@@ -1,1 +1,1 @@
-"""What is done with scenes: stable placement from what a camera sees."""
+"""What scenes are used for: stable placement from what a camera sees, and a robot arm."""

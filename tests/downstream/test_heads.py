@@ -19,8 +19,8 @@ from cluttergen_jax.downstream.placer.heads.mixture import MixtureConfig, Mixtur
 from cluttergen_jax.downstream.placer.heads.regression import (
     Clouds,
     RegressionConfig,
+    RegressionExample,
     RegressionHead,
-    RegressionLesson,
 )
 from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead, lowered
 from cluttergen_jax.downstream.placer.heads.trained import (
@@ -32,8 +32,8 @@ from cluttergen_jax.downstream.placer.heads.trained import (
 from cluttergen_jax.downstream.placer.map_search import APART
 from cluttergen_jax.downstream.placer.proposers import find_placer
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
+from cluttergen_jax.downstream.placer.training.examples import joined_examples, num_examples, taken
 from cluttergen_jax.downstream.placer.training.fitting import FitConfig, best_temperature
-from cluttergen_jax.downstream.placer.training.lessons import joined_lessons, num_lessons, taken
 from cluttergen_jax.downstream.placer.training.presets import preset
 from cluttergen_jax.downstream.placer.training.run import PlacerTraining
 from cluttergen_jax.errors import ConfigError, PoolError
@@ -42,7 +42,7 @@ from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.search import CLEARANCE
-from tests.helpers.queries import HALF, TALL, made_up_lessons, made_up_query, stacked
+from tests.helpers.queries import HALF, TALL, made_up_examples, made_up_query, stacked
 
 HEADS = {
     "scored": ScoredHead(ScoredConfig(8, 16, 16, 32, 16, 4, 2)),
@@ -58,8 +58,8 @@ own_shape, lowered = jax.jit(own_shape), jax.jit(lowered)
 
 
 @pytest.fixture(scope="module")
-def lessons():
-    return made_up_lessons(8)
+def examples():
+    return made_up_examples(8)
 
 
 @jax.jit
@@ -67,9 +67,9 @@ def answered(placer, keys, queries):
     return jax.vmap(placer)(keys, queries)
 
 
-def proposed(placer, lessons):
+def proposed(placer, examples):
     """What a placer proposes for three queries."""
-    queries = jax.tree.map(lambda leaf: leaf[:3], lessons.query)
+    queries = jax.tree.map(lambda leaf: leaf[:3], examples.query)
     return answered(placer, jax.random.split(jax.random.key(0), 3), queries)
 
 
@@ -153,17 +153,17 @@ def test_a_lowered_object_just_clears_what_was_seen():
     assert picture.shape == (20, CROP_SIDE, CROP_SIDE, 7)
 
 
-def test_padded_queries_are_read_as_before(lessons):
+def test_padded_queries_are_read_as_before(examples):
     """Worlds of other sizes are joined: maps and under-sides are padded, and nothing that is read changes."""
     small = stacked([made_up_query()])
-    large = lessons.replace(
-        query=lessons.query.replace(
-            heights=_wider(lessons.query.heights), ceilings=_wider(lessons.query.ceilings)
+    large = examples.replace(
+        query=examples.query.replace(
+            heights=_wider(examples.query.heights), ceilings=_wider(examples.query.ceilings)
         )
     )
-    one = taken(lessons, np.arange(1)).replace(query=small)
-    both = joined_lessons([one, large])
-    assert num_lessons(both) == 9
+    one = taken(examples, np.arange(1)).replace(query=small)
+    both = joined_examples([one, large])
+    assert num_examples(both) == 9
     first = jax.tree.map(lambda leaf: leaf[0], both)
     alone = jax.tree.map(lambda leaf: leaf[0], one)
     before, after = (np.asarray(features_of(each.query, each.candidate)) for each in (alone, first))
@@ -179,9 +179,9 @@ def _wider(heights):
 
 
 @pytest.mark.parametrize("name", HEADS)
-def test_placers_propose_under_jit_and_vmap(name, lessons):
+def test_placers_propose_under_jit_and_vmap(name, examples):
     head = HEADS[name]
-    found = proposed(head.placer(jax.jit(head.init)(jax.random.key(1)), 1.5), lessons)
+    found = proposed(head.placer(jax.jit(head.init)(jax.random.key(1)), 1.5), examples)
     assert found.pose.shape == (3, NUM_PROPOSALS, 4)
     assert np.isfinite(found.pose).all()
     if name == "regression":
@@ -199,14 +199,14 @@ def test_placers_propose_under_jit_and_vmap(name, lessons):
         assert np.isnan(scores).all()
 
 
-def one_lesson(yaw):
+def one_example(yaw):
     clouds = Clouds(
         *(np.zeros((1, 64, 3)), np.ones((1, 64), bool)),
         np.zeros((1, 32, 3)),
         np.ones((1, 2)),
         np.ones((1, 3)),
     )
-    return RegressionLesson(clouds, np.array([[0.1, 0.0, 0.2, yaw]], np.float32))
+    return RegressionExample(clouds, np.array([[0.1, 0.0, 0.2, yaw]], np.float32))
 
 
 @pytest.fixture(scope="module")
@@ -219,7 +219,7 @@ def test_the_printed_loss_weighs_each_error_by_the_others_share(params):
 
     def of(name):
         def part(params):
-            total, parts = head.loss(params, one_lesson(0.5), jax.random.key(0))
+            total, parts = head.loss(params, one_example(0.5), jax.random.key(0))
             return parts.get(name, total)
 
         return part
@@ -239,9 +239,9 @@ def test_a_whole_turn_makes_no_difference_to_the_symmetric_loss(params):
     printed = HEADS["regression"]
     symmetric = dataclasses.replace(printed, config=dataclasses.replace(printed.config, loss="symmetric"))
     parts = jax.jit(
-        lambda params, lesson: [head.loss(params, lesson, None)[1]["turn"] for head in (printed, symmetric)]
+        lambda params, example: [head.loss(params, example, None)[1]["turn"] for head in (printed, symmetric)]
     )
-    once, again = (np.array(parts(params, one_lesson(0.5 + turn))) for turn in (0, 2 * np.pi))
+    once, again = (np.array(parts(params, one_example(0.5 + turn))) for turn in (0, 2 * np.pi))
     assert once[1] == pytest.approx(again[1], rel=1e-4)
     # q and -q turn alike and are told apart by the printed one.
     assert abs(once[0] - again[0]) > 0.1
@@ -259,14 +259,14 @@ def test_the_temperature_that_spread_the_logits_is_found(true):
 
 
 class Taught:
-    """A source of a few lessons."""
+    """A source of a few examples."""
 
     @property
     def record(self):
         return {"made": "up"}
 
     def load(self, split):
-        return made_up_lessons(4) if split == "val" else made_up_lessons(8)
+        return made_up_examples(4) if split == "val" else made_up_examples(8)
 
 
 CONFIG = FitConfig(num_epochs=4, batch_size=4, learning_rate=1e-2)
@@ -334,14 +334,14 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(runs, tmp_path, monkeyp
 
 
 @pytest.mark.parametrize("name", HEADS)
-def test_a_stored_placer_proposes_what_it_did(name, tmp_path, lessons):
+def test_a_stored_placer_proposes_what_it_did(name, tmp_path, examples):
     head = HEADS[name]
     # What half precision can hold, so that what is stored is what was there.
     drawn = jax.jit(head.init)(jax.random.key(2))
     params = jax.tree.map(lambda leaf: np.asarray(leaf, np.float16).astype(np.float32), drawn)
     record = {"kind": "placer", "head": name, "network": dataclasses.asdict(head.config), "temperature": 1.5}
     save_policy(tmp_path, params, record)
-    there, back = (proposed(each, lessons) for each in (head.placer(params, 1.5), load_placer(tmp_path)))
+    there, back = (proposed(each, examples) for each in (head.placer(params, 1.5), load_placer(tmp_path)))
     np.testing.assert_array_equal(there.pose, back.pose)
     np.testing.assert_array_equal(there.score, back.score)
 

@@ -15,7 +15,7 @@ from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.downstream.robot import execute as robot_execute
 from cluttergen_jax.downstream.robot import plan as robot_plan
 from cluttergen_jax.downstream.robot.collision import CLEARANCE, Kind, Mode, PlanningWorld
-from cluttergen_jax.downstream.robot.episode import Lab, lift_episode, place_episode, stand_beside
+from cluttergen_jax.downstream.robot.episode import EpisodeWorld, lift_episode, place_episode, stand_beside
 from cluttergen_jax.downstream.robot.execute import Phase
 from cluttergen_jax.downstream.robot.frames import angle_between, made, pose_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
@@ -245,30 +245,32 @@ def test_causes_of_failure_are_told_apart(grasps):
 
 
 def test_an_unplanned_contact_stops_the_arm(kinematics):
-    lab = Lab(SCENE, TARGET, (), 0)
+    episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
     start = kinematics.solutions(made(DOWN, np.array([0.15, 0.0, TOP + 0.15])), 1, np.random.default_rng(0))[
         0
     ]
-    lab.execution.follow(timed(np.linspace(kinematics.home, start, 20), 1 / 960), Phase.FREE)
+    episode_world.execution.follow(timed(np.linspace(kinematics.home, start, 20), 1 / 960), Phase.FREE)
     with pytest.raises(Failed) as told:
-        lab.execution.follow(timed(kinematics.line(start, np.array([0, 0, -0.12])), 1 / 960), Phase.FREE)
+        episode_world.execution.follow(
+            timed(kinematics.line(start, np.array([0, 0, -0.12])), 1 / 960), Phase.FREE
+        )
     assert told.value.outcome == Outcome.CONTACT
     assert "cube" in told.value.detail or "wall" in told.value.detail
 
 
 def test_what_moved_and_what_does_not_stay_are_found():
-    lab = Lab(SCENE, TARGET, (), 0)
-    lab.check_others()
-    low = lab.execution.model.body("low").id
-    lab.execution.data.xfrc_applied[low, 0] = 3.0
-    lab.execution.wait(0.2, Phase.FREE)
+    episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
+    episode_world.check_others()
+    low = episode_world.execution.model.body("low").id
+    episode_world.execution.data.xfrc_applied[low, 0] = 3.0
+    episode_world.execution.wait(0.2, Phase.FREE)
     with pytest.raises(Failed) as told:
-        lab.check_others()
+        episode_world.check_others()
     assert (told.value.outcome, told.value.detail) == (Outcome.DISPLACED, "low")
-    lab = Lab(SCENE, TARGET, (), 0)
-    lab.execution.data.xfrc_applied[lab.execution.model.body("cube").id, 0] = 3.0
+    episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
+    episode_world.execution.data.xfrc_applied[episode_world.execution.model.body("cube").id, 0] = 3.0
     with pytest.raises(Failed) as told:
-        lab.check_stands()
+        episode_world.check_stands()
     assert told.value.outcome == Outcome.UNSTABLE
 
 

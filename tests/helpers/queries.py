@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from cluttergen_jax.downstream.placer.heads.head import Lesson
+from cluttergen_jax.downstream.placer.heads.head import Example
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
 from cluttergen_jax.placement.search.fit import UnderSide
@@ -49,8 +49,8 @@ def made_up_query(standing=(0.05, 0.0), half=(0.03, 0.02, 0.04), shadow=0.05, se
     )
 
 
-def made_up_lesson(seed, **query):
-    """A lesson of one such query: poses on the bare top stand unless they meet the box or its shadow."""
+def made_up_example(seed, **query):
+    """An example of one such query: poses on the bare top stand unless they meet the box or its shadow."""
     rng = np.random.default_rng(seed)
     standing = rng.uniform(-0.08, 0.08, 2)
     asked = made_up_query(standing, seed=seed, **query)
@@ -59,12 +59,12 @@ def made_up_lesson(seed, **query):
     pose = np.column_stack([xy, np.full(NUM_LABELS, 0.041), rng.uniform(0, 6.28, NUM_LABELS)])
     target = np.array([*np.clip(-standing, -0.1, 0.1), 0.04, rng.uniform(-3, 3)], np.float32)
     verdict = np.where(is_near, int(Verdict.PENETRATING), int(Verdict.STABLE)).astype(np.uint8)
-    return Lesson(asked, target, pose.astype(np.float32), verdict)
+    return Example(asked, target, pose.astype(np.float32), verdict)
 
 
-def made_up_lessons(number, **query):
+def made_up_examples(number, **query):
     """So many, with a leading axis."""
-    return stacked([made_up_lesson(seed, **query) for seed in range(number)])
+    return stacked([made_up_example(seed, **query) for seed in range(number)])
 
 
 def stacked(parts):

@@ -24,7 +24,7 @@ APART = 0.03
 """Metres in plan between two proposals for one query."""
 
 
-class Looked(struct.PyTreeNode):
+class MapCandidates(struct.PyTreeNode):
     """N candidates on one map, wholly looked at.
 
     Attributes:
@@ -42,7 +42,7 @@ class Looked(struct.PyTreeNode):
         height = self.scores.fit.rest + CLEARANCE
         return jnp.column_stack([self.candidates.xy, height, self.candidates.yaw])
 
-    def take(self, index: Array) -> Looked:
+    def take(self, index: Array) -> MapCandidates:
         """The candidates at `index`, i32[M]."""
         # One of the leaves, the attempt, is a single number for all candidates.
         return jax.tree.map(lambda leaf: leaf[index] if leaf.ndim else leaf, self)
@@ -54,12 +54,12 @@ def draw(key: Array, query: PlacementQuery, number: int) -> Candidates:
     return draw_candidates(key, make_region(zero, query.region_half_extents, 0.0, 0.0), number)
 
 
-def look(query: PlacementQuery, heights: HeightMap, candidates: Candidates) -> Looked:
+def look(query: PlacementQuery, heights: HeightMap, candidates: Candidates) -> MapCandidates:
     """How the object would lie at each candidate, if `heights` were the scene."""
     scores = _scores(query, heights, candidates, query.under)
     support = support_share(query.under, heights, candidates, scores.fit.rest)
     scores = scores.replace(support=support)
-    return Looked(candidates, scores, cost_of_lowest_fit(scores))
+    return MapCandidates(candidates, scores, cost_of_lowest_fit(scores))
 
 
 def finalists(key: Array, query: PlacementQuery, heights: HeightMap, config: SearchConfig) -> Candidates:
@@ -69,7 +69,7 @@ def finalists(key: Array, query: PlacementQuery, heights: HeightMap, config: Sea
     return candidates.take(jax.lax.top_k(-cost_of_lowest_fit(coarse), config.num_finalists)[1])
 
 
-def search(key: Array, query: PlacementQuery, heights: HeightMap, config: SearchConfig) -> Looked:
+def search(key: Array, query: PlacementQuery, heights: HeightMap, config: SearchConfig) -> MapCandidates:
     """The finalists of many random poses, wholly looked at, as the baseline `drop` finds them."""
     return look(query, heights, finalists(key, query, heights, config))
 

@@ -78,7 +78,7 @@ def _low_side(box: Box, yaw: float, center: np.ndarray) -> float:
     return float(turned(corners, -yaw)[:, 1].min())
 
 
-class Lab:
+class EpisodeWorld:
     """An episode's world: the simulation and its copy for planning.
 
     Args:
@@ -101,8 +101,8 @@ class Lab:
         self.scene, self.target = scene, target
         base = base_pose(scene.support, config)
         self.execution = Execution(scene, target, stands, config, every)
-        world = PlanningWorld(scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
-        self.mover = Mover(self.execution, world, ArmKinematics(base), target, seed)
+        planning = PlanningWorld(scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
+        self.mover = Mover(self.execution, planning, ArmKinematics(base), target, seed)
         self._others = [k for k in range(len(scene.names)) if k != target]
         self.displaced = 0.0
 
@@ -139,13 +139,13 @@ class Lab:
 
 def lift_episode(scene: Scene, target: int, grasps: Grasps, seed: int, every: int = 0) -> EpisodeResult:
     """One object is lifted by `mover.LIFT` out of those that stand around it."""
-    episode_lab = Lab(scene, target, (), seed, every=every)
+    episode_lab = EpisodeWorld(scene, target, (), seed, every=every)
 
-    def run(lab: Lab) -> int:
-        height = lab.execution.pose(target)[2, 3]
-        lab.mover.pick(lab.mover.find_hold(grasps))
-        lab.check_others()
-        if lab.execution.pose(target)[2, 3] < height + 0.8 * LIFT:
+    def run(world: EpisodeWorld) -> int:
+        height = world.execution.pose(target)[2, 3]
+        world.mover.pick(world.mover.find_hold(grasps))
+        world.check_others()
+        if world.execution.pose(target)[2, 3] < height + 0.8 * LIFT:
             raise Failed(Outcome.SLIP, "not lifted")
         return 0
 
@@ -170,16 +170,16 @@ def place_episode(
     start = np.array([*stand.center[:2], scene.support.top + asset.resting[0].height, *quaternion])
     poses = scene.poses.copy()
     poses[target] = start
-    episode_lab = Lab(replace(scene, poses=poses), target, (stand,), seed, every=every)
+    episode_lab = EpisodeWorld(replace(scene, poses=poses), target, (stand,), seed, every=every)
     wanted = matrix_of(places)
 
-    def run(lab: Lab) -> int:
-        lab.mover.pick(lab.mover.find_hold(grasps, wanted))
-        lab.check_others()
-        used = lab.mover.put(wanted)
-        lab.check_others()
-        lab.check_stands()
-        _check_region(scene, target, lab.execution.pose(target))
+    def run(world: EpisodeWorld) -> int:
+        world.mover.pick(world.mover.find_hold(grasps, wanted))
+        world.check_others()
+        used = world.mover.put(wanted)
+        world.check_others()
+        world.check_stands()
+        _check_region(scene, target, world.execution.pose(target))
         return used
 
     return _ended(episode_lab, run, wanted)
@@ -193,29 +193,31 @@ def _check_region(scene: Scene, target: int, pose: np.ndarray) -> None:
         raise Failed(Outcome.OUTSIDE, scene.names[target])
 
 
-def _ended(lab: Lab, run: Callable[[Lab], int], wanted: np.ndarray | None) -> EpisodeResult:
+def _ended(
+    world: EpisodeWorld, run: Callable[[EpisodeWorld], int], wanted: np.ndarray | None
+) -> EpisodeResult:
     begun, proposal = time.process_time(), -1
     try:
-        proposal = run(lab)
+        proposal = run(world)
         outcome, detail = Outcome.SUCCESS, ""
     except Failed as failure:
         outcome, detail = failure.outcome, failure.detail
     error = turn_error = z_error = float("nan")
     if wanted is not None and proposal >= 0:
-        pose, place = lab.execution.pose(lab.target), wanted[proposal]
+        pose, place = world.execution.pose(world.target), wanted[proposal]
         error = float(np.linalg.norm(pose[:2, 3] - place[:2, 3]))
         z_error = float(pose[2, 3] - place[2, 3])
         turn_error = float(angle_between(pose, place))
     return EpisodeResult(
         outcome=str(outcome),
         detail=detail,
-        object=lab.scene.objects[lab.target].name,
-        num_others=len(lab.scene.names) - 1,
+        object=world.scene.objects[world.target].name,
+        num_others=len(world.scene.names) - 1,
         error=error,
         turn_error=turn_error,
         z_error=z_error,
-        displaced=lab.displaced,
+        displaced=world.displaced,
         proposal=proposal,
-        seconds=lab.execution.num_steps * lab.execution.step_time,
+        seconds=world.execution.num_steps * world.execution.step_time,
         cpu=time.process_time() - begun,
     )

@@ -1,4 +1,4 @@
-"""Execution: the arm's motors alone move the arm, and what it touches is watched.
+"""Execution: the arm's actuators alone move the arm, and what it touches is watched.
 
 After the start nothing is ever written into the state of the simulation: set-points of servos go in, and
 poses that a perfect camera would see come out.

@@ -1,4 +1,4 @@
-"""Picking up and putting down: grasps, joints and ways are chosen, then run."""
+"""Picking up and putting down: grasps, joints and paths are chosen, then run."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ class Hold(NamedTuple):
 
     Attributes:
       T_object_tool: f64[4, 4]. width: metres between the fingers.
-      way: f64[L, 7], joints, to before the object; come: f64[L, 7], from there to it; lift: f64[L, 7].
+      path: f64[L, 7], joints, to before the object; come: f64[L, 7], from there to it; lift: f64[L, 7].
     """
 
     T_object_tool: np.ndarray
     width: float
-    way: np.ndarray
+    path: np.ndarray
     come: np.ndarray
     lift: np.ndarray
 
@@ -54,10 +54,10 @@ class Put(NamedTuple):
     """How what is held can be put down.
 
     Attributes:
-      way: f64[L, 7], joints, to above the place; lower: f64[L, 7]; leave: f64[L, 7], out of the hand.
+      path: f64[L, 7], joints, to above the place; lower: f64[L, 7]; leave: f64[L, 7], out of the hand.
     """
 
-    way: np.ndarray
+    path: np.ndarray
     lower: np.ndarray
     leave: np.ndarray
 
@@ -95,7 +95,7 @@ class Mover:
             grasp must be possible too.
 
         Raises:
-          Failed: no grasp, no joints for one, or no way to one.
+          Failed: no grasp, no joints for one, or no path to one.
         """
         T_world_object = self.execution.pose(self.target)
         self._see()
@@ -125,7 +125,7 @@ class Mover:
         run, opening = self.execution, float(opening_of(np.array(hold.width)))
         self._opening = opening
         run.move_fingers(opening, Phase.FREE, 0.2)
-        run.follow(timed(hold.way, run.step_time), Phase.FREE)
+        run.follow(timed(hold.path, run.step_time), Phase.FREE)
         run.follow(timed(hold.come, run.step_time, CARRY_SHARE), Phase.FREE)
         run.wait(0.1, Phase.FREE)
         run.close()
@@ -175,8 +175,8 @@ class Mover:
         self.world.release(stood)
         if lift is None:
             return None
-        way = self.planner.connect(self.execution.set_point, back[-1], opening, self._next_seed())
-        return None if way is None else Hold(T_object_tool, width, way, back[::-1], lift)
+        path = self.planner.connect(self.execution.set_point, back[-1], opening, self._next_seed())
+        return None if path is None else Hold(T_object_tool, width, path, back[::-1], lift)
 
     # Putting down
 
@@ -213,8 +213,8 @@ class Mover:
             return None
         lift, leave = found
         self.world.hold(self._T_tool_object)
-        way = self.planner.connect(self.execution.set_point, lift[-1], self._opening, self._next_seed())
-        return None if way is None else Put(way, lift[::-1], leave)
+        path = self.planner.connect(self.execution.set_point, lift[-1], self._opening, self._next_seed())
+        return None if path is None else Put(path, lift[::-1], leave)
 
     def _lowering(
         self, joints: np.ndarray, place: np.ndarray, T_tool_object: np.ndarray, opening: float
@@ -231,7 +231,7 @@ class Mover:
     def _run_put(self, put: Put, place: np.ndarray) -> None:
         run = self.execution
         before = self._T_tool_object
-        self._carry(put.way, before)
+        self._carry(put.path, before)
         lower = self._corrected(put.lower, place)
         upper, last = _split(lower, self.kinematics, TOUCH, from_end=True)
         self._carry(upper, self._T_tool_object, rest=0.0)
@@ -244,7 +244,7 @@ class Mover:
         run.follow(timed(rest, run.step_time), Phase.FREE)
 
     def _corrected(self, lower: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """The way down, with the object as it really lies in the hand."""
+        """The path down, with the object as it really lies in the hand."""
         start = self.kinematics.solve(_raised(_tool_at(place, self._T_tool_object), LIFT), lower[0])
         path = None if start is None else self.kinematics.line(start, -LIFT * _UP)
         return lower if path is None else np.concatenate([self.execution.set_point[None], path])
@@ -311,7 +311,7 @@ def _raised(matrix: np.ndarray, height: float) -> np.ndarray:
 def _split(
     path: np.ndarray, kinematics: ArmKinematics, distance: float, from_end: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A straight way in two, of which the first is `distance` metres long, or the last."""
+    """A straight path in two, of which the first is `distance` metres long, or the last."""
     places = np.array([kinematics.tool(joints)[:3, 3] for joints in path])
     end = places[-1] if from_end else places[0]
     far = np.linalg.norm(places - end, axis=1) > distance

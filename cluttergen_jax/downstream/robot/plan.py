@@ -1,4 +1,4 @@
-"""Motion planning: a way for the joints around all that stands there, by RRT-Connect and shortcuts."""
+"""Motion planning: a path for the joints around all that stands there, by RRT-Connect and shortcuts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _BEND_STEPS = 2
 
 
 class Planner:
-    """Finds ways for the arm in one world.
+    """Finds paths for the arm in one world.
 
     Args:
       world: what stands there; kinematics: of the arm.
@@ -35,9 +35,9 @@ class Planner:
     def connect(
         self, start: np.ndarray, goal: np.ndarray, opening: float, seed: int, mode: Mode = Mode.TRAVEL
     ) -> np.ndarray | None:
-        """Joints f64[L, 7] from `start` to `goal`, bent smoothly; None where no way was found.
+        """Joints f64[L, 7] from `start` to `goal`, bent smoothly; None where no path was found.
 
-        Equal seeds give equal ways.
+        Equal seeds give equal paths.
         """
         # OMPL waits for ever for a goal that it may not reach.
         if not all(self.world.is_free(joints, opening, mode) for joints in (start, goal)):

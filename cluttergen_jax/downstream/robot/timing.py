@@ -1,4 +1,4 @@
-"""Time laws: how fast the joints may run along a way (toppra), and where they are at each step."""
+"""Time parameterization: how fast the joints may run along a path (toppra), and where they are at a step."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SHARE = 0.5
 _STILL = 1e-6
 _LEAST_STEP = 0.03
 _LEAST_POINTS, _LEAST_GRID = 5, 100
-"""Radians between two points of a way that its spline goes through, and how many there are at least."""
+"""Radians between two points of a path that its spline goes through, and how many there are at least."""
 
 
 class Trajectory(NamedTuple):
@@ -48,20 +48,20 @@ def timed(path: np.ndarray, step: float, share: float = SHARE) -> Trajectory:
         return Trajectory(np.asarray(path)[-1:], np.zeros((1, 7)))
     points = thinned(path)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    way = toppra.SplineInterpolator(length, points, bc_type="natural")
+    path = toppra.SplineInterpolator(length, points, bc_type="natural")
     limits = [
         constraint.JointVelocityConstraint(np.stack([-MAX_SPEED, MAX_SPEED], 1) * share),
         constraint.JointAccelerationConstraint(np.stack([-MAX_ACCELERATION, MAX_ACCELERATION], 1) * share),
     ]
     grid = np.linspace(0, length[-1], max(_LEAST_GRID, 8 * len(points)))
-    law = algorithm.TOPPRA(limits, way, gridpoints=grid, parametrizer="ParametrizeConstAccel")
+    law = algorithm.TOPPRA(limits, path, gridpoints=grid, parametrizer="ParametrizeConstAccel")
     motion = law.compute_trajectory(0, 0)
     times = np.append(np.arange(0, motion.duration, step), motion.duration)
     return Trajectory(motion(times), motion(times, 1))
 
 
 def thinned(path: np.ndarray) -> np.ndarray:
-    """Points of a way, the ends included, as far apart as a spline wants them; at least `_LEAST_POINTS`."""
+    """Points of a path, the ends included, as far apart as a spline wants them; at least `_LEAST_POINTS`."""
     path = np.asarray(path, np.float64)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     kept = [0]

@@ -10,7 +10,7 @@ from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer
 from cluttergen_jax.types import Array
 
 
-class Lesson(struct.PyTreeNode):
+class Example(struct.PyTreeNode):
     """One pair: a query and what is known of its answers. L labelled poses, region frame.
 
     Attributes:
@@ -38,7 +38,7 @@ class Head(Protocol):
         """Sizes of the network, a frozen dataclass of JSON values."""
         ...
 
-    def prepare(self, lesson: Lesson) -> Any:
+    def prepare(self, example: Example) -> Any:
         """What a gradient step reads of one pair, made once; a pytree, to be mapped."""
         ...
 
@@ -46,8 +46,8 @@ class Head(Protocol):
         """Fresh weights."""
         ...
 
-    def loss(self, params: Any, lessons: Any, key: Array) -> tuple[Array, dict[str, Array]]:
-        """What to keep low over a batch of lessons, f32, and its parts by name."""
+    def loss(self, params: Any, examples: Any, key: Array) -> tuple[Array, dict[str, Array]]:
+        """What to keep low over a batch of examples, f32, and its parts by name."""
         ...
 
     def placer(self, params: Any, temperature: float = 1.0) -> Placer:

@@ -12,7 +12,7 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.downstream.placer.heads.features import UNSEEN, taken_around
-from cluttergen_jax.downstream.placer.heads.head import Lesson
+from cluttergen_jax.downstream.placer.heads.head import Example
 from cluttergen_jax.downstream.placer.map_search import best_apart
 from cluttergen_jax.downstream.placer.query import (
     NUM_PROPOSALS,
@@ -126,7 +126,7 @@ class MixturePlacer(struct.PyTreeNode, eq=False):
         return without_scores(jnp.column_stack([chosen.xy, z, chosen.yaw]))
 
 
-class MixtureLesson(struct.PyTreeNode):
+class MixtureExample(struct.PyTreeNode):
     """What the network learns from one pair.
 
     Attributes:
@@ -144,29 +144,29 @@ class MixtureHead:
     config: MixtureConfig = field(default_factory=MixtureConfig)
     kind = "mixture"
 
-    def prepare(self, lesson: Lesson) -> MixtureLesson:
+    def prepare(self, example: Example) -> MixtureExample:
         """See `head.Head`."""
-        query, target = lesson.query, lesson.target
+        query, target = example.query, example.target
         place = (target[:2] / query.region_half_extents + 1) / 2
         turn = jnp.mod(target[3] / (2 * jnp.pi), 1.0)
         action = jnp.stack([place[0], place[1], jnp.float32(_MIDDLE), turn])
         features = cell_features(query, self.config).astype(jnp.float16)
-        return MixtureLesson(features, jnp.clip(action, EDGE, 1 - EDGE))
+        return MixtureExample(features, jnp.clip(action, EDGE, 1 - EDGE))
 
     def init(self, key: Array) -> Any:
         """See `head.Head`."""
         number = self.config.num_cells**2 * self.config.num_turns
         return MixtureNet(self.config).init(key, jnp.zeros((number, NUM_CELL_FEATURES)))
 
-    def loss(self, params: Any, lessons: MixtureLesson, key: Array) -> tuple[Array, dict[str, Array]]:
+    def loss(self, params: Any, examples: MixtureExample, key: Array) -> tuple[Array, dict[str, Array]]:
         """See `head.Head`."""
         del key
 
-        def surprise(lesson: MixtureLesson) -> Array:
-            found: Any = MixtureNet(self.config).apply(params, lesson.features.astype(jnp.float32))
-            return -found.log_prob(lesson.action)
+        def surprise(example: MixtureExample) -> Array:
+            found: Any = MixtureNet(self.config).apply(params, example.features.astype(jnp.float32))
+            return -found.log_prob(example.action)
 
-        total = jax.vmap(surprise)(lessons).mean()
+        total = jax.vmap(surprise)(examples).mean()
         return total, {"nll": total}
 
     def placer(self, params: Any, temperature: float = 1.0) -> MixturePlacer:

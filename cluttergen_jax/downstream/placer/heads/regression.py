@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.config import PlacerLoss
-from cluttergen_jax.downstream.placer.heads.head import Lesson
+from cluttergen_jax.downstream.placer.heads.head import Example
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Proposals, without_scores
 from cluttergen_jax.learning.networks.cloud_encoder import CloudNet
 from cluttergen_jax.learning.ppo.checkpoint import read_policy
@@ -111,7 +111,7 @@ def clouds_of(query: PlacementQuery, config: RegressionConfig) -> Clouds:
     )
 
 
-class RegressionLesson(struct.PyTreeNode):
+class RegressionExample(struct.PyTreeNode):
     """What the network learns from one pair: clouds, and f32[4], where the object stands."""
 
     clouds: Clouds
@@ -130,9 +130,9 @@ class RegressionHead:
     encoder_weights: Path | None = None
     kind = "regression"
 
-    def prepare(self, lesson: Lesson) -> RegressionLesson:
+    def prepare(self, example: Example) -> RegressionExample:
         """See `head.Head`."""
-        return RegressionLesson(clouds_of(lesson.query, self.config), lesson.target)
+        return RegressionExample(clouds_of(example.query, self.config), example.target)
 
     def init(self, key: Array) -> Any:
         """See `head.Head`.
@@ -151,15 +151,17 @@ class RegressionHead:
         read = {name: read_policy(self.encoder_weights, inner[name]) for name in ("scene", "object")}
         return {"params": inner | read}
 
-    def loss(self, params: Any, lessons: RegressionLesson, key: Array) -> tuple[Array, dict[str, Array]]:
+    def loss(self, params: Any, examples: RegressionExample, key: Array) -> tuple[Array, dict[str, Array]]:
         """See `head.Head`."""
         del key
-        found: Any = jax.vmap(lambda clouds: RegressionNet(self.config).apply(params, clouds))(lessons.clouds)
-        position = jnp.mean((found[:, :3] - lessons.target[:, :3]) ** 2)
+        found: Any = jax.vmap(lambda clouds: RegressionNet(self.config).apply(params, clouds))(
+            examples.clouds
+        )
+        position = jnp.mean((found[:, :3] - examples.target[:, :3]) ** 2)
         if self.config.loss == "symmetric":
-            turn = jnp.mean(1 - jnp.cos(found[:, 3] - lessons.target[:, 3]))
+            turn = jnp.mean(1 - jnp.cos(found[:, 3] - examples.target[:, 3]))
         else:
-            turn = jnp.mean((_quaternion(found[:, 3]) - _quaternion(lessons.target[:, 3])) ** 2)
+            turn = jnp.mean((_quaternion(found[:, 3]) - _quaternion(examples.target[:, 3])) ** 2)
         # Constants as far as the gradient is concerned, as in the published code.
         share = jax.lax.stop_gradient(turn / jnp.maximum(position + turn, 1e-12))
         return share * position + (1 - share) * turn, {"position": position, "turn": turn}

@@ -22,7 +22,7 @@ from cluttergen_jax.downstream.placer.heads.features import (
     features_of,
     own_shape,
 )
-from cluttergen_jax.downstream.placer.heads.head import Lesson
+from cluttergen_jax.downstream.placer.heads.head import Example
 from cluttergen_jax.downstream.placer.map_search import best_apart, draw
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Proposals
 from cluttergen_jax.placement.heightmap import HeightMap
@@ -150,7 +150,7 @@ def lowered(query: PlacementQuery, candidates: Candidates) -> Array:
     return jnp.column_stack([candidates.xy, z, candidates.yaw])
 
 
-class ScoredLesson(struct.PyTreeNode):
+class ScoredExample(struct.PyTreeNode):
     """What the network learns from one pair of L labelled poses.
 
     Attributes:
@@ -179,17 +179,17 @@ class ScoredHead:
     config: ScoredConfig = field(default_factory=ScoredConfig)
     kind = "scored"
 
-    def prepare(self, lesson: Lesson) -> ScoredLesson:
+    def prepare(self, example: Example) -> ScoredExample:
         """See `head.Head`."""
-        query = lesson.query
-        return ScoredLesson(
+        query = example.query
+        return ScoredExample(
             heights=query.heights,
             ceilings=query.ceilings,
             shape=own_shape(query),
             half_height=query.half_extents[2],
-            pose=lesson.candidate,
-            features=features_of(query, lesson.candidate),
-            verdict=lesson.verdict,
+            pose=example.candidate,
+            features=features_of(query, example.candidate),
+            verdict=example.verdict,
         )
 
     def init(self, key: Array) -> Any:
@@ -197,11 +197,11 @@ class ScoredHead:
         crops = jnp.zeros((1, CROP_SIDE, CROP_SIDE, NUM_CHANNELS))
         return ScoreNet(self.config).init(key, jnp.zeros((1, NUM_FEATURES)), crops)
 
-    def loss(self, params: Any, lessons: ScoredLesson, key: Array) -> tuple[Array, dict[str, Array]]:
+    def loss(self, params: Any, examples: ScoredExample, key: Array) -> tuple[Array, dict[str, Array]]:
         """See `head.Head`; every pair is mirrored along x and y of its object as a coin falls."""
-        is_mirrored = jax.random.bernoulli(key, shape=(2, len(lessons.verdict)))
-        logits = self._logits(params, lessons, is_mirrored)
-        verdict = lessons.verdict.reshape(-1)
+        is_mirrored = jax.random.bernoulli(key, shape=(2, len(examples.verdict)))
+        logits = self._logits(params, examples, is_mirrored)
+        verdict = examples.verdict.reshape(-1)
         wrong = {
             "stands": verdict == int(Verdict.STABLE),
             "disturbs": verdict == int(Verdict.DISPLACED),
@@ -214,14 +214,14 @@ class ScoredHead:
         total = losses["stands"] + _AUXILIARY * (losses["disturbs"] + losses["overlaps"])
         return total, losses
 
-    def scores(self, params: Any, lessons: ScoredLesson) -> Array:
+    def scores(self, params: Any, examples: ScoredExample) -> Array:
         """f32[B, L]: the logits of the labelled poses."""
-        nothing = jnp.zeros((2, len(lessons.verdict)), bool)
-        return self._logits(params, lessons, nothing)[:, 0].reshape(lessons.verdict.shape)
+        nothing = jnp.zeros((2, len(examples.verdict)), bool)
+        return self._logits(params, examples, nothing)[:, 0].reshape(examples.verdict.shape)
 
-    def _logits(self, params: Any, lessons: ScoredLesson, is_mirrored: Array) -> Array:
-        crops = jax.vmap(_crops)(lessons)
-        features = lessons.features
+    def _logits(self, params: Any, examples: ScoredExample, is_mirrored: Array) -> Array:
+        crops = jax.vmap(_crops)(examples)
+        features = examples.features
         for axis in (0, 1):
             flip = is_mirrored[axis]
             crops = jnp.where(flip[:, None, None, None, None], jnp.flip(crops, axis + 2), crops)
@@ -237,5 +237,5 @@ class ScoredHead:
         return ScoredPlacer(params, self.config, np.float32(temperature))
 
 
-def _crops(lesson: ScoredLesson) -> Array:
-    return crops_of(lesson.heights, lesson.ceilings, lesson.shape, lesson.pose)
+def _crops(example: ScoredExample) -> Array:
+    return crops_of(example.heights, example.ceilings, example.shape, example.pose)

@@ -1,4 +1,4 @@
-"""Candidate poses of a pair, whose verdicts a placer learns from: good ones, tempting ones, random ones."""
+"""Candidate poses of a pair, whose verdicts a placer learns from: found on two maps, and at random."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ _VIEWS = 20
 """Cameras that are tried for a pair until one sees the support and is not inside it."""
 
 
-class Look(NamedTuple):
+class SensedPair(NamedTuple):
     """One pair as it was sensed: camera, bytes of `pairs.SCHEMA`, and the query."""
 
     camera: Camera
@@ -122,7 +122,7 @@ class PairMaker:
         rng = np.random.default_rng((self.seed, block, 1))
         return self._draw(rng.integers(2**32, size=BLOCK_SIZE, dtype=np.uint32), episodes, queries)
 
-    def _look(self, pair: int, place: np.ndarray, poses: np.ndarray, is_placed: np.ndarray) -> Look:
+    def _look(self, pair: int, place: np.ndarray, poses: np.ndarray, is_placed: np.ndarray) -> SensedPair:
         """What the pair's camera sees."""
         if not hasattr(self._local, "data"):
             self._local.data = self._sensor.make_data()
@@ -146,7 +146,7 @@ class PairMaker:
         sight = self._maker.see(depth, camera, REALSENSE if pair % 2 else NOISE_OFF, rng)
         scene, slot = place
         order = self.scenes.object_index[scene]
-        return Look(
+        return SensedPair(
             camera,
             stored,
             _labels(image.label, order[:slot]),
@@ -154,7 +154,7 @@ class PairMaker:
         )
 
     def _row(
-        self, pair: int, place: np.ndarray, look: Look, candidates: np.ndarray, verdict: np.ndarray
+        self, pair: int, place: np.ndarray, look: SensedPair, candidates: np.ndarray, verdict: np.ndarray
     ) -> dict[str, Any]:
         scene, slot = place
         T_region_world = np.linalg.inv(self._maker.T_world_region)

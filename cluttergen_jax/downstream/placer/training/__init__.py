@@ -1,1 +1,1 @@
-"""Training a placer: lessons made of pairs, fitting, presets, and the run."""
+"""Training a placer: examples made of pairs, fitting, presets, and the run."""

@@ -92,19 +92,19 @@ class Fit:
         moments = self.config.optimizer(self.num_steps).init(params)
         return FitState(params, moments, jnp.int32(0), params, jnp.float32(jnp.inf))
 
-    def step(self, state: FitState, lessons: Any) -> tuple[FitState, dict[str, Array]]:
-        """One step on a batch of prepared lessons: the new state, and the loss with its parts."""
+    def step(self, state: FitState, examples: Any) -> tuple[FitState, dict[str, Array]]:
+        """One step on a batch of prepared examples: the new state, and the loss with its parts."""
         key = jax.random.fold_in(jax.random.key(self.config.seed + 1), state.step)
         gradient = jax.value_and_grad(self.head.loss, has_aux=True)
-        (loss, parts), slope = gradient(state.params, lessons, key)
+        (loss, parts), slope = gradient(state.params, examples, key)
         optimizer = self.config.optimizer(self.num_steps)
         change, moments = optimizer.update(slope, state.optimizer, state.params)
         params = optax.apply_updates(state.params, change)
         return state.replace(params=params, optimizer=moments, step=state.step + 1), {"loss": loss, **parts}
 
-    def loss(self, params: Any, lessons: Any) -> Array:
-        """f32: the loss on lessons that nothing is learned from."""
-        return self.head.loss(params, lessons, jax.random.key(0))[0]
+    def loss(self, params: Any, examples: Any) -> Array:
+        """f32: the loss on examples that nothing is learned from."""
+        return self.head.loss(params, examples, jax.random.key(0))[0]
 
 
 def best_temperature(logits: np.ndarray, label: np.ndarray) -> float:

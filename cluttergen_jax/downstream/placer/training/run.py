@@ -1,4 +1,4 @@
-"""Training of a placer's head: lessons made once, gradient steps, calibration, a checkpoint."""
+"""Training of a placer's head: examples made once, gradient steps, calibration, a checkpoint."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.downstream.placer.heads.head import Head, Lesson
+from cluttergen_jax.downstream.placer.heads.head import Example, Head
 from cluttergen_jax.downstream.placer.heads.trained import KIND
+from cluttergen_jax.downstream.placer.training.examples import ExampleSource, num_examples, taken
 from cluttergen_jax.downstream.placer.training.fitting import Fit, FitConfig, FitState, best_temperature
-from cluttergen_jax.downstream.placer.training.lessons import LessonSource, num_lessons, taken
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.learning.training.interrupt import Interrupt
@@ -33,7 +33,7 @@ _SAVE_EVERY = 60.0
 _start: Any = jax.jit(Fit.start, static_argnums=0)
 _step: Any = jax.jit(Fit.step, static_argnums=0)
 _loss: Any = jax.jit(Fit.loss, static_argnums=0)
-_prepare: Any = jax.jit(lambda head, lessons: jax.vmap(head.prepare)(lessons), static_argnums=0)
+_prepare: Any = jax.jit(lambda head, examples: jax.vmap(head.prepare)(examples), static_argnums=0)
 
 
 class PlacerTraining:
@@ -41,7 +41,7 @@ class PlacerTraining:
 
     Args:
       head, config: what is fitted, and how.
-      source: of the lessons.
+      source: of the examples.
       folder: continued if it holds a run with the same settings.
       show: is given the lines that tell how far the run is.
 
@@ -53,7 +53,7 @@ class PlacerTraining:
         self,
         head: Head,
         config: FitConfig,
-        source: LessonSource,
+        source: ExampleSource,
         folder: Path,
         show: Callable[[str], None] = print,
     ) -> None:
@@ -76,16 +76,16 @@ class PlacerTraining:
         """
         started = time.monotonic()
         held_out = self._prepared(self.source.load("val"), "val")
-        lessons = self._prepared(self.source.load("train"), "train")
-        batches = num_lessons(lessons) // self.config.batch_size
+        examples = self._prepared(self.source.load("train"), "train")
+        batches = num_examples(examples) // self.config.batch_size
         if not batches:
             raise ConfigError(
-                f"{num_lessons(lessons)} pairs in batches of {self.config.batch_size}", "one batch or more"
+                f"{num_examples(examples)} pairs in batches of {self.config.batch_size}", "one batch or more"
             )
         fit = Fit(self.head, self.config, batches * self.config.num_epochs)
         with Interrupt() as interrupt:
             state = self._started(fit)
-            state = self._learn(fit, state, lessons, held_out, interrupt)
+            state = self._learn(fit, state, examples, held_out, interrupt)
             self._keep(state)
         if int(state.step) < fit.num_steps:
             raise KeyboardInterrupt
@@ -93,15 +93,15 @@ class PlacerTraining:
         self._show(f"time       {time_text(time.monotonic() - started)}; placer in {folder}")
         return folder
 
-    def _prepared(self, lessons: Lesson, split: str) -> Any:
-        """All lessons of a split as the head reads them, NumPy arrays."""
-        number = num_lessons(lessons)
+    def _prepared(self, examples: Example, split: str) -> Any:
+        """All examples of a split as the head reads them, NumPy arrays."""
+        number = num_examples(examples)
         parts = []
         with Progress(f"preparing {split}", number, "pair") as progress:
             for first in range(0, number, _AT_ONCE):
                 # The last call is filled up with its last pair, so that one program serves all.
                 index = np.minimum(np.arange(first, first + _AT_ONCE), number - 1)
-                made = jax.device_get(_prepare(self.head, taken(lessons, index)))
+                made = jax.device_get(_prepare(self.head, taken(examples, index)))
                 count = min(_AT_ONCE, number - first)
                 parts.append(jax.tree.map(lambda leaf, n=count: leaf[:n], made))
                 progress.update(count)
@@ -116,7 +116,7 @@ class PlacerTraining:
         checkpoint.save_state(self.folder / "last", state, self.recipe)
 
     def _learn(
-        self, fit: Fit, state: FitState, lessons: Any, held_out: Any, interrupt: Interrupt
+        self, fit: Fit, state: FitState, examples: Any, held_out: Any, interrupt: Interrupt
     ) -> FitState:
         batches, first = fit.num_steps // self.config.num_epochs, int(state.step)
         log = MetricsLog(self.folder / "metrics.csv", first // batches)
@@ -127,8 +127,8 @@ class PlacerTraining:
             for number in range(first, fit.num_steps):
                 if interrupt.is_asked:
                     break
-                index = self._batch(number, num_lessons(lessons), batches)
-                state, parts = _step(fit, state, taken(lessons, index))
+                index = self._batch(number, num_examples(examples), batches)
+                state, parts = _step(fit, state, taken(examples, index))
                 seen.append(parts)
                 if (number + 1) % batches == 0:
                     state, note = self._end_epoch(fit, state, held_out, seen, log, number // batches)
@@ -151,7 +151,7 @@ class PlacerTraining:
         """The state with the best weights so far, and what to say."""
         row = {name: float(np.mean([float(each[name]) for each in seen])) for name in seen[0]}
         parts = list(_batches_of(held_out, self.config.batch_size))
-        weights = [num_lessons(part) for part in parts]
+        weights = [num_examples(part) for part in parts]
         found = float(np.average([float(_loss(fit, state.params, part)) for part in parts], weights=weights))
         log.add({"update": epoch, **row, "val_loss": found})
         if found < float(state.best_loss):
@@ -197,8 +197,8 @@ class PlacerTraining:
         return temperature, calibration(logits / temperature, stood, held_out.is_on.ravel())
 
 
-def _batches_of(lessons: Any, size: int) -> Iterator[Any]:
-    """The lessons in parts of at most `size`."""
-    number = num_lessons(lessons)
+def _batches_of(examples: Any, size: int) -> Iterator[Any]:
+    """The examples in parts of at most `size`."""
+    number = num_examples(examples)
     for first in range(0, number, size):
-        yield taken(lessons, np.arange(first, min(first + size, number)))
+        yield taken(examples, np.arange(first, min(first + size, number)))

@@ -1,4 +1,4 @@
-"""Lessons out of folders of pairs: queries seen with and without noise, and what became of candidates."""
+"""Examples out of folders of pairs: queries seen with and without noise, and what became of candidates."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from cluttergen_jax.config import PlacerNoise
-from cluttergen_jax.downstream.placer.heads.head import Lesson
+from cluttergen_jax.downstream.placer.heads.head import Example
 from cluttergen_jax.downstream.placer.pairs.stored import PairLabels, PairSet, load_queries, read_pairs
 from cluttergen_jax.downstream.placer.query import PlacementQuery, padded
 from cluttergen_jax.errors import ConfigError
@@ -29,8 +29,8 @@ _NOISES = {"on": (REALSENSE,), "off": (NOISE_OFF,), "both": (NOISE_OFF, REALSENS
 
 
 @dataclass(frozen=True)
-class LessonSource:
-    """Where lessons come from.
+class ExampleSource:
+    """Where examples come from.
 
     Attributes:
       data: folders that `placer data` made.
@@ -51,7 +51,7 @@ class LessonSource:
 
     @property
     def record(self) -> dict[str, Any]:
-        """What decides the lessons: JSON values."""
+        """What decides the examples: JSON values."""
         return {
             "pairs": [_digest(each) for each in self.sets],
             "noise": self.noise,
@@ -59,8 +59,8 @@ class LessonSource:
             "num_pairs": self.num_pairs,
         }
 
-    def load(self, split: Literal["train", "val"]) -> Lesson:
-        """All lessons of a split, NumPy arrays with a leading axis.
+    def load(self, split: Literal["train", "val"]) -> Example:
+        """All examples of a split, NumPy arrays with a leading axis.
 
         Raises:
           ConfigError: there are none, or the folders' maps have cells of different sizes.
@@ -74,15 +74,15 @@ class LessonSource:
                 "pairs of ten scenes or more",
                 "cluttergen placer data --split train",
             )
-        return joined_lessons(parts)
+        return joined_examples(parts)
 
-    def _load(self, pairs: PairSet, split: Literal["train", "val"]) -> Lesson | None:
-        """The lessons of one folder; None where it has none of the split."""
+    def _load(self, pairs: PairSet, split: Literal["train", "val"]) -> Example | None:
+        """The examples of one folder; None where it has none of the split."""
         has_val = "val" in pairs.splits
         source = "train" if split == "train" or not has_val else "val"
         number = self.num_pairs if source == "train" else None
         queries, labels = load_queries(pairs, _NOISES[self.noise], self.seed, source, number)
-        found = lessons_of(queries, labels)
+        found = examples_of(queries, labels)
         if has_val:
             return found
         is_held_out = labels.scene % _HELD_OUT == _HELD_OUT - 1
@@ -90,31 +90,31 @@ class LessonSource:
 
 
 def _digest(pairs: PairSet) -> str:
-    """Equal for equal lessons: a test split may come later."""
+    """Equal for equal examples: a test split may come later."""
     told = [pairs.record["assets"], *(pairs.record["splits"].get(name) for name in ("train", "val"))]
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:20]
 
 
-def lessons_of(queries: PlacementQuery, labels: PairLabels) -> Lesson:
-    """The lessons of pairs, as `pairs.load_queries` gives them."""
+def examples_of(queries: PlacementQuery, labels: PairLabels) -> Example:
+    """The examples of pairs, as `pairs.load_queries` gives them."""
     w, z = labels.target[:, 3], labels.target[:, 6]
     target = np.column_stack([labels.target[:, :3], 2 * np.arctan2(z, w)]).astype(np.float32)
-    return Lesson(queries, target, labels.candidate, labels.verdict)
+    return Example(queries, target, labels.candidate, labels.verdict)
 
 
-def num_lessons(lessons: Any) -> int:
+def num_examples(examples: Any) -> int:
     """How many there are: the leading axis of all arrays."""
-    return len(jax.tree.leaves(lessons)[0])
+    return len(jax.tree.leaves(examples)[0])
 
 
-def taken(lessons: Any, which: np.ndarray) -> Any:
-    """Some of the lessons: i[M] or bool[N]; None if there are none."""
+def taken(examples: Any, which: np.ndarray) -> Any:
+    """Some of the examples: i[M] or bool[N]; None if there are none."""
     index = np.flatnonzero(which) if which.dtype == bool else which
-    return jax.tree.map(lambda leaf: leaf[index], lessons) if len(index) else None
+    return jax.tree.map(lambda leaf: leaf[index], examples) if len(index) else None
 
 
-def joined_lessons(parts: Sequence[Lesson]) -> Lesson:
-    """Lessons of several worlds as one, their maps and columns padded to one size.
+def joined_examples(parts: Sequence[Example]) -> Example:
+    """Examples of several worlds as one, their maps and columns padded to one size.
 
     Raises:
       ConfigError: the maps have cells of different sizes.
@@ -130,8 +130,10 @@ def joined_lessons(parts: Sequence[Lesson]) -> Lesson:
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *same)
 
 
-def _padded(lessons: Lesson, shape: tuple[int, int], num_columns: int, cell: tuple[float, float]) -> Lesson:
-    query = lessons.query
+def _padded(
+    examples: Example, shape: tuple[int, int], num_columns: int, cell: tuple[float, float]
+) -> Example:
+    query = examples.query
     maps = {
         name: each.replace(height=padded(each.height, shape), cell=cell)
         for name, each in (("heights", query.heights), ("ceilings", query.ceilings))
@@ -144,4 +146,4 @@ def _padded(lessons: Lesson, shape: tuple[int, int], num_columns: int, cell: tup
         is_column=np.pad(under.is_column, [(0, 0), (0, more)]),
         center_of_mass=under.center_of_mass,
     )
-    return lessons.replace(query=query.replace(**maps, under=wider))
+    return examples.replace(query=query.replace(**maps, under=wider))
