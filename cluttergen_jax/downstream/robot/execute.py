@@ -61,7 +61,7 @@ class Execution:
     """A scene with the arm before it, simulated.
 
     Args:
-      scene: what stands there at the start. target: the number of the object that is to be moved.
+      scene: what stands there at the start. target: the number of the object that is to be moved first.
       stands: more boxes that objects can stand on.
       every: keep the state of every so manieth step for films; 0 keeps none.
 
@@ -86,18 +86,19 @@ class Execution:
         self.panda = Panda.of(self.model)
         self.step_time = float(self.model.opt.timestep)
         self._bodies = [self.model.body(name).id for name in scene.names]
-        self._kind = self._kinds(target)
+        self.aim_at(target)
         self._every, self.num_steps = every, 0
         self.trace: list[np.ndarray] = []
         self._start(scene)
 
-    def _kinds(self, target: int) -> np.ndarray:
+    def aim_at(self, target: int) -> None:
+        """From now on this object is the one that the hand may touch."""
         kind = np.full(self.model.nbody, Kind.GROUND)
         kind[self._bodies] = Kind.OTHER
         kind[self._bodies[target]] = Kind.TARGET
         kind[self.panda.is_arm] = Kind.ARM
         kind[[self.panda.hand, *self.panda.finger_bodies]] = Kind.HAND
-        return kind[self.model.geom_bodyid]
+        self._kind = kind[self.model.geom_bodyid]
 
     def _start(self, scene: Scene) -> None:
         for name, pose in zip(scene.names, scene.poses, strict=True):

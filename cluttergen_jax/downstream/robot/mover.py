@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -63,11 +63,13 @@ class Put(NamedTuple):
 
 
 class Mover:
-    """Moves one object of a scene that it knows wholly.
+    """Moves one object of a scene.
 
     Args:
       execution: the simulation; world: its copy for planning; target: the object's number.
       seed: of what is drawn; equal seeds do the same.
+      see: f64[N, 7], T_world_object of the scene's objects as far as they are known, asked whenever something
+        may have moved; the true ones if not given. Nothing else tells the mover where objects are.
     """
 
     def __init__(
@@ -77,8 +79,10 @@ class Mover:
         kinematics: ArmKinematics,
         target: int,
         seed: int,
+        see: Callable[[], np.ndarray] | None = None,
     ) -> None:
         self.execution, self.world, self.kinematics, self.target = execution, world, kinematics, target
+        self._see = see or execution.poses
         self.planner = Planner(world, kinematics)
         self._rng, self._seed = np.random.default_rng(seed), seed
         self._opening = 0.0
@@ -97,8 +101,8 @@ class Mover:
         Raises:
           Failed: no grasp, no joints for one, or no path to one.
         """
-        T_world_object = self.execution.pose(self.target)
-        self._see()
+        stood = self._survey()
+        T_world_object = matrix_of(stood)
         has_free = has_joints = False
         for T_object_tool, width in self._ranked(grasps, T_world_object):
             T_world_tool, opening = T_world_object @ T_object_tool, float(opening_of(np.array(width)))
@@ -107,9 +111,9 @@ class Mover:
                 if not self.world.is_free(joints, opening, Mode.COME):
                     continue
                 has_free = True
-                if places is not None and not self._fits(T_object_tool, places, opening):
+                if places is not None and not self._fits(T_object_tool, places, opening, stood):
                     break
-                hold = self._hold(joints, T_object_tool, width, T_world_tool, opening)
+                hold = self._hold(joints, T_object_tool, width, stood, opening)
                 if hold is not None:
                     return hold
         if not has_joints:
@@ -144,9 +148,9 @@ class Mover:
             for turn in (np.eye(4), _FLIP):
                 yield pose[index] @ turn, float(grasps.width[index])
 
-    def _fits(self, T_object_tool: np.ndarray, places: np.ndarray, opening: float) -> bool:
+    def _fits(self, T_object_tool: np.ndarray, places: np.ndarray, opening: float, stood: np.ndarray) -> bool:
         """Whether the hand can put the object down at one of the places, and leave it there; keeps how."""
-        stood, T_tool_object = self.execution.poses()[self.target], inverse(T_object_tool)
+        T_tool_object = inverse(T_object_tool)
         try:
             for number, place in enumerate(places):
                 target = _tool_at(place, T_tool_object)
@@ -163,13 +167,12 @@ class Mover:
         joints: np.ndarray,
         T_object_tool: np.ndarray,
         width: float,
-        T_world_tool: np.ndarray,
+        stood: np.ndarray,
         opening: float,
     ) -> Hold | None:
-        back = self._back(joints, T_world_tool, opening)
+        back = self._back(joints, matrix_of(stood) @ T_object_tool, opening)
         if back is None:
             return None
-        stood = self.execution.poses()[self.target]
         self.world.hold(inverse(T_object_tool))
         lift = self.planner.line(joints, LIFT * _UP, opening, Mode.CARRY)
         self.world.release(stood)
@@ -262,15 +265,17 @@ class Mover:
                 return path
         return None
 
-    def _see(self) -> None:
-        """Objects stand in the copy for planning where they stand."""
-        for number, pose in enumerate(self.execution.poses()):
+    def _survey(self) -> np.ndarray:
+        """Objects stand in the copy for planning where they are seen; f64[7] of the target."""
+        poses = self._see()
+        for number, pose in enumerate(poses):
             if number != self.target:
                 self.world.move(number, pose)
-        self.world.release(self.execution.poses()[self.target])
+        self.world.release(poses[self.target])
+        return poses[self.target]
 
     def _in_hand(self) -> np.ndarray:
-        self._T_tool_object = inverse(self.execution.tool) @ self.execution.pose(self.target)
+        self._T_tool_object = inverse(self.execution.tool) @ matrix_of(self._see()[self.target])
         return self._T_tool_object
 
     def _carry(self, path: np.ndarray, before: np.ndarray, rest: float = 0.2) -> None:
