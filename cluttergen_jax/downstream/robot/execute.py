@@ -25,6 +25,7 @@ MAX_FORCE = 2.0
 CLOSING = 0.5
 """Seconds in which the fingers close."""
 _REST = 0.15
+_MEASURED = 16
 
 
 class Phase(IntEnum):
@@ -67,6 +68,7 @@ class Execution:
 
     Attributes:
       trace: f64[nq] each, the states that were kept.
+      travel: metres that the tool has moved.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class Execution:
         self.aim_at(target)
         self._every, self.num_steps = every, 0
         self.trace: list[np.ndarray] = []
+        self.travel = 0.0
         self._start(scene)
 
     def aim_at(self, target: int) -> None:
@@ -107,6 +110,7 @@ class Execution:
         self.data.qpos[self.panda.qpos] = self.data.ctrl[self.panda.ctrl] = home_pose()
         self.data.qpos[self.panda.fingers] = self.data.ctrl[self.panda.grip] = MAX_OPENING
         mujoco.mj_forward(self.model, self.data)
+        self._last_tool = self.data.site_xpos[self.panda.site].copy()
 
     @property
     def joints(self) -> np.ndarray:
@@ -123,6 +127,16 @@ class Execution:
         """f64[4, 4]: T_world_tool."""
         mujoco.mj_kinematics(self.model, self.data)
         return self.panda.tool(self.data)
+
+    @property
+    def opening(self) -> float:
+        """Metres that the fingers are from the middle, on average."""
+        return float(self.data.qpos[self.panda.fingers].mean())
+
+    @property
+    def is_closed(self) -> bool:
+        """The fingers are told to close on something."""
+        return bool(self.data.ctrl[self.panda.grip] < 0)
 
     def poses(self) -> np.ndarray:
         """f64[N, 7]: T_world_object of the scene's objects."""
@@ -169,6 +183,10 @@ class Execution:
         self.num_steps += 1
         if self._every and self.num_steps % self._every == 0:
             self.trace.append(self.data.qpos.copy())
+        if self.num_steps % _MEASURED == 0:
+            now = self.data.site_xpos[self.panda.site].copy()
+            self.travel += float(np.linalg.norm(now - self._last_tool))
+            self._last_tool = now
         self._watch(phase)
 
     def _watch(self, phase: Phase) -> None:

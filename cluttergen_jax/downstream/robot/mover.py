@@ -33,6 +33,8 @@ _UP = np.array([0.0, 0.0, 1.0])
 _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 _ARMS = 3
 """Solutions of the inverse kinematics that are tried for a pose."""
+See = Callable[[int | None], np.ndarray]
+"""f64[N, 7], T_world_object of a scene's objects as far as they are known; a number asks for one alone."""
 
 
 class Hold(NamedTuple):
@@ -68,8 +70,8 @@ class Mover:
     Args:
       execution: the simulation; world: its copy for planning; target: the object's number.
       seed: of what is drawn; equal seeds do the same.
-      see: f64[N, 7], T_world_object of the scene's objects as far as they are known, asked whenever something
-        may have moved; the true ones if not given. Nothing else tells the mover where objects are.
+      see: tells where objects are, asked whenever something may have moved; the true poses if not given.
+        Nothing else tells the mover.
     """
 
     def __init__(
@@ -79,14 +81,14 @@ class Mover:
         kinematics: ArmKinematics,
         target: int,
         seed: int,
-        see: Callable[[], np.ndarray] | None = None,
+        see: See | None = None,
     ) -> None:
         self.execution, self.world, self.kinematics, self.target = execution, world, kinematics, target
-        self._see = see or execution.poses
+        self._see: See = see or (lambda only: execution.poses())
         self.planner = Planner(world, kinematics)
         self._rng, self._seed = np.random.default_rng(seed), seed
         self._opening = 0.0
-        self._T_tool_object = np.eye(4)
+        self._T_tool_object = self._grasped = np.eye(4)
         self._known: tuple[int, np.ndarray] | None = None
 
     # Picking up
@@ -104,7 +106,7 @@ class Mover:
         stood = self._survey()
         T_world_object = matrix_of(stood)
         has_free = has_joints = False
-        for T_object_tool, width in self._ranked(grasps, T_world_object):
+        for T_object_tool, width in ranked(grasps, T_world_object):
             T_world_tool, opening = T_world_object @ T_object_tool, float(opening_of(np.array(width)))
             for joints in self.kinematics.solutions(T_world_tool, _ARMS, self._rng):
                 has_joints = True
@@ -133,20 +135,10 @@ class Mover:
         run.follow(timed(hold.come, run.step_time, CARRY_SHARE), Phase.FREE)
         run.wait(0.1, Phase.FREE)
         run.close()
-        before = self._in_hand()
+        self._grasped = before = self._in_hand()
         first, rest = _split(hold.lift, self.kinematics, TOUCH)
         run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.TOUCH)
         self._carry(rest, before)
-
-    def _ranked(self, grasps: Grasps, T_world_object: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
-        """The grasps, those that come from above and hold well first, and each turned about the approach."""
-        pose = matrix_of(grasps.pose)
-        down = -(T_world_object[:3, :3] @ pose[:, :3, 2, None])[:, 2, 0]
-        # A centimetre of slip or of shift counts as much as half a turn from straight down.
-        worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip)
-        for index in np.argsort(-worth, kind="stable"):
-            for turn in (np.eye(4), _FLIP):
-                yield pose[index] @ turn, float(grasps.width[index])
 
     def _fits(self, T_object_tool: np.ndarray, places: np.ndarray, opening: float, stood: np.ndarray) -> bool:
         """Whether the hand can put the object down at one of the places, and leave it there; keeps how."""
@@ -224,6 +216,9 @@ class Mover:
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Joints f64[L, 7] straight up from where the object is put down, and out of the hand."""
         self.world.hold(T_tool_object)
+        # A line costs a hundred times as much as one look.
+        if not self.world.is_free(joints, opening, Mode.CARRY):
+            return None
         lift = self.planner.line(joints, LIFT * _UP, opening, Mode.CARRY)
         if lift is None or not self.world.is_free(lift[-1], opening):
             return None
@@ -240,6 +235,7 @@ class Mover:
         self._carry(upper, self._T_tool_object, rest=0.0)
         run.follow(timed(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH)
         run.wait(0.2, Phase.TOUCH)
+        self._in_hand()
         run.move_fingers(self._opening, Phase.TOUCH)
         leave = self.kinematics.line(run.set_point, self._leaving(put.leave))
         first, rest = _split(put.leave if leave is None else leave, self.kinematics, TOUCH)
@@ -255,6 +251,27 @@ class Mover:
     def _leaving(self, leave: np.ndarray) -> np.ndarray:
         return self.kinematics.tool(leave[-1])[:3, 3] - self.kinematics.tool(leave[0])[:3, 3]
 
+    def has_lost(self, distance: float) -> bool:
+        """Whether the object is more than so many metres from where it was in the hand as it closed."""
+        return float(np.linalg.norm((self._in_hand() @ inverse(self._grasped))[:3, 3])) > distance
+
+    def let_go(self) -> None:
+        """Opens the hand where it is, with whatever is in it, and goes up."""
+        run = self.execution
+        run.move_fingers(self._opening, Phase.TOUCH)
+        path = self.kinematics.line(run.set_point, LIFT * _UP)
+        if path is not None:
+            run.follow(timed(path, run.step_time, CARRY_SHARE), Phase.GRASP)
+
+    def go_home(self) -> bool:
+        """Brings the empty hand back to where it starts; whether there was a path."""
+        self.world.release(self._see(self.target)[self.target])
+        run, home = self.execution, self.kinematics.home
+        path = self.planner.connect(run.set_point, home, self._opening, self._next_seed())
+        if path is not None:
+            run.follow(timed(path, run.step_time), Phase.FREE)
+        return path is not None
+
     # What both need
 
     def _back(self, joints: np.ndarray, T_world_tool: np.ndarray, opening: float) -> np.ndarray | None:
@@ -267,7 +284,7 @@ class Mover:
 
     def _survey(self) -> np.ndarray:
         """Objects stand in the copy for planning where they are seen; f64[7] of the target."""
-        poses = self._see()
+        poses = self._see(None)
         for number, pose in enumerate(poses):
             if number != self.target:
                 self.world.move(number, pose)
@@ -275,7 +292,7 @@ class Mover:
         return poses[self.target]
 
     def _in_hand(self) -> np.ndarray:
-        self._T_tool_object = inverse(self.execution.tool) @ matrix_of(self._see()[self.target])
+        self._T_tool_object = inverse(self.execution.tool) @ matrix_of(self._see(self.target)[self.target])
         return self._T_tool_object
 
     def _carry(self, path: np.ndarray, before: np.ndarray, rest: float = 0.2) -> None:
@@ -299,6 +316,20 @@ class Mover:
     def _next_seed(self) -> int:
         self._seed += 1
         return self._seed
+
+
+def ranked(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
+    """T_object_tool f64[4, 4] and width of grasps, each also turned about its approach.
+
+    Those that come from above and hold well are first.
+    """
+    pose = matrix_of(grasps.pose)
+    down = -(T_world_object[:3, :3] @ pose[:, :3, 2, None])[:, 2, 0]
+    # A centimetre of slip or of shift counts as much as half a turn from straight down.
+    worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip)
+    for index in np.argsort(-worth, kind="stable"):
+        for turn in (np.eye(4), _FLIP):
+            yield pose[index] @ turn, float(grasps.width[index])
 
 
 def _tool_at(place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray:
