@@ -1,4 +1,4 @@
-"""Episodes of rearrangement: see, choose a layout, find an order, move one object after another, look again."""
+"""Episodes of rearrangement: see, choose a layout, find an order, move one object after another, look."""
 
 from __future__ import annotations
 
@@ -153,25 +153,20 @@ class Rearranger:
           Failed: none stands.
         """
         task, num_moved, poses = self._task, self._num_moved, self._sight.poses
-        drawn = task.draw(
-            task.seed,
-            task.numbers[:num_moved],
-            task.setting.target,
-            task.numbers[num_moved:],
-            poses[num_moved:],
-        )
+        moved, stay = task.numbers[:num_moved], task.numbers[num_moved:]
+        drawn = task.draw(task.seed, moved, task.setting.target, stay, poses[num_moved:])
         if not len(drawn):
             raise Failed(Cause.NO_LAYOUT)
         objects, region = self._scene.objects, task.setting.target
         drawn = drawn[unlike(objects[:num_moved], drawn, region, self._options.num_layouts)]
-        stay = np.broadcast_to(poses[num_moved:], (len(drawn), len(poses) - num_moved, 7))
-        full = np.concatenate([drawn, stay], axis=1)
-        moved, support = range(num_moved), self._scene.support
+        others = np.broadcast_to(poses[num_moved:], (len(drawn), len(stay), 7))
+        full = np.concatenate([drawn, others], axis=1)
+        all_moved, support = range(num_moved), self._scene.support
         return Layouts(
             poses=full,
             clearance=np.array([clearance_of(objects, each) for each in full]),
             reach=np.array(
-                [reach_of(objects, each, moved, task.grasps, support, self._kinematics) for each in full]
+                [reach_of(objects, each, all_moved, task.grasps, support, self._kinematics) for each in full]
             ),
             travel=np.linalg.norm(full[:, :num_moved, :2] - poses[:num_moved, :2], axis=-1).mean(1),
         )

@@ -56,10 +56,10 @@ class Judge:
 
     def is_right(self, goals: np.ndarray) -> np.ndarray:
         """bool[num_moved]: the objects that are where they should be."""
-        return (self.errors(goals) <= [MAX_ERROR, MAX_TURN_ERROR]).all(1)
+        return np.all(self.errors(goals) <= [MAX_ERROR, MAX_TURN_ERROR], axis=1)
 
     def check_end(self, goals: np.ndarray) -> None:
-        """All stands for `episode.WATCHED` seconds, is where it should be, and stands for ten without the arm.
+        """All stands for `episode.WATCHED` seconds, where it should be, and for ten without the arm.
 
         Raises:
           Failed: it does not.
