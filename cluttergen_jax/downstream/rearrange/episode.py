@@ -209,14 +209,17 @@ class Rearranger:
             return self._move(k, self._home(k, goals))
         relations = self._meetings.relations(self._sight.poses, goals)
         free = self._far_first(ready(relations, pending), goals)
-        if any(self._move(k, self._home(k, goals)) for k in free):
-            return True
+        # Where all goes with room to spare, nothing brushes its neighbours.
+        for is_apart in (True, False):
+            if any(self._move(k, self._home(k, goals), is_apart=is_apart) for k in free):
+                return True
         # Those whose waiting makes an order possible, then others, which may be taken in another way later.
         asked = [*(smallest_waiting(relations, pending) or ()), *free, *pending]
         for k in dict.fromkeys(asked):
             if relations.lies_on[:, k].any() or self._times[1, k] >= MAX_WAITS:
                 continue
-            if self._move(k, self._waiting_places(k, goals, pending), is_wait=True):
+            places = self._waiting_places(k, goals, pending)
+            if any(self._move(k, places, is_wait=True, is_apart=is_apart) for is_apart in (True, False)):
                 return True
         return False
 
@@ -246,7 +249,7 @@ class Rearranger:
         room = np.linalg.norm(np.array(clear)[:, None, :2] - near, axis=-1).min(1)
         return matrix_of(np.array(clear)[np.argsort(-room)[:_PLACES]])
 
-    def _move(self, k: int, places: np.ndarray, is_wait: bool = False) -> bool:
+    def _move(self, k: int, places: np.ndarray, *, is_wait: bool = False, is_apart: bool = False) -> bool:
         """Brings an object to one of places f64[M, 4, 4]; False if there is no way, and nothing was done.
 
         Raises:
@@ -257,7 +260,7 @@ class Rearranger:
         scene, stood = self._scene, matrix_of(self._sight.poses[k])
         world = PlanningWorld(scene.names, scene.objects, self._sight.poses, k, scene.support, self._base)
         seed = int(self._rng.integers(2**30))
-        mover = Mover(self._execution, world, self._kinematics, k, seed, self._sight)
+        mover = Mover(self._execution, world, self._kinematics, k, seed, self._sight, is_apart)
         try:
             hold = mover.find_hold(self._grasps(k), places)
         except Failed as failure:
@@ -329,7 +332,7 @@ def rearrange_episode(
       every: see `robot.execute.Execution`.
     """
     begun, scene, num_moved = time.process_time(), task.scene, task.setting.num_objects
-    execution = Execution(scene, 0, every=every)
+    execution = Execution(scene, 0, every=every, sleeps=True)
     symmetry = [turn_symmetry(asset) for asset in scene.objects]
     judge = Judge(execution, scene, num_moved, symmetry)
     with EpisodeView(execution, scene.names) as view:

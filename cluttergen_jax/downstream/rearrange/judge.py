@@ -65,6 +65,7 @@ class Judge:
           Failed: it does not.
         """
         start, names = self._execution.poses(), self._scene.names
+        self._execution.wake()
         for _ in range(round(WATCHED / 0.1)):
             self._execution.wait(0.1, Phase.FREE)
             far = _moved(self._execution.poses(), start)

@@ -169,7 +169,7 @@ class Sight:
       relook: False looks once, and then goes by what the hand has done.
 
     Attributes:
-      poses: f64[N, 7]; num_looks: how often all objects were looked for.
+      num_looks: how often all objects were looked for.
       held: the number of the object that is in the hand if the hand is closed.
     """
 
@@ -177,7 +177,12 @@ class Sight:
         self._observer, self._view, self._relook = observer, view, relook
         self.num_looks, self.held, self._looked_at = 0, -1, -1.0
         self._tool, self._was_closed = view.tool, view.is_closed
-        self.poses = np.full((len(view.names), 7), np.nan)
+        self._poses = np.full((len(view.names), 7), np.nan)
+
+    @property
+    def poses(self) -> np.ndarray:
+        """f64[N, 7]: what is known without another look."""
+        return self._poses.copy()
 
     def __call__(self, only: int | None = None) -> np.ndarray:
         """f64[N, 7]: looks again, for one object or for all (`robot.mover.See`).
@@ -189,23 +194,23 @@ class Sight:
         # Nothing has happened since all was looked at.
         is_fresh = self._looked_at == self._view.time
         if not is_fresh and (self._relook or not self.num_looks):
-            asked = range(len(self.poses)) if only is None else (only,)
+            asked = range(len(self._poses)) if only is None else (only,)
             found = self._seen(asked)
             for number, pose, is_seen in zip(asked, found.pose, found.seen, strict=True):
                 if is_seen:
-                    self.poses[number] = pose
-        if (unseen := np.isnan(self.poses[:, 0])).any():
+                    self._poses[number] = pose
+        if (unseen := np.isnan(self._poses[:, 0])).any():
             raise Failed(Cause.NOT_SEEN, self._view.names[int(unseen.argmax())])
-        return self.poses.copy()
+        return self.poses
 
     def _seen(self, numbers: Sequence[int]) -> SceneEstimate:
-        if len(numbers) == len(self.poses):
+        if len(numbers) == len(self._poses):
             self.num_looks, self._looked_at = self.num_looks + 1, self._view.time
         return self._observer(self._view, [self._view.names[number] for number in numbers])
 
     def _follow(self) -> None:
         tool, is_closed = self._view.tool, self._view.is_closed
         if is_closed and self._was_closed and self.held >= 0:
-            moved = tool @ inverse(self._tool) @ matrix_of(self.poses[self.held])
-            self.poses[self.held] = pose_of(moved)
+            moved = tool @ inverse(self._tool) @ matrix_of(self._poses[self.held])
+            self._poses[self.held] = pose_of(moved)
         self._tool, self._was_closed = tool, is_closed

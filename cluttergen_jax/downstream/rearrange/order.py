@@ -9,6 +9,7 @@ from typing import NamedTuple
 import mujoco
 import networkx as nx
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from cluttergen_jax.assets.mjcf import populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
@@ -58,7 +59,8 @@ class Meetings:
         """Of objects at f64[N, 7] that shall go to f64[N, 7]."""
         near, on_top = self._contacts(poses, goals)
         first, last = slice(0, self._number), slice(self._number, None)
-        blocks = near[first, last].copy()
+        # MuJoCo finds no contact between equal bodies at one place.
+        blocks = near[first, last] | (cdist(poses[:, :3], goals[:, :3]) < GAP)
         np.fill_diagonal(blocks, False)
         return Relations(blocks, on_top[first, first], on_top[last, last])
 

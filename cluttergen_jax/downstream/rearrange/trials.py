@@ -119,7 +119,7 @@ class Rearrangements:
             over = sum(row.picks - row.fewest for row in good)
             lines.append(
                 f"where it succeeded: {np.mean([row.picks for row in good]):.1f} picks, {over} more in all "
-                f"than the fewest possible, {sum(row.waits for row in good)} of them to wait elsewhere; at most "
+                f"than the fewest possible, {sum(row.waits for row in good)} of them to wait; at most "
                 f"{1e3 * max(row.error for row in good):.1f} mm and "
                 f"{np.degrees(max(row.turn_error for row in good)):.1f} deg from the layout"
             )

@@ -20,6 +20,8 @@ CLEARANCE = 0.005
 """Metres that everything that moves keeps from everything else on its way."""
 NEAR = 0.001
 """Metres that the hand keeps from neighbours while it comes straight to an object or leaves it."""
+APART = 0.003
+"""Metres that what is held keeps from neighbours where it is asked to."""
 _TOUCH = -0.001
 """Metres that a held object may overlap with what it is taken from or put on."""
 _AWAY = 100.0
@@ -44,11 +46,13 @@ class Mode(IntEnum):
     TRAVEL: nothing comes within the clearance of anything.
     COME: the open hand is about the target, near to it and to all else.
     CARRY: as TRAVEL, but what is held may touch what it stood on or will stand on.
+    APART: as CARRY, but what is held keeps a few millimetres from all else.
     """
 
     TRAVEL = 0
     COME = 1
     CARRY = 2
+    APART = 3
 
 
 def _thresholds() -> np.ndarray:
@@ -59,14 +63,15 @@ def _thresholds() -> np.ndarray:
         for b in moving:
             # The arm is near to itself wherever it is.
             limit[:, a, b] = 0.0
-    for mode in (Mode.COME, Mode.CARRY):
+    for mode in (Mode.COME, Mode.CARRY, Mode.APART):
         for other in (Kind.GROUND, Kind.OTHER):
             limit[mode, Kind.HAND, other] = limit[mode, other, Kind.HAND] = NEAR
-    for mode in (Mode.COME, Mode.CARRY):
+    for mode in (Mode.COME, Mode.CARRY, Mode.APART):
         limit[mode, Kind.HAND, Kind.GROUND] = limit[mode, Kind.GROUND, Kind.HAND] = 0.0
         limit[mode, Kind.HAND, Kind.TARGET] = limit[mode, Kind.TARGET, Kind.HAND] = NEAR
     for other in (Kind.GROUND, Kind.OTHER):
         limit[Mode.CARRY, Kind.HELD, other] = limit[Mode.CARRY, other, Kind.HELD] = _TOUCH
+        limit[Mode.APART, Kind.HELD, other] = limit[Mode.APART, other, Kind.HELD] = APART
     return limit
 
 

@@ -65,6 +65,7 @@ class Execution:
       scene: what stands there at the start. target: the number of the object that is to be moved first.
       stands: more boxes that objects can stand on.
       every: keep the state of every so manieth step for films; 0 keeps none.
+      sleeps: what rests sleeps until something touches it, which saves most of the time of many objects.
 
     Attributes:
       trace: f64[nq] each, the states that were kept.
@@ -78,12 +79,15 @@ class Execution:
         stands: Sequence[Box] = (),
         config: PandaConfig | None = None,
         every: int = 0,
+        sleeps: bool = False,
     ) -> None:
         self.config = config or PandaConfig()
         spec = with_panda(scene, self.config)
         for number, box in enumerate(stands):
             add_stand(spec, box, f"ground-{number}")
         self.model = spec.compile()
+        if sleeps:
+            self.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
         self.data = mujoco.MjData(self.model)
         self.panda = Panda.of(self.model)
         self.step_time = float(self.model.opt.timestep)
@@ -93,6 +97,10 @@ class Execution:
         self.trace: list[np.ndarray] = []
         self.travel = 0.0
         self._start(scene)
+
+    def wake(self) -> None:
+        """From now on nothing sleeps."""
+        self.model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
     def aim_at(self, target: int) -> None:
         """From now on this object is the one that the hand may touch."""

@@ -12,7 +12,7 @@ from cluttergen_jax.downstream.robot.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.frames import angle_between, inverse, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasp_candidates import opening_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
-from cluttergen_jax.downstream.robot.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.ik import LINE_STEP, ArmKinematics
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.plan import Planner
 from cluttergen_jax.downstream.robot.timing import timed
@@ -70,6 +70,8 @@ class Mover:
     Args:
       execution: the simulation; world: its copy for planning; target: the object's number.
       seed: of what is drawn; equal seeds do the same.
+      is_apart: what is held keeps `collision.APART` from all else once it is a centimetre above its place; it
+        moves a little as the fingers close.
       see: tells where objects are, asked whenever something may have moved; the true poses if not given.
         Nothing else tells the mover.
     """
@@ -82,12 +84,13 @@ class Mover:
         target: int,
         seed: int,
         see: See | None = None,
+        is_apart: bool = False,
     ) -> None:
         self.execution, self.world, self.kinematics, self.target = execution, world, kinematics, target
         self._see: See = see or (lambda only: execution.poses())
         self.planner = Planner(world, kinematics)
         self._rng, self._seed = np.random.default_rng(seed), seed
-        self._opening = 0.0
+        self._opening, self._is_apart = 0.0, is_apart
         self._T_tool_object = self._grasped = np.eye(4)
         self._known: tuple[int, np.ndarray] | None = None
 
@@ -166,7 +169,7 @@ class Mover:
         if back is None:
             return None
         self.world.hold(inverse(T_object_tool))
-        lift = self.planner.line(joints, LIFT * _UP, opening, Mode.CARRY)
+        lift = self._lifting(joints, opening)
         self.world.release(stood)
         if lift is None:
             return None
@@ -219,7 +222,7 @@ class Mover:
         # A line costs a hundred times as much as one look.
         if not self.world.is_free(joints, opening, Mode.CARRY):
             return None
-        lift = self.planner.line(joints, LIFT * _UP, opening, Mode.CARRY)
+        lift = self._lifting(joints, opening)
         if lift is None or not self.world.is_free(lift[-1], opening):
             return None
         self.world.release(pose_of(place))
@@ -273,6 +276,14 @@ class Mover:
         return path is not None
 
     # What both need
+
+    def _lifting(self, joints: np.ndarray, opening: float) -> np.ndarray | None:
+        """Joints f64[L, 7] straight up with what is held."""
+        path = self.planner.line(joints, LIFT * _UP, opening, Mode.CARRY)
+        if path is None or not self._is_apart:
+            return path
+        above = path[round(TOUCH / LINE_STEP) :: 3]
+        return path if all(self.world.is_free(each, opening, Mode.APART) for each in above) else None
 
     def _back(self, joints: np.ndarray, T_world_tool: np.ndarray, opening: float) -> np.ndarray | None:
         """Joints along a straight line out of a grasp."""

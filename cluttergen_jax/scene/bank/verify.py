@@ -244,7 +244,7 @@ def _loaded(path: Path) -> tuple[mujoco.MjModel, int]:
 
 
 def verify_model(path: Path, model: mujoco.MjModel, key: int, config: VerifyConfig) -> Verification:
-    """As `verify_scene`, of a model that is loaded, from its keyframe of this number; the model is changed."""
+    """As `verify_scene`, of a loaded model, from its keyframe of this number; the model is changed."""
     model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     # A diverging scene must be seen, not put back to where it started.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
