@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.downstream.rearrange.episode import RearrangeResult, RearrangeTask, rearrange_episode
 from cluttergen_jax.downstream.rearrange.layouts import SceneDraw
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
@@ -42,8 +44,8 @@ class Starts:
         self._start = self._place
         if setting.method != "clear":
             self._start = SceneDraw(pool, setting.method, setting.num_slots, num_threads)
-        objects = self._place.objects
-        self._grasps: tuple[Grasps, ...] = tuple(grasps_of(objects, num_threads=num_threads or 1))
+        self._num_threads = num_threads or os.cpu_count() or 1
+        self._grasps: dict[str, Grasps] = {}
 
     def __call__(self, seed: int) -> RearrangeTask:
         """What is to be rearranged.
@@ -73,9 +75,18 @@ class Starts:
                 )
                 if setting.num_stacked and _num_stacked(scene) < setting.num_stacked:
                     continue
-                grasps = tuple(self._grasps[each] for each in numbers)
-                return RearrangeTask(setting, scene, tuple(numbers), grasps, place, _drawn(rng))
+                return RearrangeTask(
+                    setting, scene, tuple(numbers), self._grasps_of(objects), place, _drawn(rng)
+                )
         raise ConfigError(f"no starting scene of {setting.name!r}", "smaller objects", "another pool")
+
+    def _grasps_of(self, objects: Sequence[ObjectAsset]) -> tuple[Grasps, ...]:
+        """Of each object, found when it is first asked for."""
+        fresh = [each for each in objects if each.name not in self._grasps]
+        if fresh:
+            found = grasps_of(fresh, num_threads=self._num_threads)
+            self._grasps.update(zip((each.name for each in fresh), found, strict=True))
+        return tuple(self._grasps[each.name] for each in objects)
 
 
 def _drawn(rng: np.random.Generator) -> int:
