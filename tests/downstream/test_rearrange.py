@@ -35,7 +35,9 @@ from cluttergen_jax.downstream.robot.grasps import Grasps
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.trials import EPISODES
 from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.rendering.gl import RendererError
 from cluttergen_jax.scene import Scene
+from cluttergen_jax.sensing.camera import Camera
 from tests.helpers.worlds import box
 
 TABLE = cuboid_table()
@@ -78,7 +80,7 @@ def draws(goals):
 def task_of(goals, scene=SCENE, draw=None):
     setting = RearrangeSetting("two", num_objects=2, target=Rectangle((0.0, 0.0), (0.2, 0.2)))
     grasps = tuple(grasps_of_box(name) for name in scene.names)
-    return RearrangeTask(setting, scene, (0, 1), grasps, draw or draws(goals), 3)
+    return RearrangeTask(setting, scene, (0, 1), grasps, (2, 2), draw or draws(goals), 3)
 
 
 def test_two_boxes_change_places_by_way_of_a_third_and_the_truth_is_read_by_two_alone(monkeypatch):
@@ -175,6 +177,25 @@ def test_what_is_not_seen_stays_where_it_was_or_moves_with_the_hand():
     assert np.allclose(matrix_of(moved[0]), expected, atol=1e-9)
     assert np.linalg.norm(moved[0, :3] - first[0, :3]) > 0.05
     assert np.array_equal(moved[1], first[1])
+
+
+def test_cameras_see_the_boxes_and_the_arm():
+    execution = Execution(SCENE, 0)
+    camera = Camera.looking((0.9, 0.0, 1.3), (0.0, 0.0, 0.9), 320, 240, 300.0)
+    with EpisodeView(execution, SCENE.names) as view:
+        try:
+            rgb, depth = view.picture(camera)
+        except RendererError as error:
+            pytest.skip(str(error))
+        again = view.picture(camera)
+    assert rgb.shape == (camera.height, camera.width, 3)
+    assert np.array_equal(again[1], depth)
+    tops = SCENE.poses[:, :3] + [[0, 0, asset.half_extents[2]] for asset in BOXES]
+    pixels, distance = camera.project(tops)
+    for (column, row), expected in zip(pixels, distance, strict=True):
+        assert depth[int(row), int(column)] == pytest.approx(expected, abs=0.002)
+    (column, row), expected = camera.project((execution.tool @ [0, 0, -0.06, 1])[:3])
+    assert expected - 0.1 < depth[int(row), int(column)] < expected
 
 
 def test_what_was_never_seen_is_said():

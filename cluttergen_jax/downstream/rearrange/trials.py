@@ -16,6 +16,7 @@ from cluttergen_jax.downstream.rearrange.layouts import SceneDraw
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
 from cluttergen_jax.downstream.rearrange.order import Meetings
 from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions, RearrangeSetting
+from cluttergen_jax.downstream.rearrange.symmetry import turn_symmetry
 from cluttergen_jax.downstream.robot.grasps import Grasps, grasps_of
 from cluttergen_jax.downstream.robot.rows import RowFile, share_of
 from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed
@@ -46,6 +47,7 @@ class Starts:
             self._start = SceneDraw(pool, setting.method, setting.num_slots, num_threads)
         self._num_threads = num_threads or os.cpu_count() or 1
         self._grasps: dict[str, Grasps] = {}
+        self._symmetry: dict[str, int] = {}
 
     def __call__(self, seed: int) -> RearrangeTask:
         """What is to be rearranged.
@@ -75,9 +77,8 @@ class Starts:
                 )
                 if setting.num_stacked and _num_stacked(scene) < setting.num_stacked:
                     continue
-                return RearrangeTask(
-                    setting, scene, tuple(numbers), self._grasps_of(objects), place, _drawn(rng)
-                )
+                grasps, symmetry = self._grasps_of(objects), self._symmetry_of(objects)
+                return RearrangeTask(setting, scene, tuple(numbers), grasps, symmetry, place, _drawn(rng))
         raise ConfigError(f"no starting scene of {setting.name!r}", "smaller objects", "another pool")
 
     def _grasps_of(self, objects: Sequence[ObjectAsset]) -> tuple[Grasps, ...]:
@@ -87,6 +88,12 @@ class Starts:
             found = grasps_of(fresh, num_threads=self._num_threads)
             self._grasps.update(zip((each.name for each in fresh), found, strict=True))
         return tuple(self._grasps[each.name] for each in objects)
+
+    def _symmetry_of(self, objects: Sequence[ObjectAsset]) -> tuple[int, ...]:
+        for each in objects:
+            if each.name not in self._symmetry:
+                self._symmetry[each.name] = turn_symmetry(each)
+        return tuple(self._symmetry[each.name] for each in objects)
 
 
 def _drawn(rng: np.random.Generator) -> int:
