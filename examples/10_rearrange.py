@@ -1,7 +1,7 @@
 # %% [markdown]
 # # Objects into a new layout
-# A simulated arm (extra `robot`) rearranges the objects on a table: the generator draws layouts in another part
-# of the table, one is chosen, and objects are moved one after another, in an order in which none is in the way.
+# A simulated arm (extra `robot`) rearranges the objects on a table: the generator draws layouts in another
+# part of the table, one is chosen, and one object after another is moved, so that none is in the way.
 
 # %%
 import os
@@ -30,7 +30,7 @@ print(found)
 # %%
 for row in found.rows:
     print(f"{row.outcome}: {', '.join(row.objects)}")
-    print(f"  {row.picks} picks ({row.fewest} could do), the tool went {row.path:.1f} m in {row.seconds:.0f} s")
+    print(f"  {row.picks} picks ({row.fewest} could do), {row.path:.1f} m of the tool in {row.seconds:.0f} s")
 
 # %% [markdown]
 # Where objects are the arm is told by an observer. So far there is a perfect one; here is one that errs by

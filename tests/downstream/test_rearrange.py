@@ -38,12 +38,13 @@ from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.rendering.gl import RendererError
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.sensing.camera import Camera
+from tests.helpers.placing import with_surface
 from tests.helpers.worlds import box
 
 TABLE = cuboid_table()
 TOP = TABLE.top
 HALF = (0.02, 0.03, 0.03)
-BOXES = (box("red", HALF), box("blue", (0.02, 0.025, 0.04)))
+BOXES = (with_surface(box("red", HALF)), with_surface(box("blue", (0.02, 0.025, 0.04))))
 PLACES = np.array([[0.05, -0.08], [0.05, 0.08]])
 
 
