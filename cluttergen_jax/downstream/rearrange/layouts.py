@@ -32,7 +32,6 @@ from cluttergen_jax.types import Array
 
 NUM_DRAWN = 64
 """Layouts that are drawn for those that are kept."""
-_GRASPS_TRIED = 24
 
 
 class SceneDraw:
@@ -185,11 +184,11 @@ def reach_of(
     for target in moved:
         world = PlanningWorld(names, objects, poses, target, support, base_pose(support))
         T_world_object = matrix_of(poses[target])
-        for tried, (T_object_tool, width) in enumerate(ranked(grasps[target], T_world_object)):
-            if tried == _GRASPS_TRIED:
-                break
-            found = kinematics.solutions(T_world_object @ T_object_tool, 1, rng)
-            opening = float(opening_of(np.array(width)))
+        for T_object_tool, width in ranked(grasps[target], T_world_object):
+            T_world_tool, opening = T_world_object @ T_object_tool, float(opening_of(np.array(width)))
+            if not world.is_hand_free(T_world_tool, opening, Mode.COME):
+                continue
+            found = kinematics.solutions(T_world_tool, 1, rng)
             if found and world.is_free(found[0], opening, Mode.COME):
                 good += 1
                 break

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +33,8 @@ _UP = np.array([0.0, 0.0, 1.0])
 _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 _ARMS = 3
 """Solutions of the inverse kinematics that are tried for a pose."""
+_PLACES = 4
+"""Places that are tried with one grasp."""
 See = Callable[[int | None], np.ndarray]
 """f64[N, 7], T_world_object of a scene's objects as far as they are known; a number asks for one alone."""
 
@@ -111,19 +113,28 @@ class Mover:
         has_free = has_joints = False
         for T_object_tool, width in ranked(grasps, T_world_object):
             T_world_tool, opening = T_world_object @ T_object_tool, float(opening_of(np.array(width)))
+            if not self.world.is_hand_free(T_world_tool, opening, Mode.COME):
+                continue
+            fitting: list[int] = []
+            if places is not None:
+                fitting = self._hand_fits(T_object_tool, places, opening, stood)
+                if not fitting:
+                    continue
+            has_free = True
             for joints in self.kinematics.solutions(T_world_tool, _ARMS, self._rng):
                 has_joints = True
                 if not self.world.is_free(joints, opening, Mode.COME):
                     continue
-                has_free = True
-                if places is not None and not self._fits(T_object_tool, places, opening, stood):
+                if places is not None and not self._fits(T_object_tool, places, fitting, opening, stood):
                     break
                 hold = self._hold(joints, T_object_tool, width, stood, opening)
                 if hold is not None:
                     return hold
+        if not has_free:
+            raise Failed(Outcome.NO_GRASP)
         if not has_joints:
-            raise Failed(Outcome.NO_IK if len(grasps) else Outcome.NO_GRASP)
-        raise Failed(Outcome.NO_PATH if has_free else Outcome.NO_GRASP, "to pick it up")
+            raise Failed(Outcome.NO_IK)
+        raise Failed(Outcome.NO_PATH, "to pick it up")
 
     def pick(self, hold: Hold) -> None:
         """Runs it: the object is lifted by `LIFT` afterwards.
@@ -143,14 +154,39 @@ class Mover:
         run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.TOUCH)
         self._carry(rest, before)
 
-    def _fits(self, T_object_tool: np.ndarray, places: np.ndarray, opening: float, stood: np.ndarray) -> bool:
-        """Whether the hand can put the object down at one of the places, and leave it there; keeps how."""
+    def _hand_fits(
+        self, T_object_tool: np.ndarray, places: np.ndarray, opening: float, stood: np.ndarray
+    ) -> list[int]:
+        """The first few of the places where the hand alone could put the object down."""
+        T_tool_object, found = inverse(T_object_tool), []
+        self.world.hold(T_tool_object)
+        for number, place in enumerate(places):
+            target = _tool_at(place, T_tool_object)
+            is_free = self.world.is_hand_free(target, opening, Mode.CARRY) and (
+                not self._is_apart or self.world.is_hand_free(_raised(target, TOUCH), opening, Mode.APART)
+            )
+            if is_free:
+                found.append(number)
+            if len(found) == _PLACES:
+                break
+        self.world.release(stood)
+        return found
+
+    def _fits(
+        self,
+        T_object_tool: np.ndarray,
+        places: np.ndarray,
+        numbers: Sequence[int],
+        opening: float,
+        stood: np.ndarray,
+    ) -> bool:
+        """Whether the arm can put the object down at one of some places, and leave it there; keeps how."""
         T_tool_object = inverse(T_object_tool)
         try:
-            for number, place in enumerate(places):
-                target = _tool_at(place, T_tool_object)
+            for number in numbers:
+                target = _tool_at(places[number], T_tool_object)
                 for joints in self.kinematics.solutions(target, _ARMS, self._rng):
-                    if self._lowering(joints, place, T_tool_object, opening) is not None:
+                    if self._lowering(joints, places[number], T_tool_object, opening) is not None:
                         self._known = number, joints
                         return True
             return False
