@@ -149,6 +149,7 @@ def test_is_the_scene_that_generate_saves(sample, bank):
         np.testing.assert_array_equal(ours.poses[row][ours.is_placed[row]], theirs.poses)
 
 
+@pytest.mark.slow
 def test_retries_draw_again_until_a_scene_passes(pool):
     # On so small a table, three objects at random fail more often than not.
     asked = {"pool": pool, "support": "table-0.11x0.11", "method": "random"}

@@ -88,6 +88,7 @@ def mixture_of(scores, symmetry=2):
 
 
 @pytest.mark.parametrize("symmetry", [1, 2])
+@pytest.mark.slow
 def test_mixture_integrates_to_one_and_its_entropy_is_exact(symmetry):
     mixture = mixture_of(SCORES, symmetry)
     # Even draws over everything in which there is density: z in the window of the cell.

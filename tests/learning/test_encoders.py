@@ -160,6 +160,7 @@ def test_order_of_points_does_not_matter(net):
     )
 
 
+@pytest.mark.slow
 def test_gradient_stays_finite_with_padding():
     module = PointNet2(4, 4)
     cloud, mask = jnp.asarray(points(20)), jnp.arange(20) < 3

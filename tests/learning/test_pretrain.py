@@ -88,6 +88,7 @@ def test_finished_run_says_the_same_again(trained):
     assert Pretraining(CONFIG, trained[0]).run() == trained[1]
 
 
+@pytest.mark.slow
 def test_stopped_run_goes_on_to_the_same_bits(trained, tmp_path, monkeypatch):
     batch, asked = Pretraining._batch, []
 

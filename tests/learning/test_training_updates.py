@@ -56,6 +56,7 @@ def ill(state, illness):
     return state.replace(env=env.replace(info=env.info | {"illness": jnp.full((4,), illness, jnp.int32)}))
 
 
+@pytest.mark.slow
 def test_three_at_once_are_one_by_one(sick):
     updates, state = sick
     at_once, rows, is_finite = updates(state, 3)

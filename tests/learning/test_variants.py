@@ -60,6 +60,7 @@ def test_bodies_come_from_the_cache_unchanged(home, monkeypatch):
     assert not list(home.glob(".*"))
 
 
+@pytest.mark.slow
 def test_a_damaged_body_is_made_again(home):
     (before,) = variants(1, 0, PAIR, num_processes=1)
     folder = home / ShapeVariant("cereal_box", 0).key

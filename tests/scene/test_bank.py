@@ -128,6 +128,7 @@ def test_verify_tells_what_it_saw_where_nothing_can_be_written(bank, capsys, mon
     assert "Read-only file system" in shown.err
 
 
+@pytest.mark.slow
 def test_damaged_files_of_scenes_are_mended(pool, tmp_path):
     path = tmp_path / "bank"
     words = ["generate", "--pool", pool, "--out", str(path), "-n", "3", "--method", "clear"]
@@ -189,6 +190,7 @@ def test_bad_input_is_explained_and_leaves_nothing(pool, tmp_path, capsys, more,
     assert not (tmp_path / "bank").exists()
 
 
+@pytest.mark.slow
 def test_repeat_start_and_keep_out(pool, bank, tmp_path):
     path = tmp_path / "more"
     more = ["--keep-out", "0.2,0,0.2,0.7", "--start", f"{bank}:0", "--repeat", "--num-objects", "5"]
