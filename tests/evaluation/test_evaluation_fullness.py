@@ -198,6 +198,7 @@ def made_by(runner, tmp_path, name, method, **changed):
     return json.loads(json.dumps(result))
 
 
+@pytest.mark.slow
 def test_crowds_are_made_with_spread(runner, tmp_path):
     asked = {"num_objects": 2, "budget": None, "pool": "dining", "order": "random", "ruin_after": 0}
     asked |= {"tidy": True}

@@ -267,6 +267,7 @@ def test_frozen_weights_keep_their_bits_through_an_update():
 
 
 @pytest.mark.parametrize(("kind", "is_frozen"), [("set", True), ("pointnet", True), ("pointnet", False)])
+@pytest.mark.slow
 def test_frozen_encoders_get_no_gradient_and_keep_their_features(kind, is_frozen):
     config = dataclasses.replace(
         SMALL, scene_encoder=kind, history_width=0, encoder_frozen=is_frozen, token_width=8

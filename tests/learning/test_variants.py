@@ -81,6 +81,7 @@ def test_a_body_that_fails_is_named_and_the_others_stay(home, monkeypatch):
     assert cache.load(ShapeVariant("cereal_box", 0).key, "cereal_box-0") is not None
 
 
+@pytest.mark.slow
 def test_what_is_left_early_leaves_no_worker_and_no_half_body(home, monkeypatch):
     class Interrupted(module.Progress):
         def update(self, *args, **options):

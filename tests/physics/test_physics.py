@@ -473,9 +473,9 @@ def is_clear(report, is_neighbour, is_placed):
 THROWS = "pure-JAX MJX threw an object at rest upwards at 1.4 m/s in 1 of 61 clear scenes (float32 Newton)"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "name",
-    ["warp", pytest.param("jax", marks=[pytest.mark.slow, pytest.mark.xfail(reason=THROWS, strict=True)])],
+    "name", ["warp", pytest.param("jax", marks=pytest.mark.xfail(reason=THROWS, strict=True))]
 )
 def test_engines_agree(name):
     (native, other), (_, is_placed, focus, _) = agreement(name)

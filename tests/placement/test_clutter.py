@@ -258,6 +258,7 @@ def test_older_banks_do_not_know_how_cluttered_they_are():
     assert with_added(rows).schema == rows.schema
 
 
+@pytest.mark.slow
 def test_nothing_placed_reaches_beyond_the_edge():
     setup, scenes = filled(32, "table-0.40x0.50", overhang="none")
     assert scenes.is_success.mean() > 0.8

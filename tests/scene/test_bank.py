@@ -72,6 +72,7 @@ def test_overwrite_begins_anew(pool, tmp_path):
     assert (tmp_path / "b" / "notes.txt").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_few_successes_bring_advice(pool, tmp_path, capsys):
     tight = ["--support", "table-0.12x0.12", "--region", "0.11x0.11", "-n", "4", "--min-margin", "0"]
     assert generate(pool, tmp_path / "tight", *tight, "--method", "random") == 0
