@@ -140,6 +140,7 @@ class Rearranger:
         found = self.find_layouts()
         for number in self._chosen(found)[:MAX_LAYOUTS]:
             self.layouts += 1
+            self._times[:] = 0
             self.goals = found.poses[number]
             if self._reach_layout(self.goals):
                 return

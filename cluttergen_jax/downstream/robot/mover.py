@@ -127,7 +127,7 @@ class Mover:
                     continue
                 if places is not None and not self._fits(T_object_tool, places, fitting, opening, stood):
                     break
-                hold = self._hold(joints, T_object_tool, width, stood, opening)
+                hold = self._hold(joints, T_object_tool, width, stood, opening, places is not None)
                 if hold is not None:
                     return hold
         if not has_free:
@@ -200,12 +200,19 @@ class Mover:
         width: float,
         stood: np.ndarray,
         opening: float,
+        needs_room: bool,
     ) -> Hold | None:
         back = self._back(joints, matrix_of(stood) @ T_object_tool, opening)
         if back is None:
             return None
         self.world.hold(inverse(T_object_tool))
-        lift = self._lifting(joints, opening)
+        lifts = (self._lifting(joints, opening, height) for height in (LIFT, 2 * LIFT))
+        # What lies around something tall must be lifted off it before it can go anywhere.
+        lift = next(
+            (each for each in lifts if each is not None and self.world.is_free(each[-1], opening)), None
+        )
+        if lift is None and not needs_room:
+            lift = self._lifting(joints, opening)
         self.world.release(stood)
         if lift is None:
             return None
@@ -313,9 +320,9 @@ class Mover:
 
     # What both need
 
-    def _lifting(self, joints: np.ndarray, opening: float) -> np.ndarray | None:
+    def _lifting(self, joints: np.ndarray, opening: float, height: float = LIFT) -> np.ndarray | None:
         """Joints f64[L, 7] straight up with what is held."""
-        path = self.planner.line(joints, LIFT * _UP, opening, Mode.CARRY)
+        path = self.planner.line(joints, height * _UP, opening, Mode.CARRY)
         if path is None or not self._is_apart:
             return path
         above = path[round(TOUCH / LINE_STEP) :: 3]
