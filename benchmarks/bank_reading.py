@@ -55,8 +55,8 @@ class BankReading:
         size = sum(each.stat().st_size for each in files)
         rows = [(name, *measured(name, self.out)) for name in WAYS]
         text = (
-            f"{self.num_scenes:,} scenes of ten objects of dining in {len(files)} files, {size / 1e6:,.0f} MB. "
-            "Each row is a process of its own: seconds after its imports, and the most memory that it held."
+            f"{self.num_scenes:,} scenes of ten objects of dining in {len(files)} files, {size / 1e6:,.0f} "
+            "MB. Each row is a process of its own: seconds after imports, and the most memory that it held."
         )
         header = ("", "seconds", "MB resident", "scenes")
         report("bank_reading", f"## Reading a big bank\n\n{text}\n\n{table(header, rows)}", write=self.write)
