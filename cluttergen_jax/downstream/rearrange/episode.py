@@ -20,8 +20,9 @@ from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
 from cluttergen_jax.downstream.robot.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.mover import Hold, Mover
+from cluttergen_jax.downstream.robot.mover import Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.robot.plan import PickPlan
 from cluttergen_jax.scene import Scene
 
 NEAR_GOAL, NEAR_GOAL_TURN = 0.01, float(np.radians(10))
@@ -262,7 +263,7 @@ class Rearranger:
         seed = int(self._rng.integers(2**30))
         mover = Mover(self._execution, world, self._kinematics, k, seed, self._sight, is_apart)
         try:
-            hold = mover.find_hold(self._grasps(k), places)
+            plan = mover.find_pick(self._grasps(k), places)
         except Failed as failure:
             self._why = Failed(failure.outcome, f"{scene.names[k]} {failure.detail}")
             return False
@@ -270,16 +271,16 @@ class Rearranger:
         self._execution.aim_at(k)
         self._sight.held = k
         self._judge.begin_move()
-        self._carry(mover, hold, np.concatenate([places, stood[None]]))
+        self._carry(mover, plan, np.concatenate([places, stood[None]]))
         mover.go_home()
         self._sight()
         self._judge.check_others(k)
         return True
 
-    def _carry(self, mover: Mover, hold: Hold, places: np.ndarray) -> None:
+    def _carry(self, mover: Mover, plan: PickPlan, places: np.ndarray) -> None:
         """Picks up and puts down; an object that slipped is put down as it lies in the hand, or lost."""
         try:
-            mover.pick(hold)
+            mover.pick(plan)
         except Failed as failure:
             if failure.outcome != Outcome.SLIP:
                 raise
@@ -287,7 +288,7 @@ class Rearranger:
             mover.let_go()
             return
         try:
-            mover.put(places)
+            mover.place(places)
         except Failed as failure:
             if failure.outcome != Outcome.SLIP:
                 raise

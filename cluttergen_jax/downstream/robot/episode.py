@@ -143,7 +143,7 @@ def lift_episode(scene: Scene, target: int, grasps: Grasps, seed: int, every: in
 
     def run(world: EpisodeWorld) -> int:
         height = world.execution.pose(target)[2, 3]
-        world.mover.pick(world.mover.find_hold(grasps))
+        world.mover.pick(world.mover.find_pick(grasps))
         world.check_others()
         if world.execution.pose(target)[2, 3] < height + 0.8 * LIFT:
             raise Failed(Outcome.SLIP, "not lifted")
@@ -174,9 +174,9 @@ def place_episode(
     wanted = matrix_of(places)
 
     def run(world: EpisodeWorld) -> int:
-        world.mover.pick(world.mover.find_hold(grasps, wanted))
+        world.mover.pick(world.mover.find_pick(grasps, wanted))
         world.check_others()
-        used = world.mover.put(wanted)
+        used = world.mover.place(wanted)
         world.check_others()
         world.check_stands()
         _check_region(scene, target, world.execution.pose(target))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from cluttergen_jax.downstream.robot.grasp_candidates import opening_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
 from cluttergen_jax.downstream.robot.ik import LINE_STEP, ArmKinematics
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.robot.plan import Planner
+from cluttergen_jax.downstream.robot.plan import PickPlan, PlacePlan, Planner
 from cluttergen_jax.downstream.robot.timing import timed
 
 APPROACH = (0.10, 0.06)
@@ -37,33 +36,6 @@ _PLACES = 4
 """Places that are tried with one grasp."""
 See = Callable[[int | None], np.ndarray]
 """f64[N, 7], T_world_object of a scene's objects as far as they are known; a number asks for one alone."""
-
-
-class Hold(NamedTuple):
-    """How an object can be had.
-
-    Attributes:
-      T_object_tool: f64[4, 4]. width: metres between the fingers.
-      path: f64[L, 7], joints, to before the object; come: f64[L, 7], from there to it; lift: f64[L, 7].
-    """
-
-    T_object_tool: np.ndarray
-    width: float
-    path: np.ndarray
-    come: np.ndarray
-    lift: np.ndarray
-
-
-class Put(NamedTuple):
-    """How what is held can be put down.
-
-    Attributes:
-      path: f64[L, 7], joints, to above the place; lower: f64[L, 7]; leave: f64[L, 7], out of the hand.
-    """
-
-    path: np.ndarray
-    lower: np.ndarray
-    leave: np.ndarray
 
 
 class Mover:
@@ -98,7 +70,7 @@ class Mover:
 
     # Picking up
 
-    def find_hold(self, grasps: Grasps, places: np.ndarray | None = None) -> Hold:
+    def find_pick(self, grasps: Grasps, places: np.ndarray | None = None) -> PickPlan:
         """The first grasp that is free of contact, reached, and left upwards with the object.
 
         Args:
@@ -127,30 +99,30 @@ class Mover:
                     continue
                 if places is not None and not self._fits(T_object_tool, places, fitting, opening, stood):
                     break
-                hold = self._hold(joints, T_object_tool, width, stood, opening, places is not None)
-                if hold is not None:
-                    return hold
+                plan = self._pick_plan(joints, T_object_tool, width, stood, opening, places is not None)
+                if plan is not None:
+                    return plan
         if not has_free:
             raise Failed(Outcome.NO_GRASP)
         if not has_joints:
             raise Failed(Outcome.NO_IK)
         raise Failed(Outcome.NO_PATH, "to pick it up")
 
-    def pick(self, hold: Hold) -> None:
+    def pick(self, plan: PickPlan) -> None:
         """Runs it: the object is lifted by `LIFT` afterwards.
 
         Raises:
           Failed: an unplanned contact, or the object was lost.
         """
-        run, opening = self.execution, float(opening_of(np.array(hold.width)))
+        run, opening = self.execution, float(opening_of(np.array(plan.width)))
         self._opening = opening
         run.move_fingers(opening, Phase.FREE, 0.2)
-        run.follow(timed(hold.path, run.step_time), Phase.FREE)
-        run.follow(timed(hold.come, run.step_time, CARRY_SHARE), Phase.FREE)
+        run.follow(timed(plan.path, run.step_time), Phase.FREE)
+        run.follow(timed(plan.come, run.step_time, CARRY_SHARE), Phase.FREE)
         run.wait(0.1, Phase.FREE)
         run.close()
         self._grasped = before = self._in_hand()
-        first, rest = _split(hold.lift, self.kinematics, TOUCH)
+        first, rest = _split(plan.lift, self.kinematics, TOUCH)
         run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.TOUCH)
         self._carry(rest, before)
 
@@ -193,7 +165,7 @@ class Mover:
         finally:
             self.world.release(stood)
 
-    def _hold(
+    def _pick_plan(
         self,
         joints: np.ndarray,
         T_object_tool: np.ndarray,
@@ -201,7 +173,7 @@ class Mover:
         stood: np.ndarray,
         opening: float,
         needs_room: bool,
-    ) -> Hold | None:
+    ) -> PickPlan | None:
         back = self._back(joints, matrix_of(stood) @ T_object_tool, opening)
         if back is None:
             return None
@@ -217,11 +189,11 @@ class Mover:
         if lift is None:
             return None
         path = self.planner.connect(self.execution.set_point, back[-1], opening, self._next_seed())
-        return None if path is None else Hold(T_object_tool, width, path, back[::-1], lift)
+        return None if path is None else PickPlan(T_object_tool, width, path, back[::-1], lift)
 
     # Putting down
 
-    def put(self, places: np.ndarray) -> int:
+    def place(self, places: np.ndarray) -> int:
         """Puts down what is held at the first of places f64[M, 4, 4] (T_world_object) that works, and leaves.
 
         Returns:
@@ -234,9 +206,9 @@ class Mover:
         for number, place in enumerate(places):
             for joints in self._arms(number, _tool_at(place, self._T_tool_object)):
                 has_joints = True
-                found = self._put(joints, place)
+                found = self._place_plan(joints, place)
                 if found is not None:
-                    self._run_put(found, place)
+                    self._run_place(found, place)
                     return number
         raise Failed(Outcome.NO_PATH if has_joints else Outcome.NO_IK, "to put it down")
 
@@ -248,14 +220,14 @@ class Mover:
         others = self.kinematics.solutions(T_world_tool, 2 * _ARMS, self._rng)
         return others if known is None else [known, *others]
 
-    def _put(self, joints: np.ndarray, place: np.ndarray) -> Put | None:
+    def _place_plan(self, joints: np.ndarray, place: np.ndarray) -> PlacePlan | None:
         found = self._lowering(joints, place, self._T_tool_object, self._opening)
         if found is None:
             return None
         lift, leave = found
         self.world.hold(self._T_tool_object)
         path = self.planner.connect(self.execution.set_point, lift[-1], self._opening, self._next_seed())
-        return None if path is None else Put(path, lift[::-1], leave)
+        return None if path is None else PlacePlan(path, lift[::-1], leave)
 
     def _lowering(
         self, joints: np.ndarray, place: np.ndarray, T_tool_object: np.ndarray, opening: float
@@ -272,19 +244,19 @@ class Mover:
         leave = self._back(joints, _tool_at(place, T_tool_object), opening)
         return None if leave is None else (lift, leave)
 
-    def _run_put(self, put: Put, place: np.ndarray) -> None:
+    def _run_place(self, plan: PlacePlan, place: np.ndarray) -> None:
         run = self.execution
         before = self._T_tool_object
-        self._carry(put.path, before)
-        lower = self._corrected(put.lower, place)
+        self._carry(plan.path, before)
+        lower = self._corrected(plan.lower, place)
         upper, last = _split(lower, self.kinematics, TOUCH, from_end=True)
         self._carry(upper, self._T_tool_object, rest=0.0)
         run.follow(timed(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH)
         run.wait(0.2, Phase.TOUCH)
         self._in_hand()
         run.move_fingers(self._opening, Phase.TOUCH)
-        leave = self.kinematics.line(run.set_point, self._leaving(put.leave))
-        first, rest = _split(put.leave if leave is None else leave, self.kinematics, TOUCH)
+        leave = self.kinematics.line(run.set_point, self._leaving(plan.leave))
+        first, rest = _split(plan.leave if leave is None else leave, self.kinematics, TOUCH)
         run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.GRASP)
         run.follow(timed(rest, run.step_time), Phase.FREE)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,33 @@ CHECKED_STEP = 0.00625
 """Radians between two states of an edge that are looked at: 5 mm of the tool at 0.8 m from an axis."""
 _SHORTCUTS = 100
 _BEND_STEPS = 2
+
+
+class PickPlan(NamedTuple):
+    """How an object is picked up.
+
+    Attributes:
+      T_object_tool: f64[4, 4]. width: metres between the fingers.
+      path: f64[L, 7], joints, to before the object; come: f64[L, 7], from there to it; lift: f64[L, 7].
+    """
+
+    T_object_tool: np.ndarray
+    width: float
+    path: np.ndarray
+    come: np.ndarray
+    lift: np.ndarray
+
+
+class PlacePlan(NamedTuple):
+    """How what is held is placed.
+
+    Attributes:
+      path: f64[L, 7], joints, to above the place; lower: f64[L, 7]; leave: f64[L, 7], out of the hand.
+    """
+
+    path: np.ndarray
+    lower: np.ndarray
+    leave: np.ndarray
 
 
 class Planner:
