@@ -35,7 +35,7 @@ def comparison(queries: int) -> PlacerComparison:
 def trained_row(seed: int | None, good: int, noise: float = 0.0, name: str = "scored") -> dict:
     """A row of 100 queries of which `good` went well, as a trained placer of that seed would have it."""
     share = proportion(np.arange(100) < good)
-    figures = {name: share for name in ("success", "best_of_all", "with_margin", "paper")}
+    figures = dict.fromkeys(("success", "best_of_all", "with_margin", "paper"), share)
     figures |= {"paper_without_invalid": share, "many": share | {"queries": 30}}
     figures |= {"z_error": {"median": 0.001}, "verdicts": {v.label: 0.0 for v in Verdict if v >= 0}}
     trial = {"placer": f"{name}-{seed}", "noise": noise, "queries": 100}
