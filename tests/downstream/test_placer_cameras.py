@@ -1,4 +1,4 @@
-"""Several cameras on one query: what each sees, fused; drawn by the pairs' seed; refused where there is one."""
+"""Several cameras on one query: what each sees, fused; drawn by the pairs' seed."""
 
 import numpy as np
 import pytest

@@ -31,7 +31,8 @@ class Chains:
 
     Args:
       scenes: whose objects and order; at most `num_chains` of them.
-      camera: a preset's name; num_cameras: of each scene, their maps fused; noise: of the depth camera; seed: of cameras, noise and proposals.
+      camera: a preset's name; num_cameras: of each scene, their maps fused.
+      noise: of the depth camera; seed: of cameras, noise and proposals.
     """
 
     def __init__(

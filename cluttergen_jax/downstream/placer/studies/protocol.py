@@ -13,8 +13,8 @@ from cluttergen_jax.tables import Table
 
 _NOTES = (
     "the paper's protocol: pairs split at random, 80 : 10 : 10, so that pairs to learn from and to test with "
-    "are of the same scenes; every object quiet for 20 steps within 60, at 2 deg/s, neighbours pushed freely; "
-    "pairs where neither the proposal nor the scene's own pose counts are left out; no noise",
+    "are of the same scenes; every object quiet for 20 steps within 60, at 2 deg/s, neighbours may be "
+    "pushed; pairs where neither the proposal nor the scene's own pose counts are left out; no noise",
     "strict: the first proposal comes to rest as docs/contract.md asks, disturbs nothing, and then the whole "
     "scene stands",
     "scenes never seen: the queries of the study `placement`, asked of the same placers",
