@@ -116,11 +116,6 @@ class Bench:
         poses[np.arange(len(target)), focus] = own(self._episodes.region, target)
         return self._count(poses, is_placed)
 
-    def true_heights(self) -> np.ndarray:
-        """f32[P, W, H]: the true height maps of the partial scenes, on the grid of the queries' maps."""
-        heights: Any = jax.jit(jax.vmap(lambda each: self._mapper(each.region, each.poses, each.is_placed)))
-        return np.asarray(heights(self._episodes).height)
-
     def stands_alone(self) -> np.ndarray:
         """bool[P]: whether the partial scene stands as it is, without the object."""
         episodes, physics = self._episodes, self._rules.physics
