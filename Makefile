@@ -7,6 +7,8 @@ VENV ?= .venv
 OUT ?= out/demo
 RUN = $(VENV)/bin
 PYTEST = $(RUN)/pytest -n auto --maxprocesses 4 --dist loadfile
+# Most of a quick test's time is XLA's compiler; what runs once need not be optimised. test-all compiles as users do.
+QUICKLY = XLA_FLAGS="$$XLA_FLAGS --xla_backend_optimization_level=0"
 # Not the whole folder: what users make here (banks, with their cards) is not the project's.
 CODE = cluttergen_jax tests benchmarks docs examples scenes $(wildcard *.py *.md)
 INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt
@@ -43,7 +45,7 @@ demo: $(VENV)/.core ## generate, draw, save and verify 20 scenes of ten dining o
 	$(RUN)/cluttergen verify $(OUT)
 
 test: lint ## lint, types and the quick tests
-	$(PYTEST) -m "not slow"
+	$(QUICKLY) $(PYTEST) -m "not slow"
 
 test-all: $(VENV)/.all ## every test, with the extras; writes tests/last_run.json
 	$(PYTEST) --record tests/last_run.json

@@ -1,6 +1,7 @@
 """Heads of placers: what they read, that they learn, what they propose, how they are stored and refused."""
 
 import dataclasses
+import functools
 import json
 
 import jax
@@ -179,6 +180,7 @@ def _wider(heights):
 
 
 @pytest.mark.parametrize("name", HEADS)
+@pytest.mark.slow
 def test_placers_propose_under_jit_and_vmap(name, examples):
     head = HEADS[name]
     found = proposed(head.placer(jax.jit(head.init)(jax.random.key(1)), 1.5), examples)
@@ -278,32 +280,35 @@ def run(folder, head="mixture", config=CONFIG):
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """A short run of each head."""
-    return {name: run(tmp_path_factory.mktemp(name), name).run() for name in HEADS}
+    """Of a head's name its placer of a short run, made when it is first asked for."""
+    return functools.cache(lambda name: run(tmp_path_factory.mktemp(name), name).run())
 
 
-@pytest.mark.parametrize("name", HEADS)
+@pytest.mark.parametrize(
+    "name", ["scored", *(pytest.param(name, marks=pytest.mark.slow) for name in ("mixture", "regression"))]
+)
 def test_gradient_steps_lower_the_loss(name, runs):
-    rows = read_rows(runs[name].parent / "metrics.csv")
+    rows = read_rows(runs(name).parent / "metrics.csv")
     assert [row["update"] for row in rows] == [0, 1, 2, 3]
     assert rows[-1]["loss"] < rows[0]["loss"] - 1e-3
-    record = json.loads((runs[name] / "record.json").read_text())
+    record = json.loads((runs(name) / "record.json").read_text())
     assert (record["kind"], record["head"]) == ("placer", name)
     assert record["validation"]["loss"] == pytest.approx(min(row["val_loss"] for row in rows), rel=1e-5)
 
 
 def test_a_run_leaves_a_placer_that_tells_chances(runs):
-    record = json.loads((runs["scored"] / "record.json").read_text())
+    record = json.loads((runs("scored") / "record.json").read_text())
     assert record["validation"]["calibration"]["number"] == 4 * 6
-    assert (runs["scored"] / "calibration.png").stat().st_size > 1000
+    assert (runs("scored") / "calibration.png").stat().st_size > 1000
     # A run's folder will do as well as that of its placer.
-    placer = load_placer(placer_folder(runs["scored"].parent))
+    placer = load_placer(placer_folder(runs("scored").parent))
     assert placer.config == HEADS["scored"].config
     assert float(placer.temperature) == pytest.approx(record["temperature"])
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_ends_as_one_that_was_not(runs, tmp_path, monkeypatch):
-    whole = runs["mixture"]
+    whole = runs("mixture")
     stopped = run(tmp_path / "stopped")
     batch = PlacerTraining._batch
 

@@ -42,6 +42,7 @@ def test_scenes_are_counted_within_some_attempts():
     assert all(each["low95"] <= each["share"] <= each["high95"] for each in found)
 
 
+@pytest.mark.slow
 def test_logged_episodes_are_the_samplers(made_up):
     sampler, outcome = made_up
     _, _, plain = next(sample_blocks(sampler, [(0, 20)], 3))

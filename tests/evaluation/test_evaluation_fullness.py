@@ -123,6 +123,7 @@ def test_imported_groups_are_merged_where_they_are_at_hand():
     assert len(unseen.trials(Scale())) == 6
 
 
+@pytest.mark.slow
 def test_pools_of_variants_need_no_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path))
     monkeypatch.setattr(variant_pools, "NUM_VARIANTS", 1)
@@ -197,6 +198,7 @@ def made_by(runner, tmp_path, name, method, **changed):
     return json.loads(json.dumps(result))
 
 
+@pytest.mark.slow
 def test_crowds_are_made_with_spread(runner, tmp_path):
     asked = {"num_objects": 2, "budget": None, "pool": "dining", "order": "random", "ruin_after": 0}
     asked |= {"tidy": True}

@@ -265,11 +265,15 @@ def test_the_problem_is_the_one_asked_for():
     assert hand_setup(given | {"min_margin": 0.0}).problem.config.placement.min_margin == 0
 
 
-def test_options_of_the_two_uses_of_view_are_kept_apart(tmp_path, capsys):
+def test_options_of_the_two_uses_of_view_are_kept_apart(capsys):
     assert main(["view", "--region", "0.2x0.2"]) == 2
     assert "--region without --place" in capsys.readouterr().err
     assert main(["view", "--place", "--method", "drop"]) == 2
     assert "--method with --place" in capsys.readouterr().err
+
+
+def test_an_unknown_pool_is_told_and_leaves_nothing_behind(tmp_path, capsys):
+    pytest.importorskip("viser", reason="the extra viewer is not installed")
     assert (
         main(["view", "--place", "--pool", "no_such_pool", "--port", "0", "--out", str(tmp_path / "x")]) == 2
     )

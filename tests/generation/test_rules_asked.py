@@ -96,6 +96,7 @@ def ruined(tmp_path_factory, pool):
     return cg.generate(out, pool=pool, num_scenes=24, render=False, max_files=2, **asked, **rules)
 
 
+@pytest.mark.slow
 def test_a_bank_with_ruin_says_so_and_adds_up(ruined):
     bank = read_bank(ruined.path)
     record = bank.record["recipe"]["placement"]

@@ -73,6 +73,7 @@ def test_shapes_and_types_are_as_documented(scenes):
 
 
 @pytest.mark.parametrize("form", ["vmap of vmap", "scan", "pmap"])
+@pytest.mark.slow
 def test_every_transformation_gives_the_same_scenes(sample, scenes, form):
     if form == "vmap of vmap":
         nested = jax.jit(jax.vmap(jax.vmap(sample)))(KEYS.reshape(2, 3))
@@ -149,6 +150,7 @@ def test_is_the_scene_that_generate_saves(sample, bank):
         np.testing.assert_array_equal(ours.poses[row][ours.is_placed[row]], theirs.poses)
 
 
+@pytest.mark.slow
 def test_retries_draw_again_until_a_scene_passes(pool):
     # On so small a table, three objects at random fail more often than not.
     asked = {"pool": pool, "support": "table-0.11x0.11", "method": "random"}
@@ -164,6 +166,7 @@ def test_retries_draw_again_until_a_scene_passes(pool):
     np.testing.assert_array_equal(more.poses[passed], once.poses[passed])
 
 
+@pytest.mark.slow
 def test_larger_regions_than_the_samplers_are_refused_or_fail(sample):
     key, top = jax.random.key(0), 0.7
     for half in ((0.9, 0.1), (0.0, 0.1), (float("nan"), 0.1)):

@@ -118,6 +118,7 @@ def test_a_damaged_entry_is_made_again(tree, here):
     assert import_sources([tree / "crate.obj"], "mine", QUICK).num_cached == 0
 
 
+@pytest.mark.slow
 def test_an_interrupted_import_leaves_nothing_half_written(tree, home, here):
     rng = np.random.default_rng(0)
     for index in range(2):

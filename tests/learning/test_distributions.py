@@ -53,6 +53,7 @@ def test_samples_follow_the_distribution(head):
 
 
 @pytest.mark.parametrize("head", HEADS.values(), ids=HEADS)
+@pytest.mark.slow
 def test_edges_and_extreme_outputs_stay_finite(head):
     for raw in (jnp.full((4, 2), 30.0), jnp.full((4, 2), -30.0), jnp.tile(jnp.array([30.0, -30.0]), (4, 1))):
         dist = head(raw)
@@ -88,6 +89,7 @@ def mixture_of(scores, symmetry=2):
 
 
 @pytest.mark.parametrize("symmetry", [1, 2])
+@pytest.mark.slow
 def test_mixture_integrates_to_one_and_its_entropy_is_exact(symmetry):
     mixture = mixture_of(SCORES, symmetry)
     # Even draws over everything in which there is density: z in the window of the cell.
@@ -104,6 +106,7 @@ def test_mixture_integrates_to_one_and_its_entropy_is_exact(symmetry):
 
 
 @pytest.mark.parametrize("symmetry", [1, 2])
+@pytest.mark.slow
 def test_mixture_draws_follow_its_weights(symmetry):
     mixture = mixture_of(SCORES, symmetry)
     draws = np.asarray(jax.vmap(mixture.sample)(jax.random.split(jax.random.key(4), 20_000)))

@@ -160,6 +160,7 @@ def test_order_of_points_does_not_matter(net):
     )
 
 
+@pytest.mark.slow
 def test_gradient_stays_finite_with_padding():
     module = PointNet2(4, 4)
     cloud, mask = jnp.asarray(points(20)), jnp.arange(20) < 3
@@ -266,6 +267,7 @@ def test_frozen_weights_keep_their_bits_through_an_update():
 
 
 @pytest.mark.parametrize(("kind", "is_frozen"), [("set", True), ("pointnet", True), ("pointnet", False)])
+@pytest.mark.slow
 def test_frozen_encoders_get_no_gradient_and_keep_their_features(kind, is_frozen):
     config = dataclasses.replace(
         SMALL, scene_encoder=kind, history_width=0, encoder_frozen=is_frozen, token_width=8

@@ -57,6 +57,7 @@ def test_shares_are_those_of_the_footprint(held, symmetry):
     assert worst < 0.15
 
 
+@pytest.mark.slow
 def test_both_ways_round_a_paddle_takes_both_sides():
     once, twice = (
         FootprintFeatures.of(jnp.array([cloud_of(*PADDLE), cloud_of(BLOCK)]), SIDE, 12, num_turns, symmetry)

@@ -51,10 +51,8 @@ def test_draws_lie_about_rest_on_what_is_below():
     assert abs(np.median(above) - 0.002) < 0.001
 
 
-@pytest.mark.parametrize(
-    "config",
-    [pytest.param(CONFIG, marks=pytest.mark.slow), replace(CONFIG, turn_symmetry=1, undersides=True)],
-)
+@pytest.mark.parametrize("config", [CONFIG, replace(CONFIG, turn_symmetry=1, undersides=True)])
+@pytest.mark.slow
 def test_no_draw_has_a_broken_density(config):
     _, agent, params, observation = made_up(config)
     apply = jax.jit(agent.apply)

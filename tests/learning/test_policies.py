@@ -43,6 +43,7 @@ def with_attempts(rules, number):
     return replace(rules, config=replace(rules.config, max_attempts=number))
 
 
+@pytest.mark.slow
 def test_a_policy_acts_with_fewer_attempts_than_it_was_trained_with(rules, stored):
     actions = []
     for its_rules in (with_attempts(rules, 2), rules):

@@ -16,11 +16,13 @@ def value(state, obs):
     return float(Tiny().apply(state.params, jnp.array([obs]))[1][0])
 
 
+@pytest.mark.slow
 def test_constant_reward_has_constant_value():
     state = train(learner(Constant()), 40)
     assert value(state, [0.0, 0.0]) == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.slow
 def test_value_follows_the_observation():
     state = train(learner(Coin()), 60)
     assert value(state, [0.0, 1.0]) == pytest.approx(1.0, abs=0.1)
@@ -51,6 +53,7 @@ def test_entropy_bonus_keeps_the_policy_wide(bandit):
     assert entropies[0] < entropies[1]
 
 
+@pytest.mark.slow
 def test_minibatches_of_one_size_leave_a_smaller_last_one():
     asked = {"num_envs": 8, "num_steps": 4, "num_epochs": 2, "num_attempts": 64}
     config = PPOConfig(**asked, minibatch_size=10)

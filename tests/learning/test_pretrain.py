@@ -62,6 +62,7 @@ def test_what_is_learned_from_is_not_tested_with():
     assert not any(np.array_equal(a, b) for a in clouds[0].cloud for b in clouds[1].cloud)
 
 
+@pytest.mark.slow
 def test_augmentation_keeps_points_and_size():
     cloud = jnp.asarray(shape_cloud("bottle", 0, 64))
     vary = jax.jit(jax.vmap(lambda key: augmented(cloud, key, AugmentConfig())))
@@ -76,6 +77,7 @@ def test_augmentation_keeps_points_and_size():
     np.testing.assert_allclose(jnp.linalg.norm(turned, axis=1), jnp.linalg.norm(cloud, axis=1), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_unseen_shapes_are_recognised(trained):
     folder, accuracy, _ = trained
     # One in three is chance, and with 12 shapes 7 of them are right by chance once in 15 times.
@@ -88,6 +90,7 @@ def test_finished_run_says_the_same_again(trained):
     assert Pretraining(CONFIG, trained[0]).run() == trained[1]
 
 
+@pytest.mark.slow
 def test_stopped_run_goes_on_to_the_same_bits(trained, tmp_path, monkeypatch):
     batch, asked = Pretraining._batch, []
 

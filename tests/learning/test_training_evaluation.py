@@ -39,6 +39,7 @@ def evaluator(problem):
     return Evaluator(problem, SMALL, num_episodes=12)
 
 
+@pytest.mark.slow
 def test_says_how_good_weights_are_and_how_that_was_found(evaluator, params, problem):
     found = evaluator(params)
     assert found["episodes"] == 12

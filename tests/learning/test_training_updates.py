@@ -56,6 +56,7 @@ def ill(state, illness):
     return state.replace(env=env.replace(info=env.info | {"illness": jnp.full((4,), illness, jnp.int32)}))
 
 
+@pytest.mark.slow
 def test_three_at_once_are_one_by_one(sick):
     updates, state = sick
     at_once, rows, is_finite = updates(state, 3)
@@ -91,6 +92,7 @@ def test_an_update_that_is_not_finite_is_the_last_and_its_place_is_named(sick, i
     assert not jax.config.jax_debug_nans
 
 
+@pytest.mark.slow
 def test_weights_that_are_not_finite_are_noticed(sick):
     updates, state = sick
     broken = jax.tree.map(lambda leaf: leaf * jnp.nan, state.params)

@@ -160,6 +160,7 @@ def test_evaluation_that_was_missed_is_made_up_for(tmp_path):
     assert read_record(folder / "policy")["evaluation"]["episodes"] == 256
 
 
+@pytest.mark.slow
 def test_interrupted_run_is_not_evaluated(tmp_path):
     evaluate, given = evaluations()
     with pytest.raises(KeyboardInterrupt):

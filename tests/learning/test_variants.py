@@ -60,6 +60,7 @@ def test_bodies_come_from_the_cache_unchanged(home, monkeypatch):
     assert not list(home.glob(".*"))
 
 
+@pytest.mark.slow
 def test_a_damaged_body_is_made_again(home):
     (before,) = variants(1, 0, PAIR, num_processes=1)
     folder = home / ShapeVariant("cereal_box", 0).key
@@ -80,6 +81,7 @@ def test_a_body_that_fails_is_named_and_the_others_stay(home, monkeypatch):
     assert cache.load(ShapeVariant("cereal_box", 0).key, "cereal_box-0") is not None
 
 
+@pytest.mark.slow
 def test_what_is_left_early_leaves_no_worker_and_no_half_body(home, monkeypatch):
     class Interrupted(module.Progress):
         def update(self, *args, **options):

@@ -61,6 +61,7 @@ def unpadded(world, radius):
 
 
 @pytest.mark.parametrize("support", ["table-0.30x0.36", "shelf_desk"])
+@pytest.mark.slow
 def test_worlds_of_one_setting_share_a_program_and_scenes_are_those_of_unpadded_ones(maker, support):
     worlds = [maker.make(TrainingSetting(support, 3, 1.0), index) for index in range(len(SETS))]
     assert shapes((worlds[0].rules, worlds[0].mapper)) == shapes((worlds[1].rules, worlds[1].mapper))

@@ -116,6 +116,7 @@ def play(stability, num_scenes=16):
     return jax.device_get(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(0), num_scenes)))
 
 
+@pytest.mark.slow
 def test_scenes_are_the_same_but_for_what_is_fragile_and_its_steps_count():
     # A tilt by 8 degrees, which some of what lies on another does not stand.
     free, asked = play(StabilityConfig()), play(StabilityConfig(robust_tilt=math.radians(8)))

@@ -89,6 +89,7 @@ def attempt(margin, **placement):
     return rules.attempt(rules.begin(jax.random.key(0)), GOOD)[0]
 
 
+@pytest.mark.slow
 def test_too_small_a_margin_is_a_verdict_of_its_own():
     after = attempt({0: 0.0029}, min_margin=0.003)
     assert int(after.verdict) == Verdict.UNSUPPORTED

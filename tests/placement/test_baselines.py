@@ -126,6 +126,7 @@ def overlap(problem: Problem, proposal: Proposal) -> float:
     return sum(mine.intersection(footprint(problem, k, proposal.poses[k])).area for k in others)
 
 
+@pytest.mark.slow
 def test_clear_stays_out_of_keep_out_boxes() -> None:
     keep_out = KeepOut(jnp.array([[-0.05, 0.0]]), jnp.array([[0.15, 0.2]]), jnp.zeros(1))
     problem, poses, focus = positions(table_with([]), "clear", keep_out)
@@ -145,6 +146,7 @@ def test_on_an_empty_table_an_object_is_let_go_just_above_its_own_height(method:
     assert np.ptp(poses[focus == focus[0], :2], axis=0).min() > 0.1
 
 
+@pytest.mark.slow
 def test_the_map_covers_what_rays_hit_and_little_else(crowded: tuple[Problem, list[Proposal]]) -> None:
     problem, proposals = crowded
     fullest = max(proposals, key=lambda proposal: proposal.is_placed.sum())

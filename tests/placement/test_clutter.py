@@ -186,6 +186,7 @@ def test_a_tall_box_hides_a_low_one_from_one_side():
 
 
 @pytest.mark.parametrize("number", [1, 2, 4])
+@pytest.mark.slow
 def test_what_is_said_to_be_added_is_what_placing_changes(number):
     problem = trio_problem(num_objects=3)
     rules = problem.rules
@@ -208,6 +209,7 @@ def test_what_is_said_to_be_added_is_what_placing_changes(number):
     np.testing.assert_allclose(hidden * (number + 1), FEATURES["occlusion"].total(after), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_without_targets_the_draw_is_uniform_as_ever():
     problem = trio_problem(num_objects=3)
     rules = problem.rules
@@ -232,6 +234,7 @@ def filled(num_scenes: int, support: str = "table", num_objects: int = 10, **pla
 
 
 @pytest.mark.parametrize("asked", [0, 3])
+@pytest.mark.slow
 def test_scenes_have_as_many_on_others_as_was_asked(asked):
     setup, scenes = filled(16, clutter={"stack": asked}, min_margin=0.003)
     assert scenes.is_success.mean() > 0.9
@@ -255,6 +258,7 @@ def test_older_banks_do_not_know_how_cluttered_they_are():
     assert with_added(rows).schema == rows.schema
 
 
+@pytest.mark.slow
 def test_nothing_placed_reaches_beyond_the_edge():
     setup, scenes = filled(32, "table-0.40x0.50", overhang="none")
     assert scenes.is_success.mean() > 0.8

@@ -37,6 +37,7 @@ def test_resets_itself_with_fresh_keys_and_keeps_figures():
     assert float(state.info["truncation"]) == 0
 
 
+@pytest.mark.slow
 def test_regions_change_with_every_episode_and_orders_do_not():
     plain, changing = (PlacementEnv(trio_problem(change=name).rules) for name in ("none", "all"))
     keys = jax.random.split(jax.random.key(0), 64)

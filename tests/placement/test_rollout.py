@@ -82,6 +82,7 @@ def test_a_world_of_equal_sizes_compiles_nothing(method, compiled):
     np.testing.assert_allclose(alone.poses, theirs.poses, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_worlds_of_other_sizes_or_settings_share_nothing():
     rollout, key = Rollout(), jax.random.key(0)
     one = sampler_of("random", 1.0)

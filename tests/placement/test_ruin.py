@@ -366,6 +366,7 @@ def wild():
     return rules, jax.device_get(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(0), 64)))
 
 
+@pytest.mark.slow
 def test_a_scene_never_makes_more_attempts_than_its_budget(wild):
     rules, (before, after, made) = wild
     used = after.counts.attempts.sum(-1)
@@ -402,6 +403,7 @@ def test_attempts_of_a_slot_may_exceed_those_of_an_object(wild):
     assert after.counts.attempts.max() > rules.config.max_attempts
 
 
+@pytest.mark.slow
 def test_vmap_changes_nothing():
     rules = leaning(PILE, ruin_after=2)
     before = play(rules, [GOOD, GOOD, GOOD, BAD])[-1]
@@ -479,6 +481,7 @@ def test_every_finished_scene_stands(ruined):
     assert (np.asarray(standing.verdict) == Verdict.STABLE).all()
 
 
+@pytest.mark.slow
 def test_a_recording_lets_what_is_taken_away_vanish(ruined):
     problem, sampler, scenes = ruined
     row = int(np.argmax(scenes.is_success * scenes.counts.attempts.max(1)))

@@ -101,6 +101,7 @@ def test_rewards_by_hand(kind, first, failed, last):
     np.testing.assert_allclose([rewards[0], rewards[1], rewards[-1]], [first, failed, last], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_height_range_is_the_tallest_and_the_new_one():
     rules = made_up_rules()
     episode = rules.begin(jax.random.key(3))

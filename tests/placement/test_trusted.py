@@ -65,6 +65,7 @@ def test_where_nobody_is_trusted_the_most_trusted_is_taken():
     assert set(chosen_numbers(Nobody)) == {5}
 
 
+@pytest.mark.slow
 def test_the_threshold_falls_with_failures_and_then_stays():
     class Half(ByNumber, eq=False):
         def trust(self, episode, candidates):
@@ -109,6 +110,7 @@ def placed_first(rules):
     raise AssertionError("the first object never stood")
 
 
+@pytest.mark.slow
 def test_bearers_are_known_by_name_level_margin_and_offset():
     rules = rules_of()
     episode, pose = placed_first(rules)
@@ -128,6 +130,7 @@ def test_bearers_are_known_by_name_level_margin_and_offset():
     assert off.margin == pytest.approx(0.1)
 
 
+@pytest.mark.slow
 def test_the_level_of_what_was_placed_counts_those_below():
     rules = rules_of(objects=("ring_binder", BOX))
     episode, pose = placed_first(rules)

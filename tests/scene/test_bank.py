@@ -72,6 +72,7 @@ def test_overwrite_begins_anew(pool, tmp_path):
     assert (tmp_path / "b" / "notes.txt").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_few_successes_bring_advice(pool, tmp_path, capsys):
     tight = ["--support", "table-0.12x0.12", "--region", "0.11x0.11", "-n", "4", "--min-margin", "0"]
     assert generate(pool, tmp_path / "tight", *tight, "--method", "random") == 0
@@ -128,6 +129,7 @@ def test_verify_tells_what_it_saw_where_nothing_can_be_written(bank, capsys, mon
     assert "Read-only file system" in shown.err
 
 
+@pytest.mark.slow
 def test_damaged_files_of_scenes_are_mended(pool, tmp_path):
     path = tmp_path / "bank"
     words = ["generate", "--pool", pool, "--out", str(path), "-n", "3", "--method", "clear"]
@@ -189,6 +191,7 @@ def test_bad_input_is_explained_and_leaves_nothing(pool, tmp_path, capsys, more,
     assert not (tmp_path / "bank").exists()
 
 
+@pytest.mark.slow
 def test_repeat_start_and_keep_out(pool, bank, tmp_path):
     path = tmp_path / "more"
     more = ["--keep-out", "0.2,0,0.2,0.7", "--start", f"{bank}:0", "--repeat", "--num-objects", "5"]
