@@ -307,8 +307,8 @@ def _interpolated(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.n
     is_inside = (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
     x, y = np.clip(x - 0.5, 0, width - 1), np.clip(y - 0.5, 0, height - 1)
     j, i = np.minimum(x.astype(np.int32), width - 2), np.minimum(y.astype(np.int32), height - 2)
-    flat, index = np.asarray(depth, np.float32).ravel(), i * width + j
-    a, b, c, d = flat[index], flat[index + 1], flat[index + width], flat[index + width + 1]
+    flat, index = np.asarray(depth, np.float32).ravel(), (i * width + j).astype(np.intp)
+    a, b, c, d = (flat[more:].take(index) for more in (0, 1, width, width + 1))
     low = np.minimum(np.minimum(a, b), np.minimum(c, d))
     high = np.maximum(np.maximum(a, b), np.maximum(c, d))
     u, v = x - j, y - i

@@ -24,10 +24,10 @@ _NOTES = (
 def run(suite: SuiteFolder) -> Found:
     """Every head, trained and tested on one set's pairs."""
     scale, pairs = suite.scale, suite.household()
-    variants = []
+    size, variants = pairs.split("train")["num_pairs"], []
     for head in scale.chosen("regression", "mixture", "scored"):
         runs = {
-            seed: suite.trained(f"protocol-{head}", pairs, head, seed, noise="off", held_out="pairs")
+            seed: suite.trained(f"protocol-{head}-{size}", pairs, head, seed, noise="off", held_out="pairs")
             for seed in scale.training_seeds
         }
         variants.append(Variant({"head": head}, runs))

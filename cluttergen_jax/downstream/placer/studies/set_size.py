@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cluttergen_jax.downstream.placer.pairs.stored import PairSet
-from cluttergen_jax.downstream.placer.studies.study import Found, PlacerStudy, SuiteFolder
+from cluttergen_jax.downstream.placer.studies.study import VALIDATING, Found, PlacerStudy, SuiteFolder
 from cluttergen_jax.downstream.placer.studies.trained import Variant, rows_of, table_of
 
 SIZES = (200, 1000, 5000, 20_000)
@@ -33,7 +33,9 @@ def run(suite: SuiteFolder) -> Found:
 
 
 def _pairs(suite: SuiteFolder, size: int) -> PairSet:
-    return suite.household() if size <= _FEW_SCENES else suite.training_set("household", 2000, size, 60)
+    if size <= _FEW_SCENES:
+        return suite.household()
+    return suite.training_set("household", 2000, size, VALIDATING)
 
 
 SET_SIZE = PlacerStudy("set-size", "Placers by how many pairs they learned from", run)

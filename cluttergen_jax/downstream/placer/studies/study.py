@@ -22,8 +22,8 @@ from cluttergen_jax.tables import Table
 NOISES = (0.0, 1.0)
 NUM_OBJECTS = 10
 _SCENES, _QUICK_SCENES = 100, 2
-_VALIDATING = 60
-"""Scenes of the split `val` beside a training set: 600 pairs."""
+VALIDATING = (60, 600)
+"""Scenes and pairs of the split `val` beside a training set."""
 _QUICK_PAIRS, _QUICK_EPOCHS = 80, 1
 _SEEDS = 3
 MOST_SEED = 999_999
@@ -143,27 +143,34 @@ class SuiteFolder:
         )
 
     def training_set(
-        self, name: str, num_scenes: int, num_pairs: int, validates: int = 0, **settings: Any
+        self,
+        name: str,
+        num_scenes: int,
+        num_pairs: int,
+        validating: tuple[int, int] | None = None,
+        **settings: Any,
     ) -> PairSet:
-        """Pairs to learn from.
+        """Pairs to learn from, all of them however many a placer is allowed.
 
         Args:
           name: of the folder, beside the number of scenes.
-          validates: scenes of the split `val`, one pair for each object of each.
+          validating: scenes and pairs of the split `val`; none if None.
           settings: of `placer_data`.
         """
         if self.scale.quick:
-            num_scenes, validates = min(num_scenes, _QUICK_PAIRS // NUM_OBJECTS), min(validates, 2)
+            num_scenes, num_pairs = min(num_scenes, _QUICK_PAIRS // NUM_OBJECTS), min(num_pairs, _QUICK_PAIRS)
+            validating = validating and (2, 20)
         asked = {"pool": "household", **settings}
         place = f"{name}-train-{num_scenes}"
-        pairs = self._pairs(
-            place, **asked, num_scenes=num_scenes, num_pairs=self.scale.capped(num_pairs), split="train"
-        )
-        return self._pairs(place, **asked, num_scenes=validates, split="val") if validates else pairs
+        pairs = self._pairs(place, **asked, num_scenes=num_scenes, num_pairs=num_pairs, split="train")
+        if validating is None:
+            return pairs
+        scenes, number = validating
+        return self._pairs(place, **asked, num_scenes=scenes, num_pairs=number, split="val")
 
     def household(self) -> PairSet:
         """5,000 pairs of 500 scenes to learn from, and 600 of 60 others to choose the epoch by."""
-        return self.training_set("household", 500, 5000, _VALIDATING)
+        return self.training_set("household", 500, 5000, VALIDATING)
 
     def hand_set(self, bank: Path, num_pairs: int) -> PairSet:
         """Pairs of a bank that is there."""

@@ -20,7 +20,7 @@ def run(suite: SuiteFolder) -> Found:
     """Rows on all sets of the study `placement`."""
     scale = suite.scale
     household = suite.household()
-    everything = suite.training_set("all", 800, 4096, 100, pool="all", num_objects=NUM_OBJECTS)
+    everything = suite.training_set("all", 800, PAIRS, (100, 256), pool="all", num_objects=NUM_OBJECTS)
     size = scale.capped(PAIRS)
     runs = {
         seed: suite.trained(f"card-{size}", (household, everything), "scored", seed, size, num_epochs=EPOCHS)
