@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig
 from cluttergen_jax.downstream.placer.studies.study import Found, PlacerStudy, SuiteFolder
 from cluttergen_jax.downstream.placer.studies.trained import Variant, rows_of, table_of
 from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretraining, small
 
-_QUICK = {"num_shapes": 1, "num_held_out": 1, "num_epochs": 1}
+_QUICK: dict[str, Any] = {"num_shapes": 1, "num_held_out": 1, "num_epochs": 1}
 _NOTES = (
     "pretrained: both encoders begin with weights of `cluttergen pretrain --encoder pointnet "
     "--features 256`, which tell the modeller's 50 families apart, and are trained along",
