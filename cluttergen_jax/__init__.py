@@ -16,6 +16,7 @@ What a command does, one function does, with the same defaults:
     placer_train                   pairs -> a placer for what one camera sees
     place_by_hand                  a person's scenes -> a bank
     robot_grasps, robot_place      grasps of a pool's objects; objects moved by a simulated arm
+    rearrange                      objects brought into new layouts by that arm
     push_bank, pull_bank           a bank to and from a hub
 
 `Rectangle` tells `make_sampler` of a region or a keep-out box; `make_region` and `KeepOut` are for those of
@@ -36,6 +37,7 @@ from cluttergen_jax.api.place import place_by_hand
 from cluttergen_jax.api.placer import placer_data, placer_eval
 from cluttergen_jax.api.placer_train import placer_train
 from cluttergen_jax.api.pretrain import pretrain
+from cluttergen_jax.api.rearrange import rearrange
 from cluttergen_jax.api.render import render
 from cluttergen_jax.api.robot import robot_grasps, robot_place
 from cluttergen_jax.api.train import train, train_suite
@@ -94,6 +96,7 @@ __all__ = [
     "push_bank",
     "read_bank",
     "read_scenes",
+    "rearrange",
     "remove_pool",
     "render",
     "robot_grasps",

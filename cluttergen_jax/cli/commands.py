@@ -26,6 +26,7 @@ COMMANDS = {
     "evaluate": "Compare methods on pools and supports, or make a suite of tables and figures (`--suite`).",
     "placer": "Stable placement from one camera's view: `placer data`, `placer train` and `placer eval`.",
     "robot": "A robot arm in simulation: `robot grasps` and `robot place`.",
+    "rearrange": "Let a simulated Franka Panda rearrange the objects of scenes (extra `robot`).",
     "import": (
         "Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, MJCF, folders, or `ycb`."
     ),

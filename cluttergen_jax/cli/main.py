@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import os
 import platform
@@ -20,11 +21,15 @@ from cluttergen_jax.files import advice_on, cache_home
 from cluttergen_jax.progress import stop_asked
 
 INTERRUPTED = 130
+_MANY_OBJECTS = 100_000
 
 
 def program(args: Sequence[str] | None = None) -> None:
     """The console script: `main`, and an exit that waits for nothing once Ctrl-C was pressed."""
     signal.signal(signal.SIGINT, _struck)
+    # Imports and traces make millions of objects that stay; looking for garbage among them took a sixth of a
+    # short command's time.
+    gc.set_threshold(_MANY_OBJECTS)
     status = main(args)
     if status == INTERRUPTED:
         # What was computed is on disk. A compilation that is still at work in a thread would hold up an
@@ -115,6 +120,8 @@ def _keep_programs() -> None:
     digest = hashlib.sha256("\n".join(sorted(kind) or [platform.processor()]).encode()).hexdigest()
     folder = cache_home() / "programs" / f"{platform.machine()}-{digest[:12]}"
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
+    # By itself it keeps what took a second; a command has dozens that together take longer.
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 
 def _unread() -> int:

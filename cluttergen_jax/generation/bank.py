@@ -154,8 +154,8 @@ def stream_bank(
 ) -> Iterator[BankArrays]:
     """Yields the scenes of a bank that stand batch by batch, in order, all in the same MuJoCo model.
 
-    Only some thousand scenes are in memory at a time. The bank is read twice: which objects the model needs
-    is known when all names have been seen.
+    Only some thousand scenes are in memory at a time. Names are read first, poses then: which objects the
+    model needs is known when all names have been seen.
 
     Args:
       path, hub, revision: as those of `load_bank`.
@@ -166,9 +166,8 @@ def stream_bank(
     """
     check_range("batch_size", batch_size, 1, _MOST, 1024)
     bank = read_bank(find_bank(path, hub=hub, revision=revision))
-    reader, num_slots = StandingReader(bank), 0
-    for part in reader.scenes():
-        num_slots = max(num_slots, part.asset_index.shape[1])
+    reader = StandingReader(bank)
+    num_slots = reader.look()
     _check_any(bank, reader.names)
     compiled = _compiled(bank, reader)
     rest: list[StandingScenes] = []

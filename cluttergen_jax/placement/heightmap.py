@@ -5,6 +5,7 @@ Pure geometry, no physics: the placed objects' upper surfaces and the support's 
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
@@ -69,7 +70,8 @@ class Ground(struct.PyTreeNode):
     def of(geometry: Geometry) -> Ground:
         """Reads the arrays of `geometry`, outside `jit`."""
         height, corner, cell = ground_heights(_top_boxes(geometry), float(geometry.top))
-        return Ground(jnp.asarray(height, jnp.float32), jnp.asarray(corner, jnp.float32), cell)
+        height, corner = jax.device_put((height.astype(np.float32), corner.astype(np.float32)))
+        return Ground(height, corner, cell)
 
     def is_under(self, xy: Array) -> Array:
         """bool[...]: whether the support is below world points f32[..., 2], to half a cell."""

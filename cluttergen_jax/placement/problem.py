@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from scipy.spatial import ConvexHull
 
@@ -22,7 +23,7 @@ from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.placement.changes import ChangedRegion, find_change
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.heightmap import Ground
-from cluttergen_jax.placement.region import KeepOut, Region, make_region, no_keep_out
+from cluttergen_jax.placement.region import KeepOut, Region, make_region
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.placement.world import World, make_world, repeated
@@ -171,45 +172,54 @@ def _largest_region(base: Rectangle, change: str, support: SupportAsset) -> Rect
 
 def region_of(rectangle: Rectangle, support: SupportAsset) -> Region:
     """A rectangle on a support's top as the decision process sees it."""
-    return make_region(
-        jnp.array(rectangle.center), jnp.array(rectangle.half_extents), rectangle.yaw, support.top
-    )
+    given = (rectangle.center, rectangle.half_extents, rectangle.yaw, support.top)
+    return make_region(*on_device(tuple(map(np.array, given))))
 
 
 def keep_out_of(boxes: Sequence[Rectangle]) -> KeepOut:
     """Rectangles that objects must stay out of, as the decision process sees them."""
-    if not boxes:
-        return no_keep_out()
-    return KeepOut(
-        center=jnp.array([box.center for box in boxes], jnp.float32),
-        half_extents=jnp.array([box.half_extents for box in boxes], jnp.float32),
-        yaw=jnp.array([box.yaw for box in boxes], jnp.float32),
+    return on_device(
+        KeepOut(
+            center=np.array([box.center for box in boxes]).reshape(-1, 2),
+            half_extents=np.array([box.half_extents for box in boxes]).reshape(-1, 2),
+            yaw=np.array([box.yaw for box in boxes]),
+        )
     )
+
+
+def on_device(arrays: Any) -> Any:
+    """A pytree of NumPy arrays as JAX's, f64 as f32.
+
+    They are moved as they are: `jnp.asarray` would compile a program for each shape.
+    """
+    narrowed = jax.tree.map(lambda a: a.astype(np.float32) if a.dtype == np.float64 else a, arrays)
+    return jax.device_put(narrowed)
 
 
 def geometry_of(world: World) -> Geometry:
     """The world's objects as arrays, columns padded to the longest."""
     most = max(len(columns.sample) for columns in world.columns)
 
-    def padded(arrays: list[np.ndarray]) -> jnp.ndarray:
-        rows = [np.pad(a, [(0, most - len(a))] + [(0, 0)] * (a.ndim - 1)) for a in arrays]
-        return jnp.asarray(np.stack(rows), jnp.float32)
+    def padded(arrays: list[np.ndarray]) -> np.ndarray:
+        return np.stack([np.pad(a, [(0, most - len(a))] + [(0, 0)] * (a.ndim - 1)) for a in arrays])
 
     runs = [_surface_runs(columns) for columns in world.columns]
+    owner = np.repeat(np.arange(len(runs), dtype=np.int32), [len(run) for run in runs])
     boxes = [(*box.center, *box.half_extents, box.yaw) for box in world.support.boxes]
-    return Geometry(
-        half_extents=jnp.asarray(np.stack([asset.half_extents for asset in world.objects]), jnp.float32),
-        center_of_mass=jnp.asarray(world.layout.center_of_mass, jnp.float32),
-        own_margin=jnp.asarray([_own_margin(asset) for asset in world.objects], jnp.float32),
-        cloud=jnp.asarray(np.stack([asset.cloud for asset in world.objects]), jnp.float32),
+    found = Geometry(
+        half_extents=np.stack([asset.half_extents for asset in world.objects]),
+        center_of_mass=world.layout.center_of_mass,
+        own_margin=np.array([_own_margin(asset) for asset in world.objects]),
+        cloud=np.stack([asset.cloud for asset in world.objects]),
         column_xy=padded([columns.xy[columns.sample] for columns in world.columns]),
         column_bottom=padded([columns.bottom[columns.sample] for columns in world.columns]),
-        is_column=padded([np.ones(len(columns.sample)) for columns in world.columns]) > 0,
-        surface=jnp.asarray(np.concatenate(runs), jnp.float32),
-        surface_owner=jnp.asarray(np.repeat(np.arange(len(runs)), [len(run) for run in runs]), jnp.int32),
-        boxes=jnp.asarray(np.array(boxes), jnp.float32),
-        top=jnp.float32(world.support.top),
+        is_column=padded([np.ones(len(columns.sample), bool) for columns in world.columns]),
+        surface=np.concatenate(runs),
+        surface_owner=owner,
+        boxes=np.array(boxes),
+        top=np.array(world.support.top),
     )
+    return on_device(found)
 
 
 def _own_margin(asset: ObjectAsset) -> float:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields
 from numbers import Integral
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
@@ -24,9 +23,9 @@ from cluttergen_jax.placement.problem import (
     compose,
     keep_out_of,
     make_problem,
+    on_device,
 )
 from cluttergen_jax.placement.region import KeepOut
-from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import World
 
@@ -73,9 +72,10 @@ def make_setup(
 
 def _start_of(world: World, poses: np.ndarray) -> Start:
     """The start of episodes in a world whose last N objects stand at `poses` f32[N, 7]."""
-    index = world.num_objects - len(poses) + jnp.arange(len(poses))
-    empty = empty_start(world.num_objects)
-    return Start(empty.poses.at[index].set(poses), empty.is_placed.at[index].set(True))
+    is_placed = np.arange(world.num_objects) >= world.num_objects - len(poses)
+    everyone = np.tile(np.eye(7)[3], (world.num_objects, 1))
+    everyone[is_placed] = poses
+    return on_device(Start(everyone, is_placed))
 
 
 def problem_config(given: Mapping[str, Any]) -> ProblemConfig:

@@ -38,6 +38,7 @@ FUNCTIONS = (
     "placer_train",
     "robot_grasps",
     "robot_place",
+    "rearrange",
 )
 # Options and defaults as `--help` told them before commands were made from functions.
 OPTIONS = json.loads((Path(__file__).parent / "options.json").read_text())

@@ -19,7 +19,7 @@ from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cluster import MOST_DEATHS, Cluster, cluster_of, each_on
 from cluttergen_jax.config import VerifyConfig
 from cluttergen_jax.errors import ClutterGenError, ConfigError, MissingExtraError
-from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank import BankWriter, read_bank
 from tests.helpers import banks
 from tests.helpers import clusters as work
 from tests.helpers.worlds import trio
@@ -99,12 +99,24 @@ def test_workers_end_with_whoever_left_early(ray):
     assert not psutil.pid_exists(process)
 
 
-@pytest.mark.slow
-def test_two_workers_make_the_bank_of_one_process(ray, pool, tmp_path):
-    options = {"pool": pool, "num_scenes": 260, "method": "random", "max_files": 0, "budget": 4}
+def test_two_workers_of_which_one_is_killed_make_the_bank_of_one_process(ray, pool, tmp_path, monkeypatch):
+    """The test of four workers below in miniature, in the Ray of all quick tests."""
+    options = {"pool": pool, "num_scenes": 1100, "method": "random", "max_files": 0, "budget": 4}
     cg.generate(tmp_path / "one" / "bank", **options)
-    made = cg.generate(tmp_path / "two" / "bank", **options, cluster="local", workers=2)
-    assert made.table.num_rows == 260
+    # Of five blocks the workers have four in hand at first: one that dies is missed.
+    killed, hired = [], []
+    write, hire = BankWriter.write_block, clusters._Crew._hired
+
+    def write_and_kill(writer, block, table):
+        nonlocal killed
+        write(writer, block, table)
+        if not killed and (killed := at_work(psutil.Process())[:1]):
+            killed[0].send_signal(signal.SIGKILL)
+
+    monkeypatch.setattr(BankWriter, "write_block", write_and_kill)
+    monkeypatch.setattr(clusters._Crew, "_hired", lambda crew: hired.append(crew) or hire(crew))
+    cg.generate(tmp_path / "two" / "bank", **options, cluster="local", workers=2)
+    assert len(hired) == 3
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
 
 
@@ -134,8 +146,13 @@ def begin(pool, path, *more):
 
 def actors(process):
     """The workers of a command that are at work now, as Ray calls them."""
+    return at_work(psutil.Process(process.pid))
+
+
+def at_work(process):
+    """Likewise of a process, as psutil knows it."""
     found = []
-    for each in psutil.Process(process.pid).children(recursive=True):
+    for each in process.children(recursive=True):
         # Some end while they are looked at.
         with suppress(psutil.Error):
             if re.match(r"ray::.*run", " ".join(each.cmdline())):

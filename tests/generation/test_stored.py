@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import cluttergen_jax as cg
@@ -129,6 +130,37 @@ def test_a_subset_is_drawn_by_its_seed(path, bank):
     assert len(cg.load_bank(path, num_scenes=10_000)) == len(bank)
     with pytest.raises(ConfigError, match="num_scenes"):
         cg.load_bank(path, num_scenes=0)
+
+
+def test_a_bank_opens_without_its_columns_and_a_subset_is_read_from_its_own_blocks(tmp_path, monkeypatch):
+    path, num_blocks = tmp_path / "bank", 6
+    with banks.writer(path, num_blocks * 256, shard_blocks=3) as writer:
+        for block in range(num_blocks):
+            writer.write_block(block, banks.rows(block))
+        writer.finish()
+    reads, read = [], pq.ParquetFile.read_row_groups
+
+    def told(file, row_groups, columns=None):
+        reads.append((len(row_groups), columns))
+        return read(file, row_groups, columns)
+
+    def row_groups_of(column):
+        return sum(number for number, columns in reads if columns is None or column in columns)
+
+    monkeypatch.setattr(pq.ParquetFile, "read_row_groups", told)
+    bank = read_bank(path)
+    assert not reads
+    assert list(bank.rows([700])) == [700]
+    assert reads == [(1, None)]
+    reads.clear()
+    some = cg.load_bank(path, num_scenes=2)
+    assert row_groups_of("poses") == len({number // 256 for number in some.index.tolist()})
+    assert row_groups_of("index") == num_blocks + row_groups_of("poses")
+    reads.clear()
+    assert len(next(cg.stream_bank(path, 10))) == 10
+    # Of the second shard the names alone, which make the model.
+    assert row_groups_of("poses") == 3
+    assert row_groups_of("objects") == num_blocks + 3
 
 
 @pytest.mark.parametrize("batch_size", [1, 50, 1000])

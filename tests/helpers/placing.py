@@ -27,10 +27,10 @@ PLACES = np.array([[-0.18, -0.2], [0.0, 0.2], [0.18, -0.1]])
 
 def seen_trio() -> list[ObjectAsset]:
     """The trio with surfaces, which a camera sees, and points on them."""
-    return [_with_surface(asset) for asset in trio()]
+    return [with_surface(asset) for asset in trio()]
 
 
-def _with_surface(asset: ObjectAsset) -> ObjectAsset:
+def with_surface(asset: ObjectAsset) -> ObjectAsset:
     vertices = asset.parts[0].vertices
     hull = ConvexHull(vertices)
     outward = np.einsum(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks import bullet, contact, engines, gpu, last_check, other_mujoco, profile
+from benchmarks import bank_reading, bullet, contact, engines, gpu, last_check, other_mujoco, profile
 from benchmarks.bodies import apple, box
 from benchmarks.contact_drops import drops
 from benchmarks.contact_scenes import small_scenes
@@ -14,7 +14,9 @@ from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics.native import NativePhysics
+from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.types import Verdict
+from tests.helpers import banks
 
 
 @pytest.fixture
@@ -257,3 +259,27 @@ def test_the_pieces_of_a_profile_add_up_to_the_whole():
     assert set(shares) == pieces | {profile.REST}
     assert min(shares[name] for name in pieces) > 0
     assert abs(shares[profile.REST]) < 0.2 * sum(shares.values())
+
+
+@pytest.fixture(scope="module")
+def repeated(tmp_path_factory):
+    """Two blocks and a piece of one, all of the same scenes."""
+    path = tmp_path_factory.mktemp("repeated")
+    banks.write(path / "one", 1)
+    bank_reading.repeat(read_bank(path / "one"), path / "bank", 600)
+    return path / "bank"
+
+
+def test_a_big_bank_repeats_a_block(repeated):
+    rows, first = read_bank(repeated).table, banks.rows(0)
+    assert rows["index"].to_pylist() == list(range(600))
+    assert rows["poses"].to_pylist() == (3 * first["poses"].to_pylist())[:600]
+
+
+@pytest.mark.slow
+def test_a_big_bank_is_read_in_every_way(repeated):
+    stand = sum(read_bank(repeated).table["is_success"].to_pylist())
+    found = {name: bank_reading.measured(name, repeated) for name in bank_reading.WAYS}
+    scenes = {name: int(scenes) for name, (_, _, scenes) in found.items()}
+    assert {number for name, number in scenes.items() if "bank`, " in name} == {stand}
+    assert [number for name, number in scenes.items() if "bank`, " not in name] == [0, 600, 1]

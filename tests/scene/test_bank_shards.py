@@ -129,6 +129,19 @@ def test_a_damaged_row_group_is_named_and_mended_alone(sharded, tmp_path):
     assert files(path) == files(sharded)
 
 
+def test_blocks_that_are_not_wanted_are_not_read(sharded, tmp_path):
+    path = tmp_path / "bank"
+    write(path)
+    file = shard_path(path, range(3, 6))
+    file.write_bytes(file.read_bytes()[:100])
+    wanted, stored = [0, 2, 6, 7, 99], StoredBlocks.of(path)
+    found = pa.concat_tables(stored.tables(blocks=wanted))
+    whole = [read_block(sharded, block) for block in (0, 2, 6, 7)]
+    assert found.equals(pa.concat_tables(whole))
+    with pytest.raises(BankError, match="damaged"):
+        list(stored.tables(blocks=[5]))
+
+
 def test_a_block_that_was_written_again_wins_over_its_shard(tmp_path):
     write(tmp_path)
     with banks.writer(tmp_path, NUM_BLOCKS * BLOCK_SIZE, shard_blocks=IN_A_SHARD) as writer:

@@ -12,14 +12,16 @@ from cluttergen_jax.assets.mjcf import add_part, populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.downstream.robot.frames import pose_of
-from cluttergen_jax.downstream.robot.model import HAND, PREFIX, TOOL_DEPTH, Panda, panda_spec
+from cluttergen_jax.downstream.robot.frames import inverse, matrix_of, pose_of
+from cluttergen_jax.downstream.robot.model import HAND, PREFIX, TOOL_DEPTH, Panda, home_pose, panda_spec
 from cluttergen_jax.geometry import yaw_quaternion
 
 CLEARANCE = 0.005
 """Metres that everything that moves keeps from everything else on its way."""
 NEAR = 0.001
 """Metres that the hand keeps from neighbours while it comes straight to an object or leaves it."""
+APART = 0.003
+"""Metres that what is held keeps from neighbours where it is asked to."""
 _TOUCH = -0.001
 """Metres that a held object may overlap with what it is taken from or put on."""
 _AWAY = 100.0
@@ -44,11 +46,13 @@ class Mode(IntEnum):
     TRAVEL: nothing comes within the clearance of anything.
     COME: the open hand is about the target, near to it and to all else.
     CARRY: as TRAVEL, but what is held may touch what it stood on or will stand on.
+    APART: as CARRY, but what is held keeps a few millimetres from all else.
     """
 
     TRAVEL = 0
     COME = 1
     CARRY = 2
+    APART = 3
 
 
 def _thresholds() -> np.ndarray:
@@ -59,14 +63,15 @@ def _thresholds() -> np.ndarray:
         for b in moving:
             # The arm is near to itself wherever it is.
             limit[:, a, b] = 0.0
-    for mode in (Mode.COME, Mode.CARRY):
+    for mode in (Mode.COME, Mode.CARRY, Mode.APART):
         for other in (Kind.GROUND, Kind.OTHER):
             limit[mode, Kind.HAND, other] = limit[mode, other, Kind.HAND] = NEAR
-    for mode in (Mode.COME, Mode.CARRY):
+    for mode in (Mode.COME, Mode.CARRY, Mode.APART):
         limit[mode, Kind.HAND, Kind.GROUND] = limit[mode, Kind.GROUND, Kind.HAND] = 0.0
         limit[mode, Kind.HAND, Kind.TARGET] = limit[mode, Kind.TARGET, Kind.HAND] = NEAR
     for other in (Kind.GROUND, Kind.OTHER):
         limit[Mode.CARRY, Kind.HELD, other] = limit[Mode.CARRY, other, Kind.HELD] = _TOUCH
+        limit[Mode.APART, Kind.HELD, other] = limit[Mode.APART, other, Kind.HELD] = APART
     return limit
 
 
@@ -120,6 +125,11 @@ class PlanningWorld:
         self._held = self.model.body(PREFIX + _HELD).id
         self._kind = self._kinds()
         self.num_checks = 0
+        self._home = home_pose()
+        self.data.qpos[self.panda.qpos] = self._home
+        mujoco.mj_kinematics(self.model, self.data)
+        wrist = self.data.body(int(self.model.body_parentid[self.panda.hand]))
+        self._T_wrist_world = inverse(matrix_of(np.concatenate([wrist.xpos, wrist.xquat])))
         self.release(poses[target])
 
     def _kinds(self) -> np.ndarray:
@@ -154,6 +164,21 @@ class PlanningWorld:
     def is_free(self, joints: np.ndarray, opening: float, mode: Mode = Mode.TRAVEL) -> bool:
         """Whether the arm may be at joints f64[7], each finger `opening` metres from the middle."""
         return self.blocker(joints, opening, mode) is None
+
+    def is_hand_free(self, T_world_tool: np.ndarray, opening: float, mode: Mode) -> bool:
+        """Whether the hand alone, with what it holds, may be there, wherever the arm would have to be.
+
+        It costs one look and no inverse kinematics. The arm waits at home, above all else.
+        """
+        model, hand = self.model, self.panda.hand
+        own = model.body_pos[hand].copy(), model.body_quat[hand].copy()
+        T_world_hand = T_world_tool.copy()
+        T_world_hand[:3, 3] -= TOOL_DEPTH * T_world_tool[:3, 2]
+        self._put(hand, pose_of(self._T_wrist_world @ T_world_hand))
+        try:
+            return self.is_free(self._home, opening, mode)
+        finally:
+            model.body_pos[hand], model.body_quat[hand] = own
 
     def blocker(self, joints: np.ndarray, opening: float, mode: Mode = Mode.TRAVEL) -> tuple[str, str] | None:
         """The names of two bodies that come too close, None where none do."""

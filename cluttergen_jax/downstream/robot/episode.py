@@ -199,9 +199,9 @@ def _ended(
     begun, proposal = time.process_time(), -1
     try:
         proposal = run(world)
-        outcome, detail = Outcome.SUCCESS, ""
+        outcome, detail = str(Outcome.SUCCESS), ""
     except Failed as failure:
-        outcome, detail = failure.outcome, failure.detail
+        outcome, detail = str(failure.outcome), failure.detail
     error = turn_error = z_error = float("nan")
     if wanted is not None and proposal >= 0:
         pose, place = world.execution.pose(world.target), wanted[proposal]
@@ -209,7 +209,7 @@ def _ended(
         z_error = float(pose[2, 3] - place[2, 3])
         turn_error = float(angle_between(pose, place))
     return EpisodeResult(
-        outcome=str(outcome),
+        outcome=outcome,
         detail=detail,
         object=world.scene.objects[world.target].name,
         num_others=len(world.scene.names) - 1,

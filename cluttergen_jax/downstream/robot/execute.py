@@ -25,6 +25,7 @@ MAX_FORCE = 2.0
 CLOSING = 0.5
 """Seconds in which the fingers close."""
 _REST = 0.15
+_MEASURED = 16
 
 
 class Phase(IntEnum):
@@ -61,12 +62,14 @@ class Execution:
     """A scene with the arm before it, simulated.
 
     Args:
-      scene: what stands there at the start. target: the number of the object that is to be moved.
+      scene: what stands there at the start. target: the number of the object that is to be moved first.
       stands: more boxes that objects can stand on.
       every: keep the state of every so manieth step for films; 0 keeps none.
+      sleeps: what rests sleeps until something touches it, which saves most of the time of many objects.
 
     Attributes:
       trace: f64[nq] each, the states that were kept.
+      travel: metres that the tool has moved.
     """
 
     def __init__(
@@ -76,28 +79,37 @@ class Execution:
         stands: Sequence[Box] = (),
         config: PandaConfig | None = None,
         every: int = 0,
+        sleeps: bool = False,
     ) -> None:
         self.config = config or PandaConfig()
         spec = with_panda(scene, self.config)
         for number, box in enumerate(stands):
             add_stand(spec, box, f"ground-{number}")
         self.model = spec.compile()
+        if sleeps:
+            self.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
         self.data = mujoco.MjData(self.model)
         self.panda = Panda.of(self.model)
         self.step_time = float(self.model.opt.timestep)
         self._bodies = [self.model.body(name).id for name in scene.names]
-        self._kind = self._kinds(target)
+        self.aim_at(target)
         self._every, self.num_steps = every, 0
         self.trace: list[np.ndarray] = []
+        self.travel = 0.0
         self._start(scene)
 
-    def _kinds(self, target: int) -> np.ndarray:
+    def wake(self) -> None:
+        """From now on nothing sleeps."""
+        self.model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+
+    def aim_at(self, target: int) -> None:
+        """From now on this object is the one that the hand may touch."""
         kind = np.full(self.model.nbody, Kind.GROUND)
         kind[self._bodies] = Kind.OTHER
         kind[self._bodies[target]] = Kind.TARGET
         kind[self.panda.is_arm] = Kind.ARM
         kind[[self.panda.hand, *self.panda.finger_bodies]] = Kind.HAND
-        return kind[self.model.geom_bodyid]
+        self._kind = kind[self.model.geom_bodyid]
 
     def _start(self, scene: Scene) -> None:
         for name, pose in zip(scene.names, scene.poses, strict=True):
@@ -106,6 +118,7 @@ class Execution:
         self.data.qpos[self.panda.qpos] = self.data.ctrl[self.panda.ctrl] = home_pose()
         self.data.qpos[self.panda.fingers] = self.data.ctrl[self.panda.grip] = MAX_OPENING
         mujoco.mj_forward(self.model, self.data)
+        self._last_tool = self.data.site_xpos[self.panda.site].copy()
 
     @property
     def joints(self) -> np.ndarray:
@@ -122,6 +135,16 @@ class Execution:
         """f64[4, 4]: T_world_tool."""
         mujoco.mj_kinematics(self.model, self.data)
         return self.panda.tool(self.data)
+
+    @property
+    def opening(self) -> float:
+        """Metres that the fingers are from the middle, on average."""
+        return float(self.data.qpos[self.panda.fingers].mean())
+
+    @property
+    def is_closed(self) -> bool:
+        """The fingers are told to close on something."""
+        return bool(self.data.ctrl[self.panda.grip] < 0)
 
     def poses(self) -> np.ndarray:
         """f64[N, 7]: T_world_object of the scene's objects."""
@@ -168,6 +191,10 @@ class Execution:
         self.num_steps += 1
         if self._every and self.num_steps % self._every == 0:
             self.trace.append(self.data.qpos.copy())
+        if self.num_steps % _MEASURED == 0:
+            now = self.data.site_xpos[self.panda.site].copy()
+            self.travel += float(np.linalg.norm(now - self._last_tool))
+            self._last_tool = now
         self._watch(phase)
 
     def _watch(self, phase: Phase) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from cluttergen_jax.downstream.robot.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.frames import angle_between, inverse, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasp_candidates import opening_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
-from cluttergen_jax.downstream.robot.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.ik import LINE_STEP, ArmKinematics
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.plan import Planner
 from cluttergen_jax.downstream.robot.timing import timed
@@ -33,6 +33,10 @@ _UP = np.array([0.0, 0.0, 1.0])
 _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 _ARMS = 3
 """Solutions of the inverse kinematics that are tried for a pose."""
+_PLACES = 4
+"""Places that are tried with one grasp."""
+See = Callable[[int | None], np.ndarray]
+"""f64[N, 7], T_world_object of a scene's objects as far as they are known; a number asks for one alone."""
 
 
 class Hold(NamedTuple):
@@ -63,11 +67,15 @@ class Put(NamedTuple):
 
 
 class Mover:
-    """Moves one object of a scene that it knows wholly.
+    """Moves one object of a scene.
 
     Args:
       execution: the simulation; world: its copy for planning; target: the object's number.
       seed: of what is drawn; equal seeds do the same.
+      is_apart: what is held keeps `collision.APART` from all else once it is a centimetre above its place; it
+        moves a little as the fingers close.
+      see: tells where objects are, asked whenever something may have moved; the true poses if not given.
+        Nothing else tells the mover.
     """
 
     def __init__(
@@ -77,12 +85,15 @@ class Mover:
         kinematics: ArmKinematics,
         target: int,
         seed: int,
+        see: See | None = None,
+        is_apart: bool = False,
     ) -> None:
         self.execution, self.world, self.kinematics, self.target = execution, world, kinematics, target
+        self._see: See = see or (lambda only: execution.poses())
         self.planner = Planner(world, kinematics)
         self._rng, self._seed = np.random.default_rng(seed), seed
-        self._opening = 0.0
-        self._T_tool_object = np.eye(4)
+        self._opening, self._is_apart = 0.0, is_apart
+        self._T_tool_object = self._grasped = np.eye(4)
         self._known: tuple[int, np.ndarray] | None = None
 
     # Picking up
@@ -97,24 +108,33 @@ class Mover:
         Raises:
           Failed: no grasp, no joints for one, or no path to one.
         """
-        T_world_object = self.execution.pose(self.target)
-        self._see()
+        stood = self._survey()
+        T_world_object = matrix_of(stood)
         has_free = has_joints = False
-        for T_object_tool, width in self._ranked(grasps, T_world_object):
+        for T_object_tool, width in ranked(grasps, T_world_object):
             T_world_tool, opening = T_world_object @ T_object_tool, float(opening_of(np.array(width)))
+            if not self.world.is_hand_free(T_world_tool, opening, Mode.COME):
+                continue
+            fitting: list[int] = []
+            if places is not None:
+                fitting = self._hand_fits(T_object_tool, places, opening, stood)
+                if not fitting:
+                    continue
+            has_free = True
             for joints in self.kinematics.solutions(T_world_tool, _ARMS, self._rng):
                 has_joints = True
                 if not self.world.is_free(joints, opening, Mode.COME):
                     continue
-                has_free = True
-                if places is not None and not self._fits(T_object_tool, places, opening):
+                if places is not None and not self._fits(T_object_tool, places, fitting, opening, stood):
                     break
-                hold = self._hold(joints, T_object_tool, width, T_world_tool, opening)
+                hold = self._hold(joints, T_object_tool, width, stood, opening, places is not None)
                 if hold is not None:
                     return hold
+        if not has_free:
+            raise Failed(Outcome.NO_GRASP)
         if not has_joints:
-            raise Failed(Outcome.NO_IK if len(grasps) else Outcome.NO_GRASP)
-        raise Failed(Outcome.NO_PATH if has_free else Outcome.NO_GRASP, "to pick it up")
+            raise Failed(Outcome.NO_IK)
+        raise Failed(Outcome.NO_PATH, "to pick it up")
 
     def pick(self, hold: Hold) -> None:
         """Runs it: the object is lifted by `LIFT` afterwards.
@@ -129,29 +149,44 @@ class Mover:
         run.follow(timed(hold.come, run.step_time, CARRY_SHARE), Phase.FREE)
         run.wait(0.1, Phase.FREE)
         run.close()
-        before = self._in_hand()
+        self._grasped = before = self._in_hand()
         first, rest = _split(hold.lift, self.kinematics, TOUCH)
         run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.TOUCH)
         self._carry(rest, before)
 
-    def _ranked(self, grasps: Grasps, T_world_object: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
-        """The grasps, those that come from above and hold well first, and each turned about the approach."""
-        pose = matrix_of(grasps.pose)
-        down = -(T_world_object[:3, :3] @ pose[:, :3, 2, None])[:, 2, 0]
-        # A centimetre of slip or of shift counts as much as half a turn from straight down.
-        worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip)
-        for index in np.argsort(-worth, kind="stable"):
-            for turn in (np.eye(4), _FLIP):
-                yield pose[index] @ turn, float(grasps.width[index])
+    def _hand_fits(
+        self, T_object_tool: np.ndarray, places: np.ndarray, opening: float, stood: np.ndarray
+    ) -> list[int]:
+        """The first few of the places where the hand alone could put the object down."""
+        T_tool_object, found = inverse(T_object_tool), []
+        self.world.hold(T_tool_object)
+        for number, place in enumerate(places):
+            target = _tool_at(place, T_tool_object)
+            is_free = self.world.is_hand_free(target, opening, Mode.CARRY) and (
+                not self._is_apart or self.world.is_hand_free(_raised(target, TOUCH), opening, Mode.APART)
+            )
+            if is_free:
+                found.append(number)
+            if len(found) == _PLACES:
+                break
+        self.world.release(stood)
+        return found
 
-    def _fits(self, T_object_tool: np.ndarray, places: np.ndarray, opening: float) -> bool:
-        """Whether the hand can put the object down at one of the places, and leave it there; keeps how."""
-        stood, T_tool_object = self.execution.poses()[self.target], inverse(T_object_tool)
+    def _fits(
+        self,
+        T_object_tool: np.ndarray,
+        places: np.ndarray,
+        numbers: Sequence[int],
+        opening: float,
+        stood: np.ndarray,
+    ) -> bool:
+        """Whether the arm can put the object down at one of some places, and leave it there; keeps how."""
+        T_tool_object = inverse(T_object_tool)
         try:
-            for number, place in enumerate(places):
-                target = _tool_at(place, T_tool_object)
+            for number in numbers:
+                target = _tool_at(places[number], T_tool_object)
                 for joints in self.kinematics.solutions(target, _ARMS, self._rng):
-                    if self._lowering(joints, place, T_tool_object, opening) is not None:
+                    if self._lowering(joints, places[number], T_tool_object, opening) is not None:
                         self._known = number, joints
                         return True
             return False
@@ -163,15 +198,21 @@ class Mover:
         joints: np.ndarray,
         T_object_tool: np.ndarray,
         width: float,
-        T_world_tool: np.ndarray,
+        stood: np.ndarray,
         opening: float,
+        needs_room: bool,
     ) -> Hold | None:
-        back = self._back(joints, T_world_tool, opening)
+        back = self._back(joints, matrix_of(stood) @ T_object_tool, opening)
         if back is None:
             return None
-        stood = self.execution.poses()[self.target]
         self.world.hold(inverse(T_object_tool))
-        lift = self.planner.line(joints, LIFT * _UP, opening, Mode.CARRY)
+        lifts = (self._lifting(joints, opening, height) for height in (LIFT, 2 * LIFT))
+        # What lies around something tall must be lifted off it before it can go anywhere.
+        lift = next(
+            (each for each in lifts if each is not None and self.world.is_free(each[-1], opening)), None
+        )
+        if lift is None and not needs_room:
+            lift = self._lifting(joints, opening)
         self.world.release(stood)
         if lift is None:
             return None
@@ -221,7 +262,10 @@ class Mover:
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Joints f64[L, 7] straight up from where the object is put down, and out of the hand."""
         self.world.hold(T_tool_object)
-        lift = self.planner.line(joints, LIFT * _UP, opening, Mode.CARRY)
+        # A line costs a hundred times as much as one look.
+        if not self.world.is_free(joints, opening, Mode.CARRY):
+            return None
+        lift = self._lifting(joints, opening)
         if lift is None or not self.world.is_free(lift[-1], opening):
             return None
         self.world.release(pose_of(place))
@@ -237,6 +281,7 @@ class Mover:
         self._carry(upper, self._T_tool_object, rest=0.0)
         run.follow(timed(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH)
         run.wait(0.2, Phase.TOUCH)
+        self._in_hand()
         run.move_fingers(self._opening, Phase.TOUCH)
         leave = self.kinematics.line(run.set_point, self._leaving(put.leave))
         first, rest = _split(put.leave if leave is None else leave, self.kinematics, TOUCH)
@@ -252,7 +297,36 @@ class Mover:
     def _leaving(self, leave: np.ndarray) -> np.ndarray:
         return self.kinematics.tool(leave[-1])[:3, 3] - self.kinematics.tool(leave[0])[:3, 3]
 
+    def has_lost(self, distance: float) -> bool:
+        """Whether the object is more than so many metres from where it was in the hand as it closed."""
+        return float(np.linalg.norm((self._in_hand() @ inverse(self._grasped))[:3, 3])) > distance
+
+    def let_go(self) -> None:
+        """Opens the hand where it is, with whatever is in it, and goes up."""
+        run = self.execution
+        run.move_fingers(self._opening, Phase.TOUCH)
+        path = self.kinematics.line(run.set_point, LIFT * _UP)
+        if path is not None:
+            run.follow(timed(path, run.step_time, CARRY_SHARE), Phase.GRASP)
+
+    def go_home(self) -> bool:
+        """Brings the empty hand back to where it starts; whether there was a path."""
+        self.world.release(self._see(self.target)[self.target])
+        run, home = self.execution, self.kinematics.home
+        path = self.planner.connect(run.set_point, home, self._opening, self._next_seed())
+        if path is not None:
+            run.follow(timed(path, run.step_time), Phase.FREE)
+        return path is not None
+
     # What both need
+
+    def _lifting(self, joints: np.ndarray, opening: float, height: float = LIFT) -> np.ndarray | None:
+        """Joints f64[L, 7] straight up with what is held."""
+        path = self.planner.line(joints, height * _UP, opening, Mode.CARRY)
+        if path is None or not self._is_apart:
+            return path
+        above = path[round(TOUCH / LINE_STEP) :: 3]
+        return path if all(self.world.is_free(each, opening, Mode.APART) for each in above) else None
 
     def _back(self, joints: np.ndarray, T_world_tool: np.ndarray, opening: float) -> np.ndarray | None:
         """Joints along a straight line out of a grasp."""
@@ -262,15 +336,17 @@ class Mover:
                 return path
         return None
 
-    def _see(self) -> None:
-        """Objects stand in the copy for planning where they stand."""
-        for number, pose in enumerate(self.execution.poses()):
+    def _survey(self) -> np.ndarray:
+        """Objects stand in the copy for planning where they are seen; f64[7] of the target."""
+        poses = self._see(None)
+        for number, pose in enumerate(poses):
             if number != self.target:
                 self.world.move(number, pose)
-        self.world.release(self.execution.poses()[self.target])
+        self.world.release(poses[self.target])
+        return poses[self.target]
 
     def _in_hand(self) -> np.ndarray:
-        self._T_tool_object = inverse(self.execution.tool) @ self.execution.pose(self.target)
+        self._T_tool_object = inverse(self.execution.tool) @ matrix_of(self._see(self.target)[self.target])
         return self._T_tool_object
 
     def _carry(self, path: np.ndarray, before: np.ndarray, rest: float = 0.2) -> None:
@@ -294,6 +370,20 @@ class Mover:
     def _next_seed(self) -> int:
         self._seed += 1
         return self._seed
+
+
+def ranked(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
+    """T_object_tool f64[4, 4] and width of grasps, each also turned about its approach.
+
+    Those that come from above and hold well are first.
+    """
+    pose = matrix_of(grasps.pose)
+    down = -(T_world_object[:3, :3] @ pose[:, :3, 2, None])[:, 2, 0]
+    # A centimetre of slip or of shift counts as much as half a turn from straight down.
+    worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip)
+    for index in np.argsort(-worth, kind="stable"):
+        for turn in (np.eye(4), _FLIP):
+            yield pose[index] @ turn, float(grasps.width[index])
 
 
 def _tool_at(place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray:

@@ -29,9 +29,9 @@ class Failed(Exception):
     """An episode ends.
 
     Args:
-      outcome: how. detail: of what, in words.
+      outcome: how, an `Outcome` or another text of its kind. detail: of what, in words.
     """
 
-    def __init__(self, outcome: Outcome, detail: str = "") -> None:
+    def __init__(self, outcome: StrEnum, detail: str = "") -> None:
         super().__init__(f"{outcome}: {detail}" if detail else str(outcome))
         self.outcome, self.detail = outcome, detail

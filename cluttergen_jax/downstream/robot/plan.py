@@ -9,7 +9,7 @@ import numpy as np
 from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.ik import ArmKinematics, need
 
-MOST_CHECKS = 50_000
+MOST_CHECKS = 15_000
 """Collision queries after which a search is given up; time would depend on the machine."""
 CHECKED_STEP = 0.00625
 """Radians between two states of an edge that are looked at: 5 mm of the tool at 0.8 m from an axis."""

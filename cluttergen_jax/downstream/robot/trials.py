@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
@@ -17,10 +15,9 @@ from cluttergen_jax.config import RobotTask
 from cluttergen_jax.downstream.robot.episode import EpisodeResult, lift_episode, place_episode
 from cluttergen_jax.downstream.robot.grasps import Grasps, grasps_of
 from cluttergen_jax.downstream.robot.outcome import Outcome
+from cluttergen_jax.downstream.robot.rows import RowFile, share_of
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.files import write_atomically
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.proportions import finite, wilson
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
@@ -74,9 +71,7 @@ class RobotTrials:
 
 
 def _share(rows: Sequence[EpisodeResult]) -> str:
-    good = sum(row.is_success for row in rows)
-    low, high = wilson(good, len(rows))
-    return f"{good / max(len(rows), 1):.3f} [{low:.3f}, {high:.3f}] of {len(rows)}"
+    return share_of(sum(row.is_success for row in rows), len(rows))
 
 
 def _object_row(rows: Sequence[EpisodeResult]) -> tuple[str, str, str]:
@@ -115,8 +110,8 @@ def run_trials(
     """
     if not scenes:
         raise BankError("no scene stands", "one or more", "more scenes")
-    path = None if out is None else out / EPISODES
-    rows = [] if path is None else _kept(path, recipe)[:number]
+    file = RowFile(None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place")
+    rows = file.read()[:number]
     assets = {scene.objects[-1].name: scene.objects[-1] for scene in islice(cycle(scenes), number)}
     found = grasps_of(list(assets.values()), num_threads=num_threads)
     grasps: dict[str, Grasps] = dict(zip(assets, found, strict=True))
@@ -125,8 +120,7 @@ def run_trials(
             scene = scenes[index % len(scenes)]
             row = _episode(scene, task, grasps[scene.objects[-1].name], places, index, seed)
             rows.append(row)
-            if path is not None:
-                _keep(path, recipe, rows)
+            file.write(rows)
             good = sum(each.is_success for each in rows)
             progress.update(note=f"{good} of {len(rows)} good, {row.object}: {row.outcome}")
     return RobotTrials(task, tuple(rows))
@@ -142,31 +136,3 @@ def _episode(scene: Scene, task: str, grasps: Grasps, places: Places, index: int
 def episode_seed(seed: int, index: int) -> int:
     """The seed of an episode, by its number alone."""
     return int(np.random.SeedSequence([seed, index]).generate_state(1)[0] % 2**30)
-
-
-def _keep(path: Path, recipe: dict[str, Any], rows: Sequence[EpisodeResult]) -> None:
-    lines = [json.dumps(recipe, sort_keys=True), *(json.dumps(_plain(row)) for row in rows)]
-    write_atomically(path, ("\n".join(lines) + "\n").encode())
-
-
-def _plain(row: EpisodeResult) -> dict[str, Any]:
-    return {key: finite(value) if isinstance(value, float) else value for key, value in asdict(row).items()}
-
-
-def _row(line: str) -> EpisodeResult:
-    known: Any = {key: math.nan if value is None else value for key, value in json.loads(line).items()}
-    return EpisodeResult(**known)
-
-
-def _kept(path: Path, recipe: dict[str, Any]) -> list[EpisodeResult]:
-    if not path.is_file():
-        return []
-    first, *lines = path.read_text().splitlines() or [""]
-    try:
-        known = json.loads(first)
-        rows = [_row(line) for line in lines]
-    except (ValueError, TypeError) as error:
-        raise BankError(f"{path}: damaged ({error})", "a file of `robot place`", "another folder") from error
-    if known != json.loads(json.dumps(recipe)):
-        raise BankError(f"{path} holds episodes made otherwise", "the same settings", "another folder")
-    return rows

@@ -23,6 +23,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from cluttergen_jax.assets.object import ObjectAsset
@@ -65,11 +66,14 @@ class Bank:
         ]
         return pa.concat_tables([each.select(names).replace_schema_metadata(None) for each in rows])
 
-    def tables(self, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+    def tables(
+        self, columns: Sequence[str] | None = None, indices: np.ndarray | None = None
+    ) -> Iterator[pa.Table]:
         """All rows that are there, in order, some thousand at a time, so that memory does not grow with them.
 
         Args:
           columns: those that are wanted, all if not given; every value in them is looked at.
+          indices: i[S], scenes that are wanted; blocks that hold none of them are not read.
 
         Raises:
           BankError: see `table`.
@@ -77,7 +81,8 @@ class Bank:
         stored = StoredBlocks.of(self.path)
         if not stored.places:
             raise BankError(f"{self.path} holds no scenes yet", hint=AGAIN)
-        return stored.tables(columns)
+        blocks = None if indices is None else np.unique(indices // BLOCK_SIZE).tolist()
+        return stored.tables(columns, blocks)
 
     @property
     def files(self) -> dict[str, str] | None:

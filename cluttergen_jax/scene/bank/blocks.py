@@ -87,22 +87,28 @@ class StoredBlocks:
         """
         return self._read([block])
 
-    def tables(self, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+    def tables(
+        self, columns: Sequence[str] | None = None, blocks: Iterable[int] | None = None
+    ) -> Iterator[pa.Table]:
         """All rows in order, some blocks at a time, so that memory does not grow with the bank.
 
         Args:
           columns: those that are wanted, all if not given; every value in them is looked at.
+          blocks: those that are wanted, all if not given; the others are not read.
 
         Raises:
           BankError: likewise.
         """
 
-        def file_and_part(block: int) -> tuple[str, int]:
+        def file_and_run(ranked: tuple[int, int]) -> tuple[str, int, int]:
+            rank, block = ranked
             name, row_group = self.places[block]
-            return name, row_group // _AT_ONCE
+            # Blocks that follow one another have the same difference.
+            return name, row_group // _AT_ONCE, block - rank
 
-        for _, blocks in groupby(self.places, file_and_part):
-            yield self._read(list(blocks), columns)
+        wanted = self.places if blocks is None else sorted(set(blocks).intersection(self.places))
+        for _, run in groupby(enumerate(wanted), file_and_run):
+            yield self._read([block for _, block in run], columns)
 
     def _read(self, blocks: Sequence[int], columns: Sequence[str] | None = None) -> pa.Table:
         """Blocks that follow one another in one file."""

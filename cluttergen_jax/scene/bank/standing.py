@@ -13,7 +13,8 @@ from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.collection import most_of
 
-_COLUMNS = ("index", "is_success", "is_placed", "objects", "poses")
+_LISTS = ("is_success", "is_placed", "objects")
+_COLUMNS = ("index", *_LISTS, "poses")
 
 
 class StandingScenes(NamedTuple):
@@ -40,6 +41,20 @@ class StandingScenes(NamedTuple):
         return StandingScenes(self.number, asset_index, np.pad(self.poses, (*more, (0, 0))))
 
 
+class _Slots(NamedTuple):
+    """What is placed in S scenes of N slots, P objects in all, of L that are listed.
+
+    Attributes:
+      is_placed: bool[L]; scene, slot: i[P], where each is.
+      asset_index: see `StandingScenes`.
+    """
+
+    is_placed: np.ndarray
+    scene: np.ndarray
+    slot: np.ndarray
+    asset_index: np.ndarray
+
+
 class StandingReader:
     """Reads the scenes of a bank that stand, some thousand at a time.
 
@@ -59,30 +74,45 @@ class StandingReader:
         Raises:
           BankError: the bank holds no scenes, or a block is damaged.
         """
-        for rows in self._bank.tables(_COLUMNS):
+        for rows in self._bank.tables(_COLUMNS, wanted):
             rows = rows.filter(rows["is_success"])
             if wanted is not None:
                 rows = rows.filter(pa.array(np.isin(rows["index"].to_numpy(), wanted)))
             if rows.num_rows:
                 yield self._arrays(rows)
 
+    def look(self) -> int:
+        """Fills `names` and `most` without reading a pose; the number of slots of the scene that has most.
+
+        Raises:
+          BankError: likewise.
+        """
+        num_slots = 0
+        for rows in self._bank.tables(_LISTS):
+            slots = self._slots(rows.filter(rows["is_success"]))
+            num_slots = max(num_slots, slots.asset_index.shape[1])
+        return num_slots
+
     def _arrays(self, rows: pa.Table) -> StandingScenes:
-        columns = {name: rows[name].combine_chunks() for name in ("is_placed", "objects", "poses")}
-        is_placed = np.array(pc.list_flatten(columns["is_placed"]))
+        slots = self._slots(rows)
+        poses = rows["poses"].combine_chunks()
+        values = np.array(pc.list_flatten(pc.list_flatten(poses)), np.float32).reshape(-1, 7)
+        padded = np.zeros((*slots.asset_index.shape, 7), np.float32)
+        padded[slots.scene, slots.slot] = values[slots.is_placed]
+        return StandingScenes(np.array(rows["index"], np.int32), slots.asset_index, padded)
+
+    def _slots(self, rows: pa.Table) -> _Slots:
+        columns = {name: rows[name].combine_chunks() for name in ("is_placed", "objects")}
+        is_placed = np.array(pc.list_flatten(columns["is_placed"]), bool)
         scene = np.array(pc.list_parent_indices(columns["is_placed"]))[is_placed]
-        poses = np.array(pc.list_flatten(pc.list_flatten(columns["poses"])), np.float32).reshape(-1, 7)
         # The slot of each among the placed ones of its scene.
         slot = np.arange(len(scene)) - np.searchsorted(scene, scene)
-        shape = (rows.num_rows, int(slot.max(initial=-1)) + 1)
-        found = StandingScenes(
-            np.array(rows["index"], np.int32), np.full(shape, -1, np.int32), np.zeros((*shape, 7), np.float32)
-        )
-        found.asset_index[scene, slot] = self._numbers(pc.list_flatten(columns["objects"]).filter(is_placed))
-        found.poses[scene, slot] = poses[is_placed]
-        most = most_of(found.asset_index, len(self.names))
+        asset_index = np.full((rows.num_rows, int(slot.max(initial=-1)) + 1), -1, np.int32)
+        asset_index[scene, slot] = self._numbers(pc.list_flatten(columns["objects"]).filter(is_placed))
+        most = most_of(asset_index, len(self.names))
         most[: len(self.most)] = np.maximum(most[: len(self.most)], self.most)
         self.most = most
-        return found
+        return _Slots(is_placed, scene, slot, asset_index)
 
     def _numbers(self, objects: pa.Array) -> np.ndarray:
         """i32: the assets behind names in a world, numbered as they come."""

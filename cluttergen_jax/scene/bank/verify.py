@@ -198,7 +198,7 @@ def verify_scene(path: str | Path, config: VerifyConfig | None = None) -> Verifi
         _check_links(path, path.parent.parent)
     try:
         with silent_log():
-            return _simulated(path, *_loaded(path), config)
+            return verify_model(path, *_loaded(path), config)
     except mujoco.FatalError as error:
         raise BankError(f"{path} cannot be simulated: {error}", _OURS) from error
 
@@ -243,7 +243,8 @@ def _loaded(path: Path) -> tuple[mujoco.MjModel, int]:
     return model, key
 
 
-def _simulated(path: Path, model: mujoco.MjModel, key: int, config: VerifyConfig) -> Verification:
+def verify_model(path: Path, model: mujoco.MjModel, key: int, config: VerifyConfig) -> Verification:
+    """As `verify_scene`, of a loaded model, from its keyframe of this number; the model is changed."""
     model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     # A diverging scene must be seen, not put back to where it started.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)

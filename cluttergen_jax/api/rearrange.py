@@ -1,0 +1,96 @@
+"""Rearrangement: a simulated arm brings objects into one of several new layouts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cluttergen_jax.config import LayoutRule, PickOrder, Rearrangement, check_workers
+from cluttergen_jax.errors import ConfigError
+
+if TYPE_CHECKING:
+    from cluttergen_jax.downstream.rearrange.trials import Rearrangements
+
+_MOST_SEED = 999_999
+_MOST_EPISODES = 1_000_000
+_MOST_LAYOUTS = 64
+
+
+def rearrange(
+    out: str | Path = "out/rearrange",
+    *,
+    setting: Rearrangement = "paper",
+    num_episodes: int = 20,
+    pool: str | Path = "household",
+    choose: LayoutRule = "clearance",
+    num_layouts: int = 10,
+    layout: int | None = None,
+    relook: bool = True,
+    order: PickOrder = "graph",
+    one_grasp: bool = False,
+    seed: int = 0,
+    num_threads: int = 0,
+) -> Rearrangements:
+    """Lets a simulated Franka Panda rearrange the objects of scenes (`cluttergen rearrange`).
+
+    Where objects shall go is drawn by the generator: of 64 layouts the most unlike ones are kept and one is
+    chosen. The arm then moves one object after another, by way of free places where they are in each other's
+    way, and looks again after each. The true poses stand in for what its cameras would tell. The same call
+    continues an interrupted one, and each episode is made again by its seed.
+
+    Args:
+      out: the folder; rows are kept there, for each setting apart.
+      setting: paper (five objects into an empty half of the table), occupied (three others stand there),
+        blocked (into the very area where they stand), eight (objects), or stacked (one lies on another at
+        first).
+      num_episodes: how many.
+      pool: a pool's name or folder, or several joined by +.
+      choose: the rule by which a layout is chosen: clearance, with the widest gap between objects; reach,
+        with the most objects that the hand can get at; or similar, with the shortest ways.
+      num_layouts: from how many unlike layouts.
+      layout: take this one of them, by number, in place of the rule.
+      relook: look again after each move, and try again what went wrong; without it only once.
+      order: graph, by what is in whose way; or lowest object first, as in the paper.
+      one_grasp: an object has a single grasp, at 0 and 180 degrees, as in the paper.
+      seed: of all that is drawn.
+      num_threads: 0 takes every core.
+
+    Returns:
+      The episodes; printed, the share of successes, failures by cause, and what an episode costs.
+
+    Raises:
+      ConfigError: a setting is unknown or out of range, or the pool has too few objects.
+      BankError: the folder holds other episodes, or a damaged file.
+      PoolError: there is no such pool.
+      MissingExtraError: the extra `robot` is not installed.
+    """
+    import os
+    from typing import get_args
+
+    from cluttergen_jax.downstream.rearrange.settings import SETTINGS, RearrangeOptions
+    from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
+    from cluttergen_jax.downstream.robot.model import panda_folder
+    from cluttergen_jax.placement.setup import check_range
+
+    check_workers("num_threads", num_threads)
+    check_range("num_episodes", num_episodes, 1, _MOST_EPISODES, 20)
+    check_range("num_layouts", num_layouts, 1, _MOST_LAYOUTS, 10)
+    check_range("seed", seed, 0, _MOST_SEED, 0)
+    if layout is not None:
+        check_range("layout", layout, 0, num_layouts - 1, 0)
+    asked = (("setting", setting, Rearrangement), ("choose", choose, LayoutRule), ("order", order, PickOrder))
+    for name, value, known in asked:
+        if value not in get_args(known):
+            raise ConfigError(f"{name} = {value!r}", ", ".join(get_args(known)))
+    panda_folder()
+    options = RearrangeOptions(choose, layout, num_layouts, relook, order, one_grasp)
+    threads = num_threads or os.cpu_count() or 1
+    return run_rearrangements(
+        SETTINGS[setting],
+        options,
+        num_episodes,
+        seed,
+        Path(out) / setting,
+        pool=str(pool),
+        num_threads=threads,
+    )

@@ -1,0 +1,19 @@
+"""`cluttergen rearrange`: a simulated arm brings objects into one of several new layouts."""
+
+from __future__ import annotations
+
+from cluttergen_jax.api.rearrange import rearrange
+from cluttergen_jax.cli.options import Options, options_from
+
+
+@options_from(rearrange)
+class Rearrange(Options):
+    """Let a simulated Franka Panda rearrange the objects of scenes (extra `robot`).
+
+    Example: `cluttergen rearrange --setting blocked --num-episodes 20`
+    """
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        print(self.call(rearrange))
+        return 0

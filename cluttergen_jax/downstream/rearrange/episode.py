@@ -1,0 +1,366 @@
+"""Episodes of rearrangement: see, choose a layout, find an order, move one object after another, look."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cluttergen_jax.downstream.rearrange.judge import Judge
+from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, reach_of, unlike
+from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, Observer, Sight
+from cluttergen_jax.downstream.rearrange.order import Meetings, lowest_first, ready, smallest_waiting
+from cluttergen_jax.downstream.rearrange.settings import AREA, RearrangeOptions, RearrangeSetting
+from cluttergen_jax.downstream.rearrange.symmetry import equal_places, offset
+from cluttergen_jax.downstream.robot.collision import PlanningWorld
+from cluttergen_jax.downstream.robot.execute import Execution
+from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.robot.grasps import Grasps
+from cluttergen_jax.downstream.robot.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.model import base_pose
+from cluttergen_jax.downstream.robot.mover import Hold, Mover
+from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.scene import Scene
+
+NEAR_GOAL, NEAR_GOAL_TURN = 0.01, float(np.radians(10))
+"""Metres and radians from its place within which an object counts as brought there."""
+MAX_RETRIES = 2
+"""Times an object is picked up again because it was lost, or is not where it was put."""
+MAX_WAITS = 2
+"""Times an object is put down somewhere else on its way."""
+MAX_LAYOUTS = 3
+"""Layouts that are tried one after another where there is no way to the one before."""
+_PLACES = 12
+_IN_HAND = 0.06
+"""Metres that an object may have slipped and still be carried on."""
+
+
+@dataclass(frozen=True, eq=False)
+class RearrangeTask:
+    """What is to be rearranged.
+
+    Attributes:
+      setting: of what kind.
+      scene: N objects as they stand; the first `setting.num_objects` are to be moved.
+      numbers: i[N], of these in the pool that `draw` knows.
+      grasps: of each of the N. symmetry: of each (`symmetry.turn_symmetry`).
+      draw: draws layouts and places to wait.
+      seed: of all that is drawn.
+    """
+
+    setting: RearrangeSetting
+    scene: Scene
+    numbers: tuple[int, ...]
+    grasps: tuple[Grasps, ...]
+    symmetry: tuple[int, ...]
+    draw: SceneDraw
+    seed: int
+
+
+@dataclass(frozen=True)
+class RearrangeResult:
+    """What became of an episode.
+
+    Attributes:
+      outcome: "success", an `Outcome` or a `Cause`, as text; detail: of what, in words.
+      setting: its name. objects: that were to be moved; right: which of them are where they should be.
+      picks: how often an object was picked up; fewest: the fewest that could do.
+      waits: how often one was put down elsewhere; retries: picked up again because something went wrong.
+      looks: how often all objects were looked for. layouts: how many were tried.
+      error, turn_error: the largest of metres and radians from the layout among those that are right; nan if
+        none is.
+      path: metres that the tool moved. seconds: simulated time. cpu: seconds of this process.
+    """
+
+    outcome: str
+    detail: str
+    setting: str
+    objects: list[str]
+    right: list[bool]
+    picks: int
+    fewest: int
+    waits: int
+    retries: int
+    looks: int
+    layouts: int
+    error: float
+    turn_error: float
+    path: float
+    seconds: float
+    cpu: float
+
+    @property
+    def is_success(self) -> bool:
+        """Nothing went wrong."""
+        return self.outcome == Outcome.SUCCESS
+
+
+class Rearranger:
+    """Brings objects into a layout, by what is seen of them and the arm's motors alone.
+
+    Args:
+      task: what; options: how.
+      execution: the simulation; sight: what is known of it; judge: is told before and after each move.
+
+    Attributes:
+      picks, fewest, waits, retries, layouts: of `RearrangeResult`.
+      goals: f64[N, 7], the layout that was tried last.
+    """
+
+    def __init__(
+        self,
+        task: RearrangeTask,
+        options: RearrangeOptions,
+        execution: Execution,
+        sight: Sight,
+        judge: Judge,
+    ) -> None:
+        self._task, self._options, self._scene = task, options, task.scene
+        self._execution, self._sight, self._judge = execution, sight, judge
+        self._symmetry = task.symmetry
+        self._base = base_pose(task.scene.support)
+        self._kinematics = ArmKinematics(self._base)
+        self._meetings = Meetings(task.scene.objects)
+        self._num_moved = task.setting.num_objects
+        self._rng = np.random.default_rng(task.seed)
+        self.picks = self.fewest = self.waits = self.retries = self.layouts = 0
+        self._times = np.zeros((2, len(task.scene.names)), int)
+        self._why = Failed(Cause.NO_ORDER)
+        self.goals = task.scene.poses
+
+    def run(self) -> None:
+        """Until all objects are in one of the layouts.
+
+        Raises:
+          Failed: no layout could be reached, or something went wrong.
+        """
+        self._sight()
+        found = self.find_layouts()
+        for number in self._chosen(found)[:MAX_LAYOUTS]:
+            self.layouts += 1
+            self._times[:] = 0
+            self.goals = found.poses[number]
+            if self._reach_layout(self.goals):
+                return
+        raise self._why
+
+    def find_layouts(self) -> Layouts:
+        """Unlike layouts around the objects that stay, as they are seen.
+
+        Raises:
+          Failed: none stands.
+        """
+        task, num_moved, poses = self._task, self._num_moved, self._sight.poses
+        moved, stay = task.numbers[:num_moved], task.numbers[num_moved:]
+        drawn = task.draw(task.seed, moved, task.setting.target, stay, poses[num_moved:])
+        if not len(drawn):
+            raise Failed(Cause.NO_LAYOUT)
+        objects, region = self._scene.objects, task.setting.target
+        drawn = drawn[unlike(objects[:num_moved], drawn, region, self._options.num_layouts)]
+        others = np.broadcast_to(poses[num_moved:], (len(drawn), len(stay), 7))
+        full = np.concatenate([drawn, others], axis=1)
+        all_moved, support = range(num_moved), self._scene.support
+        return Layouts(
+            poses=full,
+            clearance=np.array([clearance_of(objects, each) for each in full]),
+            reach=np.array(
+                [reach_of(objects, each, all_moved, task.grasps, support, self._kinematics) for each in full]
+            ),
+            travel=np.linalg.norm(full[:, :num_moved, :2] - poses[:num_moved, :2], axis=-1).mean(1),
+        )
+
+    def _chosen(self, found: Layouts) -> list[int]:
+        if self._options.layout is not None:
+            return [self._options.layout % len(found)]
+        return found.ranked(self._options.choose).tolist()
+
+    def _reach_layout(self, goals: np.ndarray) -> bool:
+        """Moves objects until all are at their goals f64[N, 7]; False where nothing more can be done."""
+        relations = self._meetings.relations(self._sight.poses, goals)
+        pending = self._pending(goals)
+        waiting = smallest_waiting(relations, pending)
+        if waiting is None:
+            self._why = Failed(Cause.NO_ORDER)
+            return False
+        if self.layouts == 1:
+            self.fewest = len(pending) + len(waiting)
+        while pending:
+            if not self._step(goals, pending):
+                return False
+            pending = self._pending(goals)
+        return True
+
+    def _pending(self, goals: np.ndarray) -> list[int]:
+        """The objects that are not seen where they should be."""
+        now, goal = matrix_of(self._sight.poses), matrix_of(goals)
+        found = []
+        for k in range(self._num_moved):
+            shift, turn = offset(now[k], goal[k], self._symmetry[k])
+            if shift > NEAR_GOAL or turn > NEAR_GOAL_TURN:
+                found.append(k)
+        return found
+
+    def _step(self, goals: np.ndarray, pending: list[int]) -> bool:
+        """Moves one object home, or to where it can wait; whether one was moved."""
+        if self._options.order == "lowest":
+            k = lowest_first(self._scene.objects, pending)[0]
+            return self._move(k, self._home(k, goals))
+        relations = self._meetings.relations(self._sight.poses, goals)
+        free = self._far_first(ready(relations, pending), goals)
+        # Where all goes with room to spare, nothing brushes its neighbours.
+        for is_apart in (True, False):
+            if any(self._move(k, self._home(k, goals), is_apart=is_apart) for k in free):
+                return True
+        # Those whose waiting makes an order possible, then others, which may be taken in another way later.
+        asked = [*(smallest_waiting(relations, pending) or ()), *free, *pending]
+        for k in dict.fromkeys(asked):
+            if relations.lies_on[:, k].any() or self._times[1, k] >= MAX_WAITS:
+                continue
+            places = self._waiting_places(k, goals, pending)
+            if any(self._move(k, places, is_wait=True, is_apart=is_apart) for is_apart in (True, False)):
+                return True
+        return False
+
+    def _far_first(self, numbers: Sequence[int], goals: np.ndarray) -> list[int]:
+        """Those first whose goals are far from the arm: later ones are not in its way."""
+        far = np.linalg.norm(goals[:, :2] - self._base[:2], axis=1)
+        return sorted(numbers, key=lambda k: -far[k])
+
+    def _home(self, k: int, goals: np.ndarray) -> np.ndarray:
+        return equal_places(matrix_of(goals[k]), self._symmetry[k])
+
+    def _waiting_places(self, k: int, goals: np.ndarray, pending: Sequence[int]) -> np.ndarray:
+        """f64[M, 4, 4]: where an object can wait and covers no goal, those farthest from all else first."""
+        others = [each for each in range(len(self._scene.names)) if each != k]
+        numbers, poses = self._task.numbers, self._sight.poses
+        seed = int(self._rng.integers(2**30))
+        drawn = self._task.draw(seed, [numbers[k]], AREA, [numbers[each] for each in others], poses[others])
+        drawn = drawn[:, 0]
+        clear, coming = [], [each for each in pending if each != k]
+        for place in drawn:
+            poses[k] = place
+            if not self._meetings.relations(poses, goals).blocks[k, coming].any():
+                clear.append(place)
+        if not clear:
+            return np.zeros((0, 4, 4))
+        near = np.concatenate([self._sight.poses[others, :2], goals[coming, :2]])
+        room = np.linalg.norm(np.array(clear)[:, None, :2] - near, axis=-1).min(1)
+        return matrix_of(np.array(clear)[np.argsort(-room)[:_PLACES]])
+
+    def _move(self, k: int, places: np.ndarray, *, is_wait: bool = False, is_apart: bool = False) -> bool:
+        """Brings an object to one of places f64[M, 4, 4]; False if there is no way, and nothing was done.
+
+        Raises:
+          Failed: something went wrong that cannot be mended.
+        """
+        if not len(places):
+            return False
+        scene, stood = self._scene, matrix_of(self._sight.poses[k])
+        world = PlanningWorld(scene.names, scene.objects, self._sight.poses, k, scene.support, self._base)
+        seed = int(self._rng.integers(2**30))
+        mover = Mover(self._execution, world, self._kinematics, k, seed, self._sight, is_apart)
+        try:
+            hold = mover.find_hold(self._grasps(k), places)
+        except Failed as failure:
+            self._why = Failed(failure.outcome, f"{scene.names[k]} {failure.detail}")
+            return False
+        self._count(k, is_wait)
+        self._execution.aim_at(k)
+        self._sight.held = k
+        self._judge.begin_move()
+        self._carry(mover, hold, np.concatenate([places, stood[None]]))
+        mover.go_home()
+        self._sight()
+        self._judge.check_others(k)
+        return True
+
+    def _carry(self, mover: Mover, hold: Hold, places: np.ndarray) -> None:
+        """Picks up and puts down; an object that slipped is put down as it lies in the hand, or lost."""
+        try:
+            mover.pick(hold)
+        except Failed as failure:
+            if failure.outcome != Outcome.SLIP:
+                raise
+        if mover.has_lost(_IN_HAND):
+            mover.let_go()
+            return
+        try:
+            mover.put(places)
+        except Failed as failure:
+            if failure.outcome != Outcome.SLIP:
+                raise
+            mover.let_go()
+
+    def _count(self, k: int, is_wait: bool) -> None:
+        """Counts a pick.
+
+        Raises:
+          Failed: it is one too many.
+        """
+        self.picks += 1
+        self.waits += is_wait
+        self._times[int(is_wait), k] += 1
+        if not is_wait and self._times[0, k] > 1:
+            self.retries += 1
+        if self._times[0, k] > 1 + MAX_RETRIES:
+            raise Failed(Cause.MISPLACED, f"{self._scene.names[k]} after {MAX_RETRIES} retries")
+
+    def _grasps(self, k: int) -> Grasps:
+        grasps = self._task.grasps[k]
+        return first_grasp(grasps) if self._options.one_grasp else grasps
+
+
+def first_grasp(grasps: Grasps) -> Grasps:
+    """The one that comes from above and holds best."""
+    if not len(grasps):
+        return grasps
+    down = -matrix_of(grasps.pose)[:, 2, 2] + 0.25 * grasps.margin
+    best = [int(down.argmax())]
+    columns = ("pose", "width", "shift", "slip", "turn", "margin", "is_low")
+    return replace(grasps, **{name: getattr(grasps, name)[best] for name in columns})
+
+
+def rearrange_episode(
+    task: RearrangeTask, options: RearrangeOptions, observer: Observer, every: int = 0
+) -> RearrangeResult:
+    """One rearrangement, judged.
+
+    Args:
+      observer: tells where things are.
+      every: see `robot.execute.Execution`.
+    """
+    begun, scene, num_moved = time.process_time(), task.scene, task.setting.num_objects
+    execution = Execution(scene, 0, every=every, sleeps=True)
+    judge = Judge(execution, scene, num_moved, task.symmetry)
+    with EpisodeView(execution, scene.names) as view:
+        sight = Sight(observer, view, options.relook)
+        worker = Rearranger(task, options, execution, sight, judge)
+        outcome, detail = str(Outcome.SUCCESS), ""
+        try:
+            worker.run()
+            judge.check_end(worker.goals)
+        except Failed as failure:
+            outcome, detail = str(failure.outcome), failure.detail
+    right = judge.is_right(worker.goals)
+    errors = judge.errors(worker.goals)[right]
+    error, turn_error = errors.max(0) if right.any() else (np.nan, np.nan)
+    return RearrangeResult(
+        outcome=outcome,
+        detail=detail,
+        setting=task.setting.name,
+        objects=[asset.name for asset in scene.objects[:num_moved]],
+        right=right.tolist(),
+        picks=worker.picks,
+        fewest=worker.fewest,
+        waits=worker.waits,
+        retries=worker.retries,
+        looks=sight.num_looks,
+        layouts=worker.layouts,
+        error=float(error),
+        turn_error=float(turn_error),
+        path=execution.travel,
+        seconds=execution.num_steps * execution.step_time,
+        cpu=time.process_time() - begun,
+    )

@@ -1,0 +1,105 @@
+"""The judge of rearrangements: it alone, besides `observe.TrueObserver`, reads where objects truly are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from cluttergen_jax.config import StabilityConfig, VerifyConfig
+from cluttergen_jax.downstream.rearrange.observe import Cause
+from cluttergen_jax.downstream.rearrange.symmetry import offset
+from cluttergen_jax.downstream.robot.episode import WATCHED
+from cluttergen_jax.downstream.robot.execute import Execution, Phase
+from cluttergen_jax.downstream.robot.frames import angle_between, matrix_of
+from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene.bank.verify import verify_model
+
+MAX_ERROR, MAX_TURN_ERROR = 0.015, float(np.radians(10))
+"""Metres and radians, up to its symmetry, that each object may be from its place in the chosen layout."""
+
+
+class Judge:
+    """Watches an episode and says at its end whether the objects are where they should be.
+
+    Args:
+      execution: the simulation. scene: as it was at the start; the first `num_moved` objects are to be moved.
+      symmetry: of each object (`symmetry.turn_symmetry`).
+    """
+
+    def __init__(self, execution: Execution, scene: Scene, num_moved: int, symmetry: Sequence[int]) -> None:
+        self._execution, self._scene, self._symmetry = execution, scene, symmetry
+        self._num_moved = num_moved
+        self._before = execution.poses()
+
+    def begin_move(self) -> None:
+        """Remembers where everything is before an object is moved."""
+        self._before = self._execution.poses()
+
+    def check_others(self, moved: int) -> None:
+        """Compares the objects but the one that was moved with where they were.
+
+        Raises:
+          Failed: one was disturbed: it is farther from there than the last check of scenes allows.
+        """
+        far = _moved(self._execution.poses(), self._before)
+        far[moved] = False
+        if far.any():
+            raise Failed(Outcome.DISPLACED, self._scene.names[int(far.argmax())])
+
+    def errors(self, goals: np.ndarray) -> np.ndarray:
+        """f64[num_moved, 2]: metres and radians of each object from its goal f64[N, 7], up to symmetry."""
+        now, goal = matrix_of(self._execution.poses()), matrix_of(goals)
+        return np.array([offset(now[k], goal[k], self._symmetry[k]) for k in range(self._num_moved)])
+
+    def is_right(self, goals: np.ndarray) -> np.ndarray:
+        """bool[num_moved]: the objects that are where they should be."""
+        return np.all(self.errors(goals) <= [MAX_ERROR, MAX_TURN_ERROR], axis=1)
+
+    def check_end(self, goals: np.ndarray) -> None:
+        """All stands for `episode.WATCHED` seconds, where it should be, and for ten without the arm.
+
+        Raises:
+          Failed: it does not.
+        """
+        start, names = self._execution.poses(), self._scene.names
+        self._execution.wake()
+        for _ in range(round(WATCHED / 0.1)):
+            self._execution.wait(0.1, Phase.FREE)
+            far = _moved(self._execution.poses(), start)
+            if far.any():
+                raise Failed(Outcome.UNSTABLE, names[int(far.argmax())])
+        right = self.is_right(goals)
+        if not right.all():
+            worst = int(right.argmin())
+            shift, turn = self.errors(goals)[worst]
+            told = f"{names[worst]}: {1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg"
+            raise Failed(Cause.MISPLACED, told)
+        others = slice(self._num_moved, None)
+        far = _moved(self._execution.poses()[others], self._scene.poses[others])
+        if far.any():
+            raise Failed(Outcome.DISPLACED, names[self._num_moved + int(far.argmax())])
+        self._check_alone()
+
+    def _check_alone(self) -> None:
+        """The scene without the arm, at rest, in its own time step."""
+        poses = self._execution.poses()
+        spec = self._scene.to_mjspec()
+        spec.keys[0].qpos = poses.ravel()
+        for name, pose in zip(self._scene.names, poses, strict=True):
+            spec.body(name).pos, spec.body(name).quat = pose[:3], pose[3:]
+        found = verify_model(Path(), spec.compile(), 0, VerifyConfig())
+        if not found.stands:
+            raise Failed(Outcome.UNSTABLE, f"{found.worst}, alone")
+
+
+def _moved(now: np.ndarray, then: np.ndarray) -> np.ndarray:
+    """bool[N]: poses f64[N, 7] farther apart than the last check of scenes allows."""
+    limits = StabilityConfig()
+    if not len(now):
+        return np.zeros(0, bool)
+    shift = np.linalg.norm(now[:, :3] - then[:, :3], axis=1)
+    turn = angle_between(matrix_of(now), matrix_of(then))
+    return (shift > limits.stand_full_shift) | (turn > limits.stand_full_turn)

@@ -1,0 +1,195 @@
+"""Layouts: where given objects may stand in a region, around others; many are drawn, ten unlike ones kept."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial import ConvexHull
+from scipy.spatial.distance import cdist
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.config import LayoutRule
+from cluttergen_jax.downstream.rearrange.settings import AREA
+from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
+from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.robot.grasp_candidates import opening_of
+from cluttergen_jax.downstream.robot.grasps import Grasps
+from cluttergen_jax.downstream.robot.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.model import base_pose
+from cluttergen_jax.downstream.robot.mover import ranked
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation.measures.diversity import embed, scene_distances
+from cluttergen_jax.generation.make import make_sampler
+from cluttergen_jax.geometry import transformed
+from cluttergen_jax.placement.region import make_region
+from cluttergen_jax.types import Array
+
+NUM_DRAWN = 64
+"""Layouts that are drawn for those that are kept."""
+
+
+class SceneDraw:
+    """Draws scenes of given objects in a given region around others: one compiled program for them all.
+
+    Args:
+      pool: a pool's name. method: as of `generate`.
+      num_slots: objects that a scene has at most, those that stand there already included.
+      num_threads: simulation threads; 0 takes every core.
+
+    Attributes:
+      objects: K of the pool. support: the usual table.
+    """
+
+    def __init__(self, pool: str, method: str, num_slots: int, num_threads: int = 0) -> None:
+        sampler = make_sampler(
+            pool, num_objects=num_slots, method=method, region=AREA, num_threads=num_threads
+        )
+        world = sampler.problem.world
+        self.objects: tuple[ObjectAsset, ...] = world.objects
+        self.support: SupportAsset = world.support
+        self._num_slots = num_slots
+        rules, step, top = sampler.steps.rules, sampler.steps.step_one, float(world.support.top)
+
+        def draw(key: Array, order: Array, first: Array, poses: Array, is_placed: Array, box: Array) -> Any:
+            region = make_region(box[:2], box[2:4], box[4], jnp.float32(top))
+            episode = rules.begin(key, region).replace(
+                object_index=order, first_slot=first, slot=first, poses=poses, is_placed=is_placed
+            )
+            last = jax.lax.while_loop(lambda each: ~each.is_over, lambda each: step(each)[0], episode)
+            return last.poses, last.is_success
+
+        self._draw: Any = jax.jit(jax.vmap(draw, in_axes=(0, *[None] * 5)))
+
+    def __call__(
+        self,
+        seed: int,
+        chosen: Sequence[int],
+        region: Rectangle,
+        standing: Sequence[int] = (),
+        poses: np.ndarray | None = None,
+        number: int = NUM_DRAWN,
+    ) -> np.ndarray:
+        """Of `number` scenes those that stand, f64[S, n, 7]: T_world_object of the objects `chosen`.
+
+        Args:
+          chosen: n of the pool's objects by number; those of the largest footprint are placed first.
+          region: where; no larger than `settings.AREA`.
+          standing: objects that are there already; poses: f[m, 7] of these.
+        """
+        if len(chosen) + len(standing) > self._num_slots:
+            raise ConfigError(f"{len(chosen) + len(standing)} objects", f"{self._num_slots} at most")
+        area = [np.prod(self.objects[each].half_extents[:2]) for each in chosen]
+        large_first = [chosen[each] for each in np.argsort(-np.array(area), kind="stable")]
+        order = np.full(self._num_slots, -1, np.int32)
+        order[: len(standing) + len(chosen)] = [*standing, *large_first]
+        start = np.tile(np.eye(7, dtype=np.float32)[3], (len(self.objects), 1))
+        is_placed = np.zeros(len(self.objects), bool)
+        if poses is not None and len(standing):
+            start[list(standing)], is_placed[list(standing)] = poses, True
+        box = np.array([*region.center, *region.half_extents, region.yaw], np.float32)
+        keys = jax.random.split(jax.random.key(seed), number)
+        found, stands = self._draw(keys, order, np.int32(len(standing)), start, is_placed, box)
+        kept = np.asarray(found, np.float64)[np.asarray(stands)][:, list(chosen)]
+        kept[..., 3:] /= np.linalg.norm(kept[..., 3:], axis=-1, keepdims=True)
+        return kept
+
+
+@dataclass(frozen=True, eq=False)
+class Layouts:
+    """L layouts of N objects, and what is known of each before it is chosen.
+
+    Attributes:
+      poses: f64[L, N, 7], T_world_object.
+      clearance: f64[L], metres, the least gap of two objects seen from above, others included.
+      reach: f64[L], share of the objects that the arm can let go of in the finished layout.
+      travel: f64[L], metres, the mean way in plan from where objects stand.
+    """
+
+    poses: np.ndarray
+    clearance: np.ndarray
+    reach: np.ndarray
+    travel: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def ranked(self, rule: LayoutRule) -> np.ndarray:
+        """i[L]: the layouts, best first. Those that are reached wholly come first under every rule."""
+        worth = {"clearance": self.clearance, "reach": self.reach, "similar": -self.travel}[rule]
+        return np.lexsort((-self.clearance, -worth, -self.reach))
+
+
+def unlike(objects: Sequence[ObjectAsset], poses: np.ndarray, region: Rectangle, number: int) -> np.ndarray:
+    """i[number]: of scenes f64[S, N, 7] each the farthest from those before it (`diversity.embed`)."""
+    if len(poses) <= number:
+        return np.arange(len(poses))
+    vectors = embed(objects, poses, np.ones(poses.shape[:2], bool), region, 0.0)
+    distances = scene_distances(vectors)
+    # The one in the middle of all is the first.
+    chosen = [int(distances.mean(1).argmin())]
+    while len(chosen) < number:
+        chosen.append(int(distances[chosen].min(0).argmax()))
+    return np.array(chosen)
+
+
+def clearance_of(objects: Sequence[ObjectAsset], poses: np.ndarray) -> float:
+    """Metres between the two nearest of objects at f64[N, 7], seen from above; 0 where footprints overlap.
+
+    Footprints are the hulls of the collision parts' shadows, looked at every 5 mm along their edges.
+    """
+    outlines = [_outline(asset, pose) for asset, pose in zip(objects, poses, strict=True)]
+    least = np.inf
+    for i, one in enumerate(outlines):
+        for other in outlines[:i]:
+            if _is_over(one, other) or _is_over(other, one):
+                return 0.0
+            least = min(least, float(cdist(one, other).min()))
+    return least
+
+
+def _outline(asset: ObjectAsset, pose: np.ndarray) -> np.ndarray:
+    corners = transformed(pose, np.concatenate([part.vertices for part in asset.parts]))[:, :2]
+    ring = corners[ConvexHull(corners).vertices]
+    ahead = np.roll(ring, -1, axis=0)
+    number = int(np.linalg.norm(ahead - ring, axis=1).max() / 0.005) + 1
+    return np.concatenate([ring + (ahead - ring) * share for share in np.arange(number) / number])
+
+
+def _is_over(one: np.ndarray, other: np.ndarray) -> bool:
+    planes = ConvexHull(one).equations
+    return bool((other @ planes[:, :2].T + planes[:, 2] < 0).all(1).any())
+
+
+def reach_of(
+    objects: Sequence[ObjectAsset],
+    poses: np.ndarray,
+    moved: Sequence[int],
+    grasps: Sequence[Grasps],
+    support: SupportAsset,
+    kinematics: ArmKinematics,
+) -> float:
+    """The share of objects at f64[N, 7] that the arm could take, all others standing where they do.
+
+    Args:
+      moved: the numbers of the objects that count; grasps: of each of all N.
+    """
+    names, rng = [str(number) for number in range(len(objects))], np.random.default_rng(0)
+    good = 0
+    for target in moved:
+        world = PlanningWorld(names, objects, poses, target, support, base_pose(support))
+        T_world_object = matrix_of(poses[target])
+        for T_object_tool, width in ranked(grasps[target], T_world_object):
+            T_world_tool, opening = T_world_object @ T_object_tool, float(opening_of(np.array(width)))
+            if not world.is_hand_free(T_world_tool, opening, Mode.COME):
+                continue
+            found = kinematics.solutions(T_world_tool, 1, rng)
+            if found and world.is_free(found[0], opening, Mode.COME):
+                good += 1
+                break
+    return good / max(len(moved), 1)

@@ -1,0 +1,216 @@
+"""Observers: where the objects of an episode are, as something that looks at it tells.
+
+Of a running episode the robot knows what its own joints tell and what an observer says, nothing else. The
+true poses are read by `TrueObserver` and by the judge (`judge`) alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from cluttergen_jax.downstream.robot.execute import Execution
+from cluttergen_jax.downstream.robot.frames import inverse, matrix_of, pose_of
+from cluttergen_jax.downstream.robot.outcome import Failed
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.rendering.config import CameraView
+from cluttergen_jax.rendering.renderer import Renderer, open_renderer, set_range
+from cluttergen_jax.sensing.camera import Camera
+
+_REACH = 1.5
+"""Metres around the table that are drawn."""
+
+
+class Cause(StrEnum):
+    """How an episode ends without success, besides `robot.outcome.Outcome`.
+
+    NOT_SEEN: the observer never saw an object. NO_LAYOUT: no layout was found. NO_ORDER: there is no order of
+    picks, buffers included, that the arm can do. MISPLACED: an object was not where it should be in the end.
+    """
+
+    NOT_SEEN = "not seen"
+    NO_LAYOUT = "no layout"
+    NO_ORDER = "no order"
+    MISPLACED = "misplaced"
+
+
+@dataclass(frozen=True, eq=False)
+class SceneEstimate:
+    """Where N objects are.
+
+    Attributes:
+      names: of the objects.
+      pose: f64[N, 7], T_world_object, metres, wxyz; of no meaning where not seen.
+      seen: bool[N].
+      certainty: f64[N] in [0, 1].
+
+    Raises:
+      ConfigError: shapes that differ, or a pose that was seen and is not finite.
+    """
+
+    names: tuple[str, ...]
+    pose: np.ndarray
+    seen: np.ndarray
+    certainty: np.ndarray
+
+    def __post_init__(self) -> None:
+        number = len(self.names)
+        shapes = np.shape(self.pose), np.shape(self.seen), np.shape(self.certainty)
+        if shapes != ((number, 7), (number,), (number,)) or not np.isfinite(self.pose[self.seen]).all():
+            raise ConfigError(
+                f"an estimate of {number} objects with shapes {shapes}",
+                "pose f64[N, 7], finite where seen, seen bool[N], certainty f64[N]",
+            )
+
+
+class EpisodeView:
+    """A running episode as its observers have it: cameras, and what the arm knows of itself. Read-only.
+
+    Close it, or use it in a `with`, to give back what drawing takes.
+
+    Args:
+      execution: the simulation. names: of the scene's objects, in its order.
+    """
+
+    def __init__(self, execution: Execution, names: Sequence[str]) -> None:
+        self._execution, self.names = execution, tuple(names)
+        self._renderer: Renderer | None = None
+        self._open = ExitStack()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *told: Any) -> None:
+        self._open.close()
+
+    @property
+    def time(self) -> float:
+        """Seconds since the start."""
+        return self._execution.num_steps * self._execution.step_time
+
+    @property
+    def joints(self) -> np.ndarray:
+        """f64[7], radians."""
+        return self._execution.joints
+
+    @property
+    def tool(self) -> np.ndarray:
+        """f64[4, 4]: T_world_tool; `robot.model.TOOL_DEPTH` tells the hand's own frame."""
+        return self._execution.tool
+
+    @property
+    def opening(self) -> float:
+        """Metres that the fingers are from the middle, on average."""
+        return self._execution.opening
+
+    @property
+    def is_closed(self) -> bool:
+        """The fingers are told to close on something."""
+        return self._execution.is_closed
+
+    def picture(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+        """What a camera sees now, the arm included.
+
+        Returns:
+          u8[H, W, 3], and f32[H, W], metres along the optical axis, inf where nothing is.
+
+        Raises:
+          RendererError: nothing here can draw.
+        """
+        renderer, data = self._sized(camera.width, camera.height), self._execution.data
+        return renderer.average(data, camera, 1, _REACH), renderer.measure(data, camera)[0]
+
+    def _sized(self, width: int, height: int) -> Renderer:
+        """A renderer of this size; one is open at a time."""
+        if self._renderer is None or (self._renderer.width, self._renderer.height) != (width, height):
+            self._open.close()
+            model = self._execution.model
+            set_range(model, _REACH * np.array([[-1, -1, 0], [1, 1, 1]]), CameraView(), width, height)
+            self._renderer = self._open.enter_context(open_renderer(model, width, height))
+        return self._renderer
+
+    def true_poses(self, names: Sequence[str]) -> np.ndarray:
+        """f64[n, 7]: T_world_object of these objects, for `TrueObserver` alone."""
+        return self._execution.poses()[[self.names.index(name) for name in names]]
+
+
+class Observer(Protocol):
+    """Tells where things are, from what the robot's cameras see."""
+
+    def __call__(self, world: EpisodeView, names: Sequence[str]) -> SceneEstimate:
+        """Where the objects of these names are now; called while nothing moves.
+
+        All names are asked for while the arm is out of the way; one alone while it may be in the hand.
+        """
+        ...
+
+
+class TrueObserver:
+    """The true poses: what a perfect observer would tell."""
+
+    name = "true poses"
+
+    def __call__(self, world: EpisodeView, names: Sequence[str]) -> SceneEstimate:
+        number = len(names)
+        return SceneEstimate(
+            tuple(names), world.true_poses(names), np.ones(number, bool), np.ones(number, np.float64)
+        )
+
+
+class Sight:
+    """What is known of where objects are: what was seen last; what the closed hand holds moves with it.
+
+    Args:
+      relook: False looks once, and then goes by what the hand has done.
+
+    Attributes:
+      num_looks: how often all objects were looked for.
+      held: the number of the object that is in the hand if the hand is closed.
+    """
+
+    def __init__(self, observer: Observer, view: EpisodeView, relook: bool = True) -> None:
+        self._observer, self._view, self._relook = observer, view, relook
+        self.num_looks, self.held, self._looked_at = 0, -1, -1.0
+        self._tool, self._was_closed = view.tool, view.is_closed
+        self._poses = np.full((len(view.names), 7), np.nan)
+
+    @property
+    def poses(self) -> np.ndarray:
+        """f64[N, 7]: what is known without another look."""
+        return self._poses.copy()
+
+    def __call__(self, only: int | None = None) -> np.ndarray:
+        """f64[N, 7]: looks again, for one object or for all (`robot.mover.See`).
+
+        Raises:
+          Failed: an object was never seen.
+        """
+        self._follow()
+        # Nothing has happened since all was looked at.
+        is_fresh = self._looked_at == self._view.time
+        if not is_fresh and (self._relook or not self.num_looks):
+            asked = range(len(self._poses)) if only is None else (only,)
+            found = self._seen(asked)
+            for number, pose, is_seen in zip(asked, found.pose, found.seen, strict=True):
+                if is_seen:
+                    self._poses[number] = pose
+        if (unseen := np.isnan(self._poses[:, 0])).any():
+            raise Failed(Cause.NOT_SEEN, self._view.names[int(unseen.argmax())])
+        return self.poses
+
+    def _seen(self, numbers: Sequence[int]) -> SceneEstimate:
+        if len(numbers) == len(self._poses):
+            self.num_looks, self._looked_at = self.num_looks + 1, self._view.time
+        return self._observer(self._view, [self._view.names[number] for number in numbers])
+
+    def _follow(self) -> None:
+        tool, is_closed = self._view.tool, self._view.is_closed
+        if is_closed and self._was_closed and self.held >= 0:
+            moved = tool @ inverse(self._tool) @ matrix_of(self._poses[self.held])
+            self._poses[self.held] = pose_of(moved)
+        self._tool, self._was_closed = tool, is_closed

@@ -1,0 +1,203 @@
+"""Trials of rearrangement: starting scenes by setting and seed, episodes one after another, resumable."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.downstream.rearrange.episode import RearrangeResult, RearrangeTask, rearrange_episode
+from cluttergen_jax.downstream.rearrange.layouts import SceneDraw
+from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
+from cluttergen_jax.downstream.rearrange.order import Meetings
+from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions, RearrangeSetting
+from cluttergen_jax.downstream.rearrange.symmetry import turn_symmetry
+from cluttergen_jax.downstream.robot.grasps import Grasps, grasps_of
+from cluttergen_jax.downstream.robot.rows import RowFile, share_of
+from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.progress import Progress
+from cluttergen_jax.scene import Scene
+from cluttergen_jax.tables import aligned_table
+
+_MOST_DRAWS = 16
+
+
+class Starts:
+    """Starting scenes of a setting: each is made again by its seed.
+
+    Args:
+      setting: the setting. pool: a pool's name.
+      num_threads: of the simulation and the tests of grasps; 0 takes every core.
+
+    Raises:
+      ConfigError: the pool has too few objects.
+    """
+
+    def __init__(self, setting: RearrangeSetting, pool: str, num_threads: int) -> None:
+        self.setting = setting
+        self._place = SceneDraw(pool, "clear", setting.num_slots, num_threads)
+        self._start = self._place
+        if setting.method != "clear":
+            self._start = SceneDraw(pool, setting.method, setting.num_slots, num_threads)
+        self._num_threads = num_threads or os.cpu_count() or 1
+        self._grasps: dict[str, Grasps] = {}
+        self._symmetry: dict[str, int] = {}
+
+    def __call__(self, seed: int) -> RearrangeTask:
+        """What is to be rearranged.
+
+        Raises:
+          ConfigError: no starting scene was found.
+        """
+        setting, place = self.setting, self._place
+        rng = np.random.default_rng(seed)
+        for _ in range(_MOST_DRAWS):
+            numbers = rng.permutation(len(place.objects))[: setting.num_slots].tolist()
+            moved, others = numbers[: setting.num_objects], numbers[setting.num_objects :]
+            stay = np.zeros((0, 7))
+            if others:
+                found = place(_drawn(rng), others, setting.target)
+                if not len(found):
+                    continue
+                stay = found[0]
+            objects = tuple(place.objects[each] for each in numbers)
+            scenes = self._start(_drawn(rng), moved, setting.start, others, stay)
+            for poses in scenes:
+                scene = Scene(
+                    tuple(each.name for each in objects),
+                    objects,
+                    np.concatenate([poses, stay]),
+                    place.support,
+                )
+                if setting.num_stacked and _num_stacked(scene) < setting.num_stacked:
+                    continue
+                grasps, symmetry = self._grasps_of(objects), self._symmetry_of(objects)
+                return RearrangeTask(setting, scene, tuple(numbers), grasps, symmetry, place, _drawn(rng))
+        raise ConfigError(f"no starting scene of {setting.name!r}", "smaller objects", "another pool")
+
+    def _grasps_of(self, objects: Sequence[ObjectAsset]) -> tuple[Grasps, ...]:
+        """Of each object, found when it is first asked for."""
+        fresh = [each for each in objects if each.name not in self._grasps]
+        if fresh:
+            found = grasps_of(fresh, num_threads=self._num_threads)
+            self._grasps.update(zip((each.name for each in fresh), found, strict=True))
+        return tuple(self._grasps[each.name] for each in objects)
+
+    def _symmetry_of(self, objects: Sequence[ObjectAsset]) -> tuple[int, ...]:
+        for each in objects:
+            if each.name not in self._symmetry:
+                self._symmetry[each.name] = turn_symmetry(each)
+        return tuple(self._symmetry[each.name] for each in objects)
+
+
+def _drawn(rng: np.random.Generator) -> int:
+    return int(rng.integers(2**30))
+
+
+def _num_stacked(scene: Scene) -> int:
+    """Objects that lie on others."""
+    return int(Meetings(scene.objects).relations(scene.poses, scene.poses).lies_on.any(1).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Rearrangements:
+    """What became of episodes of one setting.
+
+    Attributes:
+      setting: its name. observer: what told the arm where things are.
+      rows: of each episode, in order; episode k is made again by its seed alone.
+    """
+
+    setting: str
+    observer: str
+    rows: tuple[RearrangeResult, ...]
+
+    @property
+    def success_rate(self) -> float:
+        """Share of all episodes."""
+        return sum(row.is_success for row in self.rows) / max(len(self.rows), 1)
+
+    def __str__(self) -> str:
+        """Rates, causes, and what an episode costs."""
+        rows = self.rows
+        lines = [f"{self.setting}, {self.observer}: {_share(rows)} of all episodes"]
+        right = [each for row in rows for each in row.right]
+        lines.append(f"objects where they should be: {share_of(sum(right), len(right))}")
+        causes = Counter(row.outcome for row in rows if not row.is_success)
+        if causes:
+            lines.append("failures: " + ", ".join(f"{name} {count}" for name, count in causes.most_common()))
+        good = [row for row in rows if row.is_success]
+        if good:
+            over = sum(row.picks - row.fewest for row in good)
+            lines.append(
+                f"where it succeeded: {np.mean([row.picks for row in good]):.1f} picks, {over} more in all "
+                f"than the fewest possible, {sum(row.waits for row in good)} of them to wait; at most "
+                f"{1e3 * max(row.error for row in good):.1f} mm and "
+                f"{np.degrees(max(row.turn_error for row in good)):.1f} deg from the layout"
+            )
+        if rows:
+            names = ("looks", "path", "seconds", "cpu")
+            looks, path, seconds, cpu = (np.mean([getattr(row, name) for row in rows]) for name in names)
+            lines.append(
+                f"an episode: {looks:.0f} looks at all objects, {path:.1f} m of the tool, {seconds:.0f} s "
+                f"simulated, {cpu:.1f} CPU-s"
+            )
+        table = [
+            (name, *_object_row(rows, name))
+            for name in sorted({name for row in rows for name in row.objects})
+        ]
+        return "\n".join([*lines, "", aligned_table(("object", "moved", "right"), table)])
+
+
+def _share(rows: Sequence[RearrangeResult]) -> str:
+    return share_of(sum(row.is_success for row in rows), len(rows))
+
+
+def _object_row(rows: Sequence[RearrangeResult], name: str) -> tuple[str, str]:
+    right = [row.right[row.objects.index(name)] for row in rows if name in row.objects]
+    return str(len(right)), str(sum(right))
+
+
+def run_rearrangements(
+    setting: RearrangeSetting,
+    options: RearrangeOptions,
+    number: int,
+    seed: int,
+    out: Path | None,
+    *,
+    pool: str = "household",
+    observer: Observer | None = None,
+    num_threads: int = 1,
+) -> Rearrangements:
+    """Runs episodes of a setting.
+
+    Args:
+      out: the folder in which rows are kept, each as soon as it is made; None keeps none.
+      observer: tells where things are; the true poses if not given.
+      num_threads: of the simulation of layouts and the tests of grasps; 0 takes every core.
+
+    Raises:
+      BankError: the folder holds rows of other settings, or a damaged file.
+      ConfigError: the pool has too few objects.
+    """
+    observer = observer or TrueObserver()
+    told = getattr(observer, "name", type(observer).__name__)
+    recipe = {"setting": setting.name, "pool": pool, "seed": seed, "observer": told, **asdict(options)}
+    file = RowFile(None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange")
+    rows = file.read()[:number]
+    with Progress(setting.name, number, "episode", kept=len(rows)) as progress:
+        starts = Starts(setting, pool, num_threads) if len(rows) < number else None
+        for index in range(len(rows), number):
+            assert starts is not None
+            row = rearrange_episode(starts(episode_seed(seed, index)), options, observer)
+            rows.append(row)
+            file.write(rows)
+            good = sum(each.is_success for each in rows)
+            progress.update(note=f"{good} of {len(rows)} good, the last: {row.outcome}")
+    return Rearrangements(setting.name, told, tuple(rows))

@@ -1,0 +1,146 @@
+"""Layouts: gaps against shapely, unlike ones against their definition, symmetry of known shapes."""
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+from shapely.geometry import MultiPoint
+
+pytest.importorskip("mink")
+
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, unlike
+from cluttergen_jax.downstream.rearrange.settings import AREA, SETTINGS
+from cluttergen_jax.downstream.rearrange.symmetry import (
+    ROUND,
+    equal_places,
+    offset,
+    turn_matrix,
+    turn_symmetry,
+)
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation.measures.diversity import embed
+from cluttergen_jax.geometry import transformed, yaw_quaternion
+from tests.helpers.worlds import box, prism
+
+OBJECTS = (
+    box("box", (0.03, 0.04, 0.05)),
+    prism("prism", 0.04, 0.03, sides=7),
+    box("tall", (0.01, 0.01, 0.1)),
+)
+
+
+def drawn_poses(rng, number=3, reach=0.15):
+    xy = rng.uniform(-reach, reach, (number, 2))
+    return np.array(
+        [
+            [*place, 0.05, *yaw_quaternion(yaw)]
+            for place, yaw in zip(xy, rng.uniform(0, 6, number), strict=True)
+        ]
+    )
+
+
+def test_gaps_are_those_of_the_shadows():
+    rng = np.random.default_rng(1)
+    apart = 0
+    for _ in range(60):
+        poses = drawn_poses(rng)
+        hulls = [
+            MultiPoint(transformed(pose, asset.parts[0].vertices)[:, :2]).convex_hull
+            for asset, pose in zip(OBJECTS, poses, strict=True)
+        ]
+        wanted = min(hulls[i].distance(hulls[j]) for i in range(3) for j in range(i))
+        found = clearance_of(OBJECTS, poses)
+        apart += wanted > 0
+        assert (found == 0) == (wanted == 0)
+        # Edges are looked at every 5 mm.
+        assert wanted - 1e-9 <= found <= np.hypot(wanted, 0.0025) + 1e-9 + 0.0025 * (wanted > 0)
+    assert 10 < apart < 60
+
+
+def test_unlike_layouts_are_far_from_each_other():
+    rng = np.random.default_rng(2)
+    poses = np.array([drawn_poses(rng) for _ in range(40)])
+    region = Rectangle((0, 0), (0.15, 0.15))
+    chosen = unlike(OBJECTS, poses, region, 6)
+    assert len(set(chosen.tolist())) == 6
+    vectors = embed(OBJECTS, poses, np.ones((40, 3), bool), region, 0.0)
+    distances = cdist(vectors, vectors)
+    for place in range(1, 6):
+        nearest = distances[chosen[:place]].min(0)
+        assert nearest[chosen[place]] == pytest.approx(nearest.max())
+    assert unlike(OBJECTS, poses[:4], region, 6).tolist() == [0, 1, 2, 3]
+
+
+def test_rules_choose_by_their_column_once_all_is_reached():
+    layouts = Layouts(
+        poses=np.zeros((4, 2, 7)),
+        clearance=np.array([0.01, 0.03, 0.05, 0.02]),
+        reach=np.array([1.0, 1.0, 0.5, 1.0]),
+        travel=np.array([0.3, 0.4, 0.1, 0.2]),
+    )
+    assert layouts.ranked("clearance").tolist() == [1, 3, 0, 2]
+    assert layouts.ranked("similar").tolist() == [3, 0, 1, 2]
+    assert layouts.ranked("reach").tolist() == [1, 3, 0, 2]
+
+
+@pytest.mark.parametrize(
+    ("asset", "order"),
+    [
+        (box("oblong", (0.03, 0.05, 0.04)), 2),
+        (box("square", (0.04, 0.04, 0.02)), 4),
+        (prism("six", 0.05, 0.03, sides=6), 6),
+        (prism("round", 0.05, 0.03, sides=48), ROUND),
+        (prism("seven", 0.06, 0.03, sides=7), 1),
+    ],
+)
+def test_symmetry_of_known_shapes(asset, order):
+    assert turn_symmetry(asset) == order
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 5, ROUND])
+def test_equal_places_are_no_error_and_others_are(order):
+    place = np.eye(4)
+    place[:3, 3] = 0.1, 0.2, 0.3
+    equal = equal_places(place, order)
+    assert np.allclose(equal[0], place)
+    assert len(equal) == min(order, 8)
+    for each in equal:
+        assert np.allclose(offset(each, place, order), 0, atol=1e-6)
+    off = place @ turn_matrix(np.radians(15))
+    off[0, 3] += 0.01
+    shift, turn = offset(off, place, order)
+    assert shift == pytest.approx(0.01)
+    assert turn == pytest.approx(0 if order == ROUND else np.radians(15), abs=1e-6)
+
+
+def test_a_round_object_that_tips_is_wrong():
+    tipped = np.eye(4)
+    tipped[1:3, 1:3] = [[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]]
+    assert offset(tipped, np.eye(4), ROUND)[1] == pytest.approx(0.3)
+
+
+def test_settings_are_within_what_the_arm_reaches():
+    for setting in SETTINGS.values():
+        for region in (setting.start, setting.target):
+            assert (np.abs(region.corners) <= np.asarray(AREA.half_extents) + 1e-9).all()
+    paper = SETTINGS["paper"]
+    assert paper.target.center == (0.0, 0.15)
+    assert paper.target.half_extents == (0.225, 0.125)
+
+
+@pytest.mark.slow
+def test_scenes_are_drawn_where_they_are_asked_for_around_what_stands():
+    draw = SceneDraw("household", "clear", 3, 1)
+    names = [asset.name for asset in draw.objects]
+    assert names == [asset.name for asset in find_pool("household").objects]
+    stay = np.array([[0.0, 0.15, draw.support.top + draw.objects[0].resting[0].height, 1, 0, 0, 0]])
+    region = Rectangle((0.0, 0.15), (0.2, 0.1))
+    found = draw(5, [3, 6], region, [0], stay, number=16)
+    assert len(found) > 8
+    assert np.array_equal(found, draw(5, [3, 6], region, [0], stay, number=16))
+    assert (np.abs(found[..., :2] - region.center) <= region.half_extents).all()
+    for poses in found:
+        assert clearance_of([draw.objects[k] for k in (3, 6, 0)], np.concatenate([poses, stay])) > 0
+    with pytest.raises(ConfigError, match="3 at most"):
+        draw(5, [1, 2, 3, 4], region)

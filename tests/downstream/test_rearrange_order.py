@@ -1,0 +1,126 @@
+"""Order of picks against a search over all that can be done, meetings against geometry by hand."""
+
+from collections import deque
+from itertools import product
+
+import numpy as np
+import pytest
+
+from cluttergen_jax.downstream.rearrange.order import (
+    GAP,
+    Meetings,
+    Relations,
+    is_possible,
+    lowest_first,
+    ready,
+    smallest_waiting,
+)
+from tests.helpers.worlds import box
+
+START, AWAY, HOME = range(3)
+
+
+def relations_of(number, blocks=(), lies_on=(), goal_on=()):
+    found = np.zeros((3, number, number), bool)
+    for table, pairs in zip(found, (blocks, lies_on, goal_on), strict=True):
+        for pair in pairs:
+            table[pair] = True
+    return Relations(*found)
+
+
+def fewest_waits(relations):
+    """The fewest objects put down elsewhere, by a search over all states; None where nothing helps."""
+    number = len(relations.blocks)
+    first = (START,) * number
+    best, queue = {first: 0}, deque([first])
+    while queue:
+        state = queue.popleft()
+        for k, place in product(range(number), (AWAY, HOME)):
+            at_start = [i for i in range(number) if state[i] == START and i != k]
+            if state[k] == HOME or (state[k] == AWAY and place == AWAY):
+                continue
+            if state[k] == START and any(relations.lies_on[i, k] for i in at_start):
+                continue
+            if place == HOME and any(relations.blocks[i, k] for i in at_start):
+                continue
+            if place == HOME and any(relations.goal_on[k, j] and state[j] != HOME for j in range(number)):
+                continue
+            after = (*state[:k], place, *state[k + 1 :])
+            cost = best[state] + (place == AWAY)
+            if cost < best.get(after, 99):
+                best[after] = cost
+                queue.append(after)
+    return best.get((HOME,) * number)
+
+
+def drawn_relations(rng, number):
+    """Random ones in which nothing lies on itself, in stacks that can be."""
+    blocks = rng.random((number, number)) < 0.35
+    above = np.triu(rng.random((number, number)) < 0.2, 1)
+    order = rng.permutation(number)
+    goal_on = np.triu(rng.random((number, number)) < 0.15, 1)[np.ix_(order, order)]
+    np.fill_diagonal(blocks, False)
+    return Relations(blocks, above, goal_on)
+
+
+def test_the_fewest_waits_are_those_of_a_search_over_everything():
+    rng = np.random.default_rng(0)
+    sizes = []
+    for _ in range(150):
+        number = int(rng.integers(2, 5))
+        relations = drawn_relations(rng, number)
+        found = smallest_waiting(relations, range(number))
+        assert (None if found is None else len(found)) == fewest_waits(relations)
+        sizes.append(-1 if found is None else len(found))
+    assert {0, 1, 2} <= set(sizes)
+
+
+def test_what_swaps_needs_one_to_wait_and_a_ring_too():
+    swap = relations_of(2, blocks=[(0, 1), (1, 0)])
+    assert smallest_waiting(swap, [0, 1]) == (0,)
+    assert not is_possible(swap, [0, 1], ())
+    ring = relations_of(3, blocks=[(0, 1), (1, 2), (2, 0)])
+    assert len(smallest_waiting(ring, range(3))) == 1
+    two_rings = relations_of(4, blocks=[(0, 1), (1, 0), (2, 3), (3, 2)])
+    assert len(smallest_waiting(two_rings, range(4))) == 2
+    assert smallest_waiting(relations_of(3, blocks=[(0, 1), (1, 2)]), range(3)) == ()
+
+
+def test_what_can_go_home_now():
+    relations = relations_of(4, blocks=[(0, 1)], lies_on=[(1, 2)], goal_on=[(3, 0)])
+    assert ready(relations, range(4)) == [0]
+    assert ready(relations, [1, 2, 3]) == [1, 3]
+    # What stands and is not to be moved lies on something all the same.
+    assert ready(relations, [2]) == []
+
+
+def test_the_lowest_come_first_whatever_is_in_the_way():
+    objects = [box("a", (0.02, 0.02, 0.05)), box("b", (0.02, 0.02, 0.01)), box("c", (0.02, 0.02, 0.03))]
+    assert lowest_first(objects, [0, 1, 2]) == [1, 2, 0]
+    assert lowest_first(objects, [2, 0]) == [2, 0]
+
+
+@pytest.mark.parametrize(("gap", "near"), [(GAP - 0.001, True), (GAP + 0.001, False)])
+def test_a_goal_is_covered_by_what_stands_near_it(gap, near):
+    objects = [box("a", (0.02, 0.03, 0.04)), box("b", (0.03, 0.02, 0.01))]
+    poses = np.array([[0, 0, 0.04, 1, 0, 0, 0], [0.5, 0, 0.01, 1, 0, 0, 0]], float)
+    goals = np.array([[0.5, 0.5, 0.04, 1, 0, 0, 0], [0.05 + gap, 0, 0.01, 1, 0, 0, 0]], float)
+    relations = Meetings(objects).relations(poses, goals)
+    assert relations.blocks.tolist() == [[False, near], [False, False]]
+    assert not relations.lies_on.any()
+    assert not relations.goal_on.any()
+
+
+def test_who_lies_on_whom_now_and_later():
+    objects = [box("a", (0.02, 0.02, 0.02)), box("b", (0.05, 0.05, 0.01)), box("c", (0.02, 0.02, 0.02))]
+    poses = np.zeros((3, 7))
+    poses[:, 3] = 1
+    poses[:, :3] = [[0, 0, 0.0395], [0, 0, 0.01], [0.3, 0, 0.02]]
+    goals = poses.copy()
+    goals[[0, 2]] = poses[[2, 0]]
+    relations = Meetings(objects).relations(poses, goals)
+    assert np.argwhere(relations.lies_on).tolist() == [[0, 1]]
+    assert np.argwhere(relations.goal_on).tolist() == [[2, 1]]
+    # Both of the small ones are in each other's place; what is beneath stays in its own, under the other.
+    assert relations.blocks[0, 2]
+    assert relations.blocks[2, 0]
