@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import Change, Engine, Method, Order, Setting, Suite, check_workers
+from cluttergen_jax.config import Change, Engine, Method, Order, PlacerHead, Setting, Suite, check_workers
 from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from cluttergen_jax.evaluation.studies.study import Result
 
 _TRIALS = 1000
+_NOT_DOWNSTREAM = ("methods", "checkpoint", "checkpoints", "cluster")
+_DOWNSTREAM = ("heads", "num_pairs", "bank")
+"""What only some suites know."""
 
 
 def evaluate(
@@ -133,6 +136,9 @@ def evaluate_suite(
     out: str | Path | None = None,
     cluster: str | None = None,
     workers: int = 0,
+    heads: Sequence[PlacerHead] = (),
+    num_pairs: int | None = None,
+    bank: str | Path | None = None,
     show: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
     """Makes the tables and figures of a suite, and writes each as it is done (`cluttergen evaluate --suite`).
@@ -141,12 +147,16 @@ def evaluate_suite(
 
     Args:
       suite: "paper" (its tables and figures), "extended" (what it does not ask) or "downstream" (stable
-        placement, with `only`, `pools`, `quick`, `seed`, `num_threads`, `fresh` and `out` alone); what the
-        studies' own is cannot be given then: supports, objects, attempts, rules, repeats and changes.
+        placement, without `methods`, checkpoints and `cluster`; `trials` are test scenes there, ten queries
+        and one chain each); what the studies' own is cannot be given then: supports, objects, attempts,
+        rules, repeats and changes.
       only: names of studies of the suite; all of them if not given.
       quick: a few trials a row: the whole paper suite in minutes.
       seeds: training seeds where a table asks for several, 3 if not given, 1 if quick; those without a
-        checkpoint are left out.
+        checkpoint are left out, and those of placers are trained.
+      heads: of suite "downstream": of the placers that a study trains; the study's own if not given.
+      num_pairs: of suite "downstream": the most pairs that a placer learns from.
+      bank: of suite "downstream": a bank made by hand, whose row stands in the study `source`.
       show: is given each result as it is done.
 
     Returns:
@@ -158,6 +168,7 @@ def evaluate_suite(
     """
     from cluttergen_jax.api.placer import placer_data
     from cluttergen_jax.cluster import cluster_of
+    from cluttergen_jax.downstream.placer.studies import study as studies
     from cluttergen_jax.downstream.suite import NAME, run_downstream
     from cluttergen_jax.evaluation.comparison import open_runner
     from cluttergen_jax.evaluation.running import imported_pools, run_suite, suite_folder
@@ -167,15 +178,16 @@ def evaluate_suite(
 
     given, place = locals(), cluster_of(cluster, workers)
     check_workers("num_threads", num_threads)
-    if suite == NAME:
-        useless = ("methods", "trials", "seeds", "checkpoint", "checkpoints", "cluster")
-        if told := [name for name in useless if given[name]]:
-            raise ConfigError(f"`{told[0]}` with suite {NAME!r}", hint=f"leaving out `{told[0]}`")
-        folder = suite_folder(suite, quick) if out is None else Path(out)
-        return run_downstream(placer_data, folder, only, pools, quick, seed, num_threads, fresh, show)
     if seeds is not None and not 1 <= seeds <= 100:
         raise ConfigError(f"seeds = {seeds}", "1 to 100")
+    wrong = _NOT_DOWNSTREAM if suite == NAME else _DOWNSTREAM
+    if told := [name for name in wrong if given[name]]:
+        raise ConfigError(f"`{told[0]}` with suite {suite!r}", hint=f"leaving out `{told[0]}`")
     folder = suite_folder(suite, quick) if out is None else Path(out)
+    if suite == NAME:
+        by_hand = None if bank is None else Path(bank)
+        asked = studies.Scale(quick, trials, num_pairs, seeds, tuple(heads), tuple(pools), by_hand, seed)
+        return run_downstream(placer_data, folder, only, asked, num_threads, fresh, show)
     scale = Scale(quick, trials, seeds, tuple(pools), tuple(methods), seed, imported_pools())
     planned = find_suite(suite, scale, only)
     rows = [trial for each in planned if each.study is not TIME for trial in each.trials]

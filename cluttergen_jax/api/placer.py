@@ -101,6 +101,7 @@ def placer_eval(
     noise: Sequence[float] = (0.0, 1.0),
     split: Split = "test",
     num_pairs: int | None = None,
+    cameras: int = 1,
     chains: int = 0,
     seed: int = 0,
     num_threads: int = 0,
@@ -116,6 +117,8 @@ def placer_eval(
       noise: of the depth camera, so many times that of a usual one; 0 for none.
       split: train, val or test.
       num_pairs: the first so many queries; all of the split if not given.
+      cameras: that look at each scene, their maps fused; all but the first are drawn anew around the table,
+        which pairs of the camera "free" alone allow.
       chains: tables that each placer fills by itself besides, object after object by what the camera sees
         after the last; as many as the split has scenes at most.
       seed: of noise and proposals.
@@ -145,5 +148,5 @@ def placer_eval(
         raise ConfigError(f"chains = {chains}", f"0 to {_MOST_PAIRS}", "chains=100")
     folder = None if out is None else Path(out)
     store = Store(folder and folder / "results")
-    trials = Trials(read_pairs(data), split, num_pairs, seed, store, fresh, num_threads)
+    trials = Trials(read_pairs(data), split, num_pairs, seed, store, fresh, num_threads, cameras)
     return compare_placers(trials, tuple(map(str, placers)), tuple(map(float, noise)), folder, chains)

@@ -131,7 +131,8 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     order = list(STUDIES)
     known = [result for result in results if result["name"] in order]
     known.sort(key=lambda result: order.index(result["name"]))
-    return known + [result for result in results if "tables" in result]
+    others = [result for result in results if "tables" in result]
+    return known + sorted(others, key=lambda result: result.get("place", 0))
 
 
 def suite_of(result: dict[str, Any]) -> str:

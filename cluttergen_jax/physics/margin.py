@@ -55,13 +55,15 @@ def convex_hull(points: np.ndarray) -> list[Point]:
 def _chain(ordered: list[Point]) -> list[Point]:
     """The lower hull of points in ascending order; the upper one, of points in descending order."""
     chain: list[Point] = []
-    for x, y in ordered:
+    for point in ordered:
+        x, y = point
         while len(chain) > 1:
-            (x0, y0), (x1, y1) = chain[-2:]
+            x0, y0 = chain[-2]
+            x1, y1 = chain[-1]
             if (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) > 0:
                 break
             chain.pop()
-        chain.append((x, y))
+        chain.append(point)
     return chain
 
 

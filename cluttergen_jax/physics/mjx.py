@@ -137,7 +137,8 @@ class MjxPhysics(OneScenePhysics):
         velocity = scenes.velocity(data, focus)
         is_neighbour = batch.is_placed & ~batch.is_focus
         shift, turn = (each * is_neighbour for each in stability.moved(jnp, scenes.poses(data), batch.start))
-        after = stability.advance(jnp, run.track, velocity, shift, turn, config)
+        motion = stability.step_motion(jnp, velocity, run.track.velocity, config)
+        after = stability.advance(jnp, run.track, motion, shift, turn, config)
         row = jnp.concatenate([scenes.poses(data)[rows, focus], velocity], axis=-1)
         index = jnp.where(running, after.step, config.last_step + 1)
         return _Attempts(

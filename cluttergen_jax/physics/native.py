@@ -210,19 +210,15 @@ class _Attempt:
         shift, turn = stability.moved(np, motion.poses, self.start[running, None])
         is_neighbour = self.is_neighbour[running]
         track = stability.Track(*(field[running] for field in self.track))
+        # Of all steps at once: calls cost more than numbers.
+        before = np.concatenate([track.velocity[:, None], velocity[:, :-1]], axis=1)
+        steps = stability.step_motion(np, velocity, before, self.engine.config)
+        shift, turn = shift * is_neighbour[:, None], turn * is_neighbour[:, None]
         first, num_steps, is_running = int(track.step[0]), np.zeros(num, int), np.ones(num, bool)
         for step in range(velocity.shape[1]):
-            after = stability.advance(
-                np,
-                track,
-                velocity[:, step],
-                shift[:, step] * is_neighbour,
-                turn[:, step] * is_neighbour,
-                self.engine.config,
-            )
-            track = stability.Track(
-                *(where(np, is_running, *pair) for pair in zip(after, track, strict=True))
-            )
+            made = stability.StepMotion(*(field[:, step] for field in steps))
+            after = stability.advance(np, track, made, shift[:, step], turn[:, step], self.engine.config)
+            track = after if is_running.all() else _where_running(is_running, after, track)
             num_steps += is_running
             has_failed = (motion.overflowed | ~motion.is_finite) & (num_steps == motion.num_steps)
             is_running = is_running & ~track.is_over & ~has_failed
@@ -234,9 +230,9 @@ class _Attempt:
         self.overflowed[running] = motion.overflowed & has_failed
         self.is_finite[running] = motion.is_finite | ~has_failed
         self.final[running] = motion.poses[rows, num_steps - 1]
-        made = np.concatenate([motion.poses[rows, :, focus], velocity], axis=-1)
-        made[np.arange(made.shape[1]) >= num_steps[:, None]] = 0.0
-        self.trajectory[running, first + 1 : first + 1 + made.shape[1]] = made
+        moved = np.concatenate([motion.poses[rows, :, focus], velocity], axis=-1)
+        moved[np.arange(moved.shape[1]) >= num_steps[:, None]] = 0.0
+        self.trajectory[running, first + 1 : first + 1 + moved.shape[1]] = moved
         return running[is_running]
 
     def report(self, result: Settling, block: np.ndarray) -> None:
@@ -292,6 +288,11 @@ class _Attempt:
                 result.penetration[at], result.margin[at] = found.penetration, found.margin
                 result.touches[at], result.bears[at] = found.touches, found.bears
         return penetrates
+
+
+def _where_running(is_running: np.ndarray, after: stability.Track, track: stability.Track) -> stability.Track:
+    """The track of those that run after a step, and of the others as it was."""
+    return stability.Track(*(where(np, is_running, *pair) for pair in zip(after, track, strict=True)))
 
 
 def _is_sound(poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:

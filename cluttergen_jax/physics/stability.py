@@ -84,27 +84,54 @@ def moved(xp: Any, poses: Array, start: Array) -> tuple[Array, Array]:
     return shift, turn_between(xp, poses[..., 3:], start[..., 3:])
 
 
+class StepMotion(NamedTuple):
+    """What a step tells of the focus object's motion.
+
+    Attributes:
+      velocity: f[..., 6], after it, linear then angular, world frame.
+      is_quiet: bool[...], all four motions are below their limits.
+      size, change: f[...], lengths of velocity and acceleration; speed: f[...], sum of the former's parts.
+    """
+
+    velocity: Array
+    is_quiet: Array
+    size: Array
+    change: Array
+    speed: Array
+
+
+def step_motion(xp: Any, velocity: Array, before: Array, config: StabilityConfig) -> StepMotion:
+    """The motion of a step, or of many at once, from the velocities f[..., 6] after it and before it."""
+    acceleration = (velocity - before) / config.timestep
+    return StepMotion(
+        velocity,
+        is_quiet_step(xp, velocity, acceleration, config),
+        norm(xp, velocity),
+        norm(xp, acceleration),
+        xp.sum(xp.abs(velocity), axis=-1),
+    )
+
+
 def advance(
-    xp: Any, track: Track, velocity: Array, shift: Array, turn: Array, config: StabilityConfig
+    xp: Any, track: Track, motion: StepMotion, shift: Array, turn: Array, config: StabilityConfig
 ) -> Track:
     """The track after one more step of an attempt that is still running.
 
     Args:
-      velocity: f[..., 6], the focus object's, after the step.
+      motion: of the step.
       shift, turn: f[..., K], how far every object is from its start.
     """
-    acceleration = (velocity - track.velocity) / config.timestep
     step = track.step + 1
-    hold = xp.where(is_quiet_step(xp, velocity, acceleration, config), track.hold + 1, 0)
+    hold = xp.where(motion.is_quiet, track.hold + 1, 0)
     ends_quiet = hold >= config.quiet_steps
     return Track(
         step=step,
         hold=hold,
         is_over=ends_quiet | (step >= config.last_step),
         is_quiet=ends_quiet & (step <= config.decision_step),
-        velocity=velocity,
-        motion_sum=track.motion_sum + norm(xp, velocity) + norm(xp, acceleration),
-        speed_sum=track.speed_sum + xp.sum(xp.abs(velocity), axis=-1),
+        velocity=motion.velocity,
+        motion_sum=track.motion_sum + motion.size + motion.change,
+        speed_sum=track.speed_sum + motion.speed,
         shift=xp.maximum(track.shift, shift),
         turn=xp.maximum(track.turn, turn),
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -102,9 +102,7 @@ class Camera:
     @cached_property
     def directions(self) -> np.ndarray:
         """f64[H, W, 3]: from the eye through each pixel's middle, world frame; 1 m along the optical axis."""
-        x, y = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
-        pixels = np.stack([x, y, np.ones_like(x)], axis=-1)
-        return pixels @ np.linalg.inv(self.K).T @ self.rotation.T
+        return _pixel_directions(self.width, self.height, self.K.tobytes()) @ self.rotation.T
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where world points f[..., 3] are seen.
@@ -122,6 +120,16 @@ class Camera:
         """f64[H, W, 3]: the world points that the pixels' middles show at depths f[H, W]; nan without one."""
         metres = np.where(np.isfinite(depth), depth, np.nan).astype(np.float64)
         return self.eye + self.directions * metres[..., None]
+
+
+@lru_cache(maxsize=16)
+def _pixel_directions(width: int, height: int, K: bytes) -> np.ndarray:
+    """f64[H, W, 3]: directions of the pixels' middles in the camera's own frame; read alone."""
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    pixels = np.stack([x, y, np.ones_like(x)], axis=-1)
+    directions = pixels @ np.linalg.inv(np.frombuffer(K, np.float64).reshape(3, 3)).T
+    directions.flags.writeable = False
+    return directions
 
 
 def intrinsics(width: int, height: int, focal: float) -> np.ndarray:

@@ -217,14 +217,30 @@ def _seen(
     cells = np.ravel_multi_index(tuple(index[is_here].T), shape)
     z = local[is_here, 2].astype(np.float32)
     count = np.bincount(cells, minlength=grid.bare.size)
-    highest = np.full(grid.bare.size, VOID, np.float32)
-    # In each cell from the highest down: the one that so many reach.
-    order = np.lexsort((-z, cells))
-    rank = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
-    wanted = np.minimum(least_pixels, count[cells[order]]) - 1
-    chosen = order[rank == wanted]
-    highest[cells[chosen]] = z[chosen]
+    highest = _ranked(cells, z, count, least_pixels)
     return np.maximum(grid.bare, highest.reshape(shape)), count.reshape(shape).astype(np.int32)
+
+
+def _ranked(cells: np.ndarray, z: np.ndarray, count: np.ndarray, rank: int) -> np.ndarray:
+    """f32[C]: the `rank`-th highest of each cell's points, the lowest where there are fewer, VOID of none.
+
+    Args:
+      cells: i[N], of each point; z: f32[N], its height; count: i[C], points of each cell.
+    """
+    found = np.full(len(count), VOID, np.float32)
+    for place in range(rank):
+        highest = np.full(len(count), VOID, np.float32)
+        np.maximum.at(highest, cells, z)
+        found = np.where(count > place, highest, found)
+        if place + 1 < rank:
+            # One point of each cell that is as high is taken away.
+            (top,) = np.nonzero(z == highest[cells])
+            one = np.full(len(count), -1)
+            one[cells[top]] = top
+            is_left = np.ones(len(z), bool)
+            is_left[one[one >= 0]] = False
+            cells, z = cells[is_left], z[is_left]
+    return found
 
 
 def _carved(depth: np.ndarray, camera: Camera, grid: Grid, max_height: float) -> np.ndarray:
@@ -291,8 +307,8 @@ def _interpolated(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.n
     is_inside = (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
     x, y = np.clip(x - 0.5, 0, width - 1), np.clip(y - 0.5, 0, height - 1)
     j, i = np.minimum(x.astype(np.int32), width - 2), np.minimum(y.astype(np.int32), height - 2)
-    flat, index = np.asarray(depth, np.float32).ravel(), i * width + j
-    a, b, c, d = flat[index], flat[index + 1], flat[index + width], flat[index + width + 1]
+    flat, index = np.asarray(depth, np.float32).ravel(), (i * width + j).astype(np.intp)
+    a, b, c, d = (flat[more:].take(index) for more in (0, 1, width, width + 1))
     low = np.minimum(np.minimum(a, b), np.minimum(c, d))
     high = np.maximum(np.maximum(a, b), np.maximum(c, d))
     u, v = x - j, y - i

@@ -1,16 +1,25 @@
-"""The suite `downstream` on the page of results: its result brings its tables along."""
+"""The suite `downstream`: studies whose results bring their tables along; what is made is not made again."""
 
 import json
 from dataclasses import asdict
 
+import numpy as np
 import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
-from cluttergen_jax.downstream.suite import SETS, result_of
+from cluttergen_jax.downstream.placer.studies.placement import PLACEMENT, found_of
+from cluttergen_jax.downstream.placer.studies.protocol import PROTOCOL, _table
+from cluttergen_jax.downstream.placer.studies.study import SETS, Found, Scale
+from cluttergen_jax.downstream.placer.studies.trained import grouped, mean_figures, table_of
+from cluttergen_jax.downstream.placer.training.run import PlacerTraining
+from cluttergen_jax.downstream.suite import STUDIES, command_of, result_of
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation import suites
 from cluttergen_jax.evaluation.report import document, read_results, tables_of, write_report
+from cluttergen_jax.proportions import proportion, wilson
 from cluttergen_jax.tables import Table
+from cluttergen_jax.types import Verdict
 
 
 def comparison(queries: int) -> PlacerComparison:
@@ -23,39 +32,102 @@ def comparison(queries: int) -> PlacerComparison:
     return PlacerComparison([row], tables)
 
 
-def test_a_result_is_written_read_again_and_stands_on_the_page(tmp_path):
-    result = result_of(
-        [comparison(20), comparison(10)], "cluttergen evaluate --suite downstream", quick=False
-    )
-    write_report(result, tmp_path)
-    (read,) = read_results(tmp_path)
-    assert read == json.loads(json.dumps(result))
+def trained_row(seed: int | None, good: int, noise: float = 0.0, name: str = "scored") -> dict:
+    """A row of 100 queries of which `good` went well, as a trained placer of that seed would have it."""
+    share = proportion(np.arange(100) < good)
+    figures = dict.fromkeys(("success", "best_of_all", "with_margin", "paper"), share)
+    figures |= {"paper_without_invalid": share, "many": share | {"queries": 30}}
+    figures |= {"z_error": {"median": 0.001}, "verdicts": {v.label: 0.0 for v in Verdict if v >= 0}}
+    trial = {"placer": f"{name}-{seed}", "noise": noise, "queries": 100}
+    return {"trial": trial, "figures": figures, "variant": {"head": name}, "training_seed": seed}
+
+
+def test_results_are_written_read_again_and_stand_on_the_page_in_order(tmp_path):
+    found = found_of([comparison(20), comparison(10)])
+    result = result_of(PLACEMENT, found, "cluttergen evaluate --suite downstream", quick=False)
+    later = Found(found.records, [Table("by the paper", ("a",), ())])
+    for each in (result, result_of(PROTOCOL, later, "cluttergen", quick=False)):
+        write_report(each, tmp_path)
+    write_report(result_of(STUDIES["cameras"], later, "cluttergen", quick=False), tmp_path)
+    read = read_results(tmp_path)
+    assert [each["name"] for each in read] == ["placement", "cameras", "protocol"]
+    assert read[0] == json.loads(json.dumps(result))
     # The first set is told in full, the second by its main table.
-    assert [asdict(table) for table in tables_of(read)] == [
+    assert [asdict(table) for table in tables_of(read[0])] == [
         asdict(table) for table in (*comparison(20).tables, comparison(10).tables[0])
     ]
-    page = document([read])
+    page = document(read)
     assert "## What scenes are good for" in page
     assert "### Stable placement from one camera's view" in page
     assert "| random | 0.5 |" in page
     assert "`cluttergen evaluate --suite downstream`, 10 or 20 trials a row" in page
 
 
+def test_seeds_of_one_variant_are_told_in_one_line():
+    rows = [trained_row(seed, good) for seed, good in enumerate((90, 80, 100))]
+    rows += [trained_row(seed, 50, noise=1.0) for seed in range(3)] + [trained_row(None, 60, name="random")]
+    assert [len(each) for each in grouped(rows)] == [3, 3, 1]
+    table = table_of("title", rows)
+    assert table.columns[:5] == ("head", "noise", "seeds", "stands [95 %]", "each seed")
+    low, high = wilson(270, 300)
+    assert table.rows[0][:5] == ("scored", "0", "3", f"0.900 [{low:.3f}, {high:.3f}]", "0.900 0.800 1.000")
+    assert table.rows[2][:5] == ("random", "0", "-", f"0.600 [{wilson(60, 100)[0]:.3f}, 0.691]", "-")
+    # One row alone is told as it is.
+    alone = mean_figures(rows[:1])
+    assert alone["success"] == pytest.approx(rows[0]["figures"]["success"])
+
+
+def test_the_papers_protocol_stands_beside_the_strict_count():
+    shared, apart = ([trained_row(0, good)] for good in (90, 70))
+    shared[0]["figures"]["paper_without_invalid"] = proportion(np.arange(80) < 78)
+    table = _table([shared], [apart])
+    assert table.rows[0][2].startswith("0.975 [")
+    assert table.rows[0][4].startswith("0.900 [")
+    assert table.rows[0][5].startswith("0.700 [")
+
+
+def test_a_studys_command_says_what_was_asked():
+    assert command_of("noise", Scale()) == "cluttergen evaluate --suite downstream --only noise"
+    asked = Scale(quick=True, num_pairs=5000, seeds=2, heads=("scored", "mixture"), seed=3)
+    assert command_of("set-size", asked) == (
+        "cluttergen evaluate --suite downstream --only set-size --quick --heads scored mixture "
+        "--num-pairs 5000 --seeds 2 --seed 3"
+    )
+    assert asked.training_seeds == range(2)
+    assert (Scale().training_seeds, Scale(quick=True).training_seeds) == (range(3), range(1))
+    assert (asked.capped(200), asked.capped(20_000)) == (200, 5000)
+
+
 def test_what_the_suite_does_not_know_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="`methods` with suite 'downstream'"):
         cg.evaluate_suite("downstream", methods=("drop",), out=tmp_path)
+    with pytest.raises(ConfigError, match="`heads` with suite 'paper'"):
+        cg.evaluate_suite("paper", heads=("scored",), out=tmp_path)
     with pytest.raises(ConfigError, match=r"only = 'placment'.*Did you mean 'placement'"):
         cg.evaluate_suite("downstream", only=("placment",), out=tmp_path)
     with pytest.raises(ConfigError, match=r"pools = 'garden'.*household"):
         cg.evaluate_suite("downstream", pools=("garden",), out=tmp_path)
+    with pytest.raises(ConfigError, match=r"head 'score'.*Did you mean 'scored'"):
+        cg.evaluate_suite("downstream", heads=("score",), out=tmp_path)
+    with pytest.raises(ConfigError, match="num_pairs = -1"):
+        cg.evaluate_suite("downstream", num_pairs=-1, out=tmp_path)
     assert len({one.name for one in SETS}) == len(SETS)
+    assert not STUDIES.keys() & suites.STUDIES.keys(), "a page tells studies apart by their names"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """One for all studies, as a user has it: their data are shared."""
+    return tmp_path_factory.mktemp("suite")
 
 
 @pytest.mark.slow
-def test_the_quick_suite_is_made_in_one_go_and_kept(tmp_path):
-    (first,) = cg.evaluate_suite("downstream", quick=True, out=tmp_path, only=("placement",))
-    (again,) = cg.evaluate_suite("downstream", quick=True, out=tmp_path)
+@pytest.mark.parametrize("name", list(STUDIES))
+def test_a_quick_study_is_made_in_one_go_and_kept(name, folder, monkeypatch):
+    (first,) = cg.evaluate_suite("downstream", quick=True, out=folder, only=(name,))
+    assert first["records"]
+    assert all(table["rows"] for table in first["tables"])
+    assert (folder / f"{name}.md").is_file()
+    monkeypatch.setattr(PlacerTraining, "_learn", None)
+    (again,) = cg.evaluate_suite("downstream", quick=True, out=folder, only=(name,))
     assert first["records"] == again["records"]
-    assert {row["trial"]["placer"] for row in first["records"]} == {"random", "geometry"}
-    assert (tmp_path / "placement.md").is_file()
-    assert (tmp_path / "placement-1.csv").is_file()

@@ -8,15 +8,24 @@ import time
 
 import jax
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 import cluttergen_jax as cg
+from cluttergen_jax.downstream.placer import scene_cameras
 from cluttergen_jax.downstream.placer.evaluation.bench import Bench
 from cluttergen_jax.downstream.placer.pairs import maker as data
 from cluttergen_jax.downstream.placer.pairs import stored as pairs
-from cluttergen_jax.downstream.placer.pairs.stored import SPLITS, labels_of, load_queries, read_pairs
+from cluttergen_jax.downstream.placer.pairs.stored import (
+    SPLITS,
+    labels_of,
+    load_queries,
+    of_tenths,
+    read_pairs,
+)
 from cluttergen_jax.downstream.placer.query import Proposals
+from cluttergen_jax.downstream.placer.training.examples import TESTING, ExampleSource
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
@@ -121,6 +130,33 @@ def test_queries_show_what_stands_to_the_millimetre(loaded):
         assert kept[:, 2].max() <= heights.max() + 0.002
 
 
+def test_wanted_pairs_alone_are_read(made, loaded):
+    queries, labels = load_queries(made, split="test", wanted=of_tenths(1, 9))
+    assert labels.pair.tolist() == [1, 9, 11]
+    assert np.array_equal(queries.heights.height, loaded[0].heights.height[[1, 9, 11]])
+    with pytest.raises(ConfigError, match="no wanted pairs among 2"):
+        load_queries(made, split="test", num_pairs=2, wanted=of_tenths(7))
+
+
+@pytest.mark.parametrize("held_out", ["scenes", "pairs"])
+def test_what_validates_is_not_learned_from(made, held_out):
+    """Of pairs that stand in for a training split: by scenes, or as the paper has it by pairs."""
+    table = pa.table({"pair": np.arange(200), "scene": np.arange(200) * 7 % 31})
+    source = ExampleSource((made.path,), held_out=held_out)
+    learned, validates = (source._wanted(made, split)(table) for split in ("train", "val"))
+    assert not (learned & validates).any()
+    assert validates.any()
+    shared = np.intersect1d(np.asarray(table["scene"])[learned], np.asarray(table["scene"])[validates])
+    tested = of_tenths(TESTING)(table)
+    if held_out == "scenes":
+        assert len(shared) == 0
+        assert (learned | validates).all()
+    else:
+        assert len(shared) > 0, "that is what the study `protocol` is about"
+        assert (learned.sum(), validates.sum(), tested.sum()) == (160, 20, 20)
+        assert not (tested & (learned | validates)).any()
+
+
 def test_noise_is_drawn_by_the_seed_when_pairs_are_read(made, loaded):
     quiet, again = loaded[0], load_queries(made, NOISE_OFF, 9, "test", 4)[0]
     assert np.array_equal(quiet.heights.height[:4], again.heights.height)
@@ -196,7 +232,7 @@ def test_banks_of_which_no_pairs_can_be_made_are_named(tmp_path):
 
 
 def test_a_camera_that_is_inside_the_support_is_named(bank, tmp_path, monkeypatch):
-    monkeypatch.setattr(data, "_is_inside", lambda camera, support: True)
+    monkeypatch.setattr(scene_cameras, "_is_inside", lambda camera, support: True)
     with pytest.raises(ConfigError, match="inside the support or does not see it"):
         cg.placer_data(tmp_path / "pairs", bank.path)
 

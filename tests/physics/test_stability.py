@@ -33,7 +33,8 @@ def follow(velocities, config=CONFIG, xp=np, shift=None):
     nothing = xp.zeros(2)
     for step, velocity in enumerate(velocities):
         moved = nothing if shift is None else xp.asarray(shift[step])
-        track = stability.advance(xp, track, xp.asarray(velocity), moved, nothing, config)
+        motion = stability.step_motion(xp, xp.asarray(velocity), track.velocity, config)
+        track = stability.advance(xp, track, motion, moved, nothing, config)
         if bool(track.is_over):
             break
     return track
@@ -83,7 +84,8 @@ def test_numpy_and_jax_decide_alike():
     for xp in (np, jnp):
 
         def advance(track, velocity, shift, xp=xp):
-            return stability.advance(xp, track, velocity, shift, shift, CONFIG)
+            motion = stability.step_motion(xp, velocity, track.velocity, CONFIG)
+            return stability.advance(xp, track, motion, shift, shift, CONFIG)
 
         advance = advance if xp is np else jax.jit(advance)
         track = stability.new_track(xp, (40,), 2, xp.float32)

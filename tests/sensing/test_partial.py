@@ -15,7 +15,7 @@ from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import ProblemConfig, compose, region_of
 from cluttergen_jax.sensing.camera import Camera, free, overhead, side
 from cluttergen_jax.sensing.noise import REALSENSE, noisy
-from cluttergen_jax.sensing.partial import Grid, PartialMap, levelled, merged
+from cluttergen_jax.sensing.partial import Grid, PartialMap, _ranked, levelled, merged
 from cluttergen_jax.sensing.rays import RaySensor
 from tests.helpers.worlds import box, trio
 from tests.sensing.scenes import TABLE, model_of, random_boxes, standing, true_heights
@@ -138,6 +138,40 @@ def test_more_views_leave_less_hidden():
         assert (both.ceiling <= np.maximum(one.ceiling, both.height)).all()
     assert both.is_seen.mean() > max(one.is_seen.mean() for one in maps)
     assert (both.ceiling[INNER] >= minimum_filter(true_heights(GRID, boxes)[INNER], 3) - 0.004).all()
+
+
+def test_two_cameras_see_what_either_sees():
+    """A wall hides its far side from each of two cameras that face each other; together they see it all."""
+    wall = [box("wall", (0.02, 0.3, 0.08))], standing(0, 0, 0.08)[None]
+    cameras = [Camera.looking([x, 0, 1.35], [0.0, 0.0, 0.7], 320, 240, 300.0) for x in (-0.7, 0.7)]
+    maps = [PartialMap.of(seen(*wall, camera), camera, GRID) for camera in cameras]
+    both = merged(maps)
+    x, y = GRID.columns[..., 0], GRID.columns[..., 1]
+    within = (np.abs(y) < 0.2) & (np.abs(x) < 0.25)
+    sides = within & (x > 0.05), within & (x < -0.05)
+    for one, hidden, shown in zip(maps, sides, sides[::-1], strict=True):
+        assert one.is_seen[shown].all()
+        assert not one.is_seen[hidden & (np.abs(x) < 0.1)].any()
+        assert both.is_seen[one.is_seen & within].all()
+    for side_of_wall in sides:
+        assert both.is_seen[side_of_wall].all()
+        np.testing.assert_allclose(both.height[side_of_wall], 0.0, atol=1e-6)
+        np.testing.assert_allclose(both.ceiling[side_of_wall], 0.0, atol=0.004)
+    on_top = within & (np.abs(x) < 0.01)
+    np.testing.assert_allclose(both.height[on_top], 0.16, atol=1e-3)
+    assert (both.ceiling[on_top] >= 0.16 - 1e-3).all()
+
+
+@pytest.mark.parametrize("rank", [1, 2, 3])
+def test_the_height_of_a_cell_is_that_which_so_many_points_reach(rank):
+    rng = np.random.default_rng(rank)
+    # Few heights, so that some are equal.
+    cells, z = rng.integers(0, 40, 150), rng.integers(0, 6, 150).astype(np.float32)
+    count = np.bincount(cells, minlength=50)
+    found = _ranked(cells, z, count, rank)
+    for cell in range(50):
+        here = sorted(z[cells == cell], reverse=True)
+        assert found[cell] == (here[min(rank, len(here)) - 1] if here else VOID)
 
 
 def test_one_stray_pixel_makes_no_surface_where_several_are_asked_for():

@@ -71,7 +71,7 @@ class Judge:
         return poses, is_placed, focus
 
     def _settle(self, episodes: Episode, scene: np.ndarray, pose: np.ndarray, num: int) -> Judged:
-        chosen = jax.tree.map(lambda leaf: leaf[scene], episodes)
+        chosen = _taken(episodes, scene)
         asked = [np.asarray(each) for each in self._release(self.rules, chosen, pose)]
         is_active = np.arange(len(scene)) < num
         physics: Any = self.rules.physics
@@ -86,6 +86,10 @@ class Judge:
         is_active = judged.verdict == int(Verdict.STABLE)
         standing = physics.stand_batch(judged.poses, judged.is_placed, is_active)
         return np.asarray(standing.verdict) == int(Verdict.STABLE)
+
+
+_taken: Any = jax.jit(lambda episodes, scene: jax.tree.map(lambda leaf: leaf[scene], episodes))
+"""Some of the episodes: one program for all parts of one size."""
 
 
 def world_pose(region: Region, pose: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.search.fit import UnderSide
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import NOISE_OFF, NoiseConfig, noisy
-from cluttergen_jax.sensing.partial import Grid, PartialMap, levelled
+from cluttergen_jax.sensing.partial import Grid, PartialMap, levelled, merged
 
 _LOWEST = -0.005
 _HIGHEST = 0.6
@@ -74,13 +75,29 @@ class QueryMaker:
 
         With noise, the top, which is known, corrects the camera's stated pose (`sensing.partial.levelled`).
         """
-        if noise == NOISE_OFF:
-            found = PartialMap.of(depth, camera, self.grid)
-        else:
-            depth, camera = noisy(depth, camera, noise, rng)
-            camera = levelled(depth, camera, self.grid)
-            found = PartialMap.of(depth, camera, self.grid, median=_MEDIAN, least_pixels=_LEAST_PIXELS)
-        return Sight(found.height, found.ceiling, *self._cloud(depth, camera, rng), self._unseen(found))
+        return self.see_all([(depth, camera)], noise, rng)
+
+    def see_all(
+        self, views: Sequence[tuple[np.ndarray, Camera]], noise: NoiseConfig, rng: np.random.Generator
+    ) -> Sight:
+        """What several cameras show of the same scene, each with noise of its own.
+
+        `heights` is the highest that any of them saw, `ceilings` the lowest from which on one of them sees
+        that all is empty (`sensing.partial.merged`); points are drawn from all of them.
+        """
+        maps, points = [], []
+        for depth, camera in views:
+            if noise == NOISE_OFF:
+                found = PartialMap.of(depth, camera, self.grid)
+            else:
+                depth, camera = noisy(depth, camera, noise, rng)
+                camera = levelled(depth, camera, self.grid)
+                found = PartialMap.of(depth, camera, self.grid, median=_MEDIAN, least_pixels=_LEAST_PIXELS)
+            maps.append(found)
+            points.append(self._points(depth, camera))
+        found = merged(maps)
+        cloud = _drawn(np.concatenate(points), rng)
+        return Sight(found.height, found.ceiling, *cloud, self._unseen(found))
 
     def query(self, sight: Sight, object_index: int) -> PlacementQuery:
         """The query for one of the world's objects, NumPy arrays."""
@@ -103,18 +120,12 @@ class QueryMaker:
             height_range=highest + 2 * has["half_extents"][2],
         )
 
-    def _cloud(
-        self, depth: np.ndarray, camera: Camera, rng: np.random.Generator
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Points on and above the mapped part of the top, drawn where there are too many."""
+    def _points(self, depth: np.ndarray, camera: Camera) -> np.ndarray:
+        """f64[N, 3]: points on and above the mapped part of the top, region frame."""
         T = self.T_world_region
         points = (camera.points(depth)[np.isfinite(depth)] - T[:3, 3]) @ T[:3, :3]
         beyond = np.abs(points[:, :2]) > np.abs(self.grid.corner)
-        is_kept = ~beyond.any(1) & (points[:, 2] > _LOWEST) & (points[:, 2] < _HIGHEST)
-        points = rng.permutation(points[is_kept])[:NUM_POINTS]
-        cloud = np.zeros((NUM_POINTS, 3), np.float32)
-        cloud[: len(points)] = points
-        return cloud, np.arange(NUM_POINTS) < len(points)
+        return points[~beyond.any(1) & (points[:, 2] > _LOWEST) & (points[:, 2] < _HIGHEST)]
 
     def _unseen(self, found: PartialMap) -> float:
         x, y = (
@@ -125,3 +136,11 @@ class QueryMaker:
         )
         is_asked = x[:, None] & y & (found.height > VOID)
         return float((~found.is_seen)[is_asked].mean()) if is_asked.any() else 0.0
+
+
+def _drawn(points: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """f32[2048, 3], some of the points f64[N, 3], and bool[2048], which count; all where there are fewer."""
+    chosen = rng.permutation(len(points))[:NUM_POINTS]
+    cloud = np.zeros((NUM_POINTS, 3), np.float32)
+    cloud[: len(chosen)] = points[chosen]
+    return cloud, np.arange(NUM_POINTS) < len(chosen)

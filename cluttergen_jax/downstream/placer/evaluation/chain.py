@@ -11,28 +11,28 @@ import numpy as np
 
 from cluttergen_jax.downstream.placer.evaluation.bench import answers
 from cluttergen_jax.downstream.placer.judge import Judge
-from cluttergen_jax.downstream.placer.pairs.stored import depth_bytes, depth_of, stacked
+from cluttergen_jax.downstream.placer.pairs.stored import stacked
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Placer
+from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, check_cameras
 from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.proportions import proportion
-from cluttergen_jax.sensing.camera import find_preset
 from cluttergen_jax.sensing.noise import NoiseConfig
-from cluttergen_jax.sensing.rays import RaySensor, sensed_model
 from cluttergen_jax.types import Verdict
 
 
 class Chains:
     """Fills tables with the objects of a bank's scenes, in their order, from nothing, by one placer.
 
-    Each scene has one camera of its own. An object's proposals are tried in turn; the first that is stable
+    Each scene has cameras of its own. An object's proposals are tried in turn; the first that is stable
     stays, as it settled, and the camera looks again. Where none is, the chain has failed.
 
     Args:
       scenes: whose objects and order; at most `num_chains` of them.
-      camera: a preset's name; noise: of the depth camera; seed: of cameras, noise and proposals.
+      camera: a preset's name; num_cameras: of each scene, their maps fused.
+      noise: of the depth camera; seed: of cameras, noise and proposals.
     """
 
     def __init__(
@@ -43,16 +43,14 @@ class Chains:
         noise: NoiseConfig,
         seed: int,
         num_threads: int = 0,
+        num_cameras: int = 1,
     ) -> None:
-        world = scenes.problem.world
+        check_cameras(num_cameras, camera)
         self._scenes, self._noise, self._seed = scenes, noise, seed
         self.num_chains = min(num_chains, len(scenes.number))
-        preset = find_preset(camera)
-        self._cameras = [
-            preset(world.support, np.random.default_rng((seed, row, 3))) for row in range(self.num_chains)
-        ]
+        self._looks = SceneCameras(scenes.problem, camera)
+        self._cameras = [self._looks.drawn((seed, row, 3), num_cameras) for row in range(self.num_chains)]
         self._maker, self._judge = QueryMaker(scenes.problem), Judge(scenes.rules)
-        self._sensor = RaySensor(sensed_model(world.objects, world.support))
         self._pool = ThreadPoolExecutor(num_threads or os.cpu_count())
 
     def run(self, placer: Placer) -> dict[str, Any]:
@@ -107,9 +105,7 @@ class Chains:
         return episodes.replace(poses=poses, is_placed=is_placed, slot=slots), is_good
 
     def _query(self, row: int, slot: int, poses: np.ndarray, is_placed: np.ndarray) -> PlacementQuery:
-        camera, rng = self._cameras[row], np.random.default_rng((self._seed, row, slot, 4))
-        data = self._sensor.make_data()
-        self._sensor.pose(data, poses[row], is_placed[row])
-        stored = depth_bytes(self._sensor.sense(data, camera).depth)
-        sight = self._maker.see(depth_of(stored, camera.width, camera.height), camera, self._noise, rng)
+        rng = np.random.default_rng((self._seed, row, slot, 4))
+        views = self._looks.views(poses[row], is_placed[row], self._cameras[row])
+        sight = self._maker.see_all(views, self._noise, rng)
         return self._maker.query(sight, int(self._scenes.object_index[row, slot]))

@@ -17,10 +17,11 @@ from cluttergen_jax.downstream.placer.evaluation.chain import Chains
 from cluttergen_jax.downstream.placer.evaluation.figures import figures_of
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, chain_table, tables_of
 from cluttergen_jax.downstream.placer.heads.trained import placer_folder
-from cluttergen_jax.downstream.placer.pairs.stored import PairLabels, PairSet, load_queries
+from cluttergen_jax.downstream.placer.pairs.stored import PairLabels, PairSet, load_queries, of_tenths
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import FullState, find_placer
 from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer
+from cluttergen_jax.downstream.placer.scene_cameras import check_cameras
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.store import Store, json_bytes
@@ -65,9 +66,11 @@ class Trials:
       pairs, split: the queries; num_pairs: the first so many, all if None.
       seed: of noise and proposals; store: where rows are kept; fresh: make them again.
       num_threads: 0 takes every core.
+      num_cameras: that look at each scene, their maps fused.
+      tenth: only pairs whose numbers end in this digit; all if None.
 
     Raises:
-      ConfigError: there is no such split.
+      ConfigError: there is no such split, or there are not so many cameras.
     """
 
     def __init__(
@@ -79,30 +82,48 @@ class Trials:
         store: Store,
         fresh: bool = False,
         num_threads: int = 0,
+        num_cameras: int = 1,
+        tenth: int | None = None,
     ) -> None:
         self.pairs, self.split, self.made = pairs, split, pairs.split(split)
+        check_cameras(num_cameras, self.made["camera"])
+        self.num_cameras, self.tenth = num_cameras, tenth
         self.num_pairs = num_pairs or int(self.made["num_pairs"])
         self.seed, self.store, self.is_fresh, self._num_threads = seed, store, fresh, num_threads
         self._seen: tuple[float, PlacementQuery, PairLabels] | None = None
 
-    def row(self, placer: str, noise: float, on_made: Callable[[int], None] = lambda number: None) -> Row:
+    @property
+    def num_queries(self) -> int:
+        """How many are asked."""
+        return self.num_pairs if self.tenth is None else len(range(self.tenth, self.num_pairs, 10))
+
+    def row(
+        self,
+        placer: str,
+        noise: float,
+        on_made: Callable[[int], None] = lambda number: None,
+        name: str | None = None,
+    ) -> Row:
         """A placer's row: from disk, or made now.
+
+        Args:
+          name: what the row calls the placer; as it was asked for if None.
 
         Raises:
           ConfigError, PoolError: there is no such placer, or it is damaged.
         """
         found = find_placer(placer)
-        trial = self._trial(placer, noise)
+        trial = self._trial(name or placer, noise)
         sources = self._sources(placer, found)
         text = json.dumps({"trial": trial, "sources": sources}, sort_keys=True)
         key = hashlib.sha256(text.encode()).hexdigest()[:20]
-        title = f"{Path(placer).name} noise {noise:g} {self.split} {trial['pool']} {trial['support']}"
+        title = f"{Path(name or placer).name} noise {noise:g} {self.split} {self._place(trial)}"
         known = None if self.is_fresh else self.store.read(title, key)
         if known is None:
             figures, outcome = self._made(found, noise)
             row = {"trial": trial, "sources": sources, "figures": figures}
             known = self.store.write(title, key, row, outcome._asdict())
-        on_made(self.num_pairs)
+        on_made(self.num_queries)
         return known
 
     def bank(self) -> Bank:
@@ -128,27 +149,45 @@ class Trials:
         trial = self._trial(placer, noise) | {"chains": number}
         text = json.dumps([trial, self._sources(placer, found)], sort_keys=True)
         key = hashlib.sha256(text.encode()).hexdigest()[:20]
-        title = f"{number} chains by {Path(placer).name} noise {noise:g} {trial['pool']} {trial['support']}"
+        title = f"{number} chains by {Path(placer).name} noise {noise:g} {self._place(trial)}"
         known = None if self.is_fresh else self.store.read(title, key)
         if known is not None:
             return known["figures"]
         scenes = PartialScenes(self.bank(), self._num_threads)
-        chains = Chains(scenes, number, self.made["camera"], noise_of(noise), self.seed, self._num_threads)
+        chains = Chains(
+            scenes,
+            number,
+            self.made["camera"],
+            noise_of(noise),
+            self.seed,
+            self._num_threads,
+            self.num_cameras,
+        )
         figures = chains.run(found) | {"trial": trial | {"chains": chains.num_chains}}
         return self.store.keep(title, key, figures)
 
+    def _place(self, trial: dict[str, Any]) -> str:
+        """What a row's title tells of its queries."""
+        cameras = f" {self.num_cameras} cameras" if self.num_cameras > 1 else ""
+        tenth = "" if self.tenth is None else f" tenth {self.tenth}"
+        return f"{trial['pool']} {trial['support']}{cameras}{tenth}"
+
     def _trial(self, placer: str, noise: float) -> dict[str, Any]:
         recipe = self.made["recipe"]
+        # Only where they are asked for: rows of earlier versions are still found.
+        more = {"cameras": self.num_cameras} if self.num_cameras > 1 else {}
+        more |= {} if self.tenth is None else {"tenth": self.tenth}
         return {
             "placer": placer,
             "noise": noise,
             "split": self.split,
-            "queries": self.num_pairs,
+            "queries": self.num_queries,
             "seed": self.seed,
             "pool": Path(str(recipe["pool"])).name,
             "support": Path(str(recipe["support"])).name,
             "camera": self.made["camera"],
             "method": recipe["method"],
+            **more,
         }
 
     def _sources(self, placer: str, found: Placer | FullState) -> dict[str, Any]:
@@ -180,7 +219,14 @@ class Trials:
     def _queries(self, noise: float) -> tuple[PlacementQuery, PairLabels]:
         if self._seen is None or self._seen[0] != noise:
             loaded = load_queries(
-                self.pairs, noise_of(noise), self.seed, self.split, self.num_pairs, self._num_threads
+                self.pairs,
+                noise_of(noise),
+                self.seed,
+                self.split,
+                self.num_pairs,
+                self._num_threads,
+                self.num_cameras,
+                None if self.tenth is None else of_tenths(self.tenth),
             )
             self._seen = (noise, *loaded)
         return self._seen[1], self._seen[2]
@@ -219,7 +265,7 @@ def compare_placers(
         find_placer(placer)
     if num_chains:
         trials.bank()
-    total = len(placers) * len(noises) * trials.num_pairs
+    total = len(placers) * len(noises) * trials.num_queries
     with Progress("placing", total, "proposal") as progress:
         rows = [trials.row(placer, noise, progress.update) for noise in noises for placer in placers]
     asked = [(placer, noise) for noise in noises for placer in placers] if num_chains else []

@@ -19,25 +19,10 @@ _NAMES = {"drop": "drop (full state)", "guided": "guided (full state)", "policy"
 def tables_of(rows: Sequence[Row]) -> list[Table]:
     """The main table, then shares by number standing, by what is unseen, and by object."""
     asked = rows[0]["trial"]
-    place = f"{asked['queries']} queries of {asked['pool']} on {asked['support']}, camera {asked['camera']}"
-    columns = (
-        "placer",
-        "noise",
-        "stands [95 %]",
-        f"{MANY} or more standing",
-        f"best of {NUM_PROPOSALS}",
-        "with margin",
-        "paper's count",
-        "z error mm",
-        *(verdict.label for verdict in _SHOWN),
-        "other",
-    )
-    notes = [
-        "stands: the first proposal comes to rest as docs/contract.md asks, and then the whole scene stands",
-        "z error: median distance of the proposed height from that of a release on the true map",
-        "full state: a method that sees the scene itself, five attempts; it is no placer",
-    ]
-    main = Table(place, columns, tuple(map(_main, rows)), tuple(notes))
+    place = f"{asked['queries']} queries of {asked['pool']} on {asked['support']}, {_cameras(asked)}"
+    notes = [*NOTES, "full state: a method that sees the scene itself, five attempts; it is no placer"]
+    cells = tuple((*_head(row), *main_cells(row["figures"])) for row in rows)
+    main = Table(place, ("placer", "noise", *MAIN), cells, tuple(notes))
     return [
         main,
         _by_the_paper(rows),
@@ -47,13 +32,18 @@ def tables_of(rows: Sequence[Row]) -> list[Table]:
     ]
 
 
+def _cameras(asked: dict[str, Any]) -> str:
+    number = asked.get("cameras", 1)
+    return f"{number} cameras {asked['camera']}, fused" if number > 1 else f"camera {asked['camera']}"
+
+
 def chain_table(chains: Sequence[Row]) -> Table:
     """How many tables were filled, and the share of placements that found a place, by slot."""
     slots = range(max(len(row["by_slot"]) for row in chains))
     cells = []
     for row in chains:
-        shares = [_cell(each["share"]) for each in row["by_slot"]]
-        filled = (*_head(row), _with_interval(row["success"]), f"{row['placed']:.2f}")
+        shares = [cell(each["share"]) for each in row["by_slot"]]
+        filled = (*_head(row), with_interval(row["success"]), f"{row['placed']:.2f}")
         cells.append((*filled, *shares, *("-" for _ in slots[len(shares) :])))
     columns = (
         "placer",
@@ -70,22 +60,38 @@ def chain_table(chains: Sequence[Row]) -> Table:
     return Table(title, columns, tuple(cells), notes)
 
 
-def _main(row: Row) -> tuple[str, ...]:
-    figures = row["figures"]
+MAIN = (
+    "stands [95 %]",
+    f"{MANY} or more standing",
+    f"best of {NUM_PROPOSALS}",
+    "with margin",
+    "paper's count",
+    "z error mm",
+    *(verdict.label for verdict in _SHOWN),
+    "other",
+)
+"""What the main table tells of each row."""
+NOTES = (
+    "stands: the first proposal comes to rest as docs/contract.md asks, and then the whole scene stands",
+    "z error: median distance of the proposed height from that of a release on the true map",
+)
+
+
+def main_cells(figures: dict[str, Any]) -> tuple[str, ...]:
+    """The cells of `MAIN`."""
     verdicts = figures["verdicts"]
     told = {verdict.label for verdict in (*_SHOWN, Verdict.STABLE)}
     other = sum(share for name, share in verdicts.items() if name not in told)
     error = figures["z_error"]["median"]
     return (
-        *_head(row),
-        _with_interval(figures["success"]),
-        _cell(figures["many"]["share"]),
-        _cell(figures["best_of_all"]["share"]),
-        _cell(figures["with_margin"]["share"]),
-        _cell(figures["paper"]["share"]),
+        with_interval(figures["success"]),
+        cell(figures["many"]["share"]),
+        cell(figures["best_of_all"]["share"]),
+        cell(figures["with_margin"]["share"]),
+        cell(figures["paper"]["share"]),
         "-" if error is None else f"{1000 * error:.1f}",
-        *(_cell(verdicts[verdict.label]) for verdict in _SHOWN),
-        _cell(other),
+        *(cell(verdicts[verdict.label]) for verdict in _SHOWN),
+        cell(other),
     )
 
 
@@ -94,9 +100,9 @@ def _by_the_paper(rows: Sequence[Row]) -> Table:
     cells = [
         (
             *_head(row),
-            _with_interval(row["figures"]["success"]),
-            _with_interval(row["figures"]["paper"]),
-            _with_interval(row["figures"]["paper_without_invalid"]),
+            with_interval(row["figures"]["success"]),
+            with_interval(row["figures"]["paper"]),
+            with_interval(row["figures"]["paper_without_invalid"]),
         )
         for row in rows
     ]
@@ -112,7 +118,7 @@ def _by(rows: Sequence[Row], name: str, title: str, word: Callable[[Row], str]) 
     """A table of shares with a column for each class of queries, and how many queries each has."""
     classes = rows[0]["figures"][name]
     columns = ("placer", "noise", *(f"{word(each)} ({each['queries']})" for each in classes))
-    cells = tuple((*_head(row), *(_cell(each["share"]) for each in row["figures"][name])) for row in rows)
+    cells = tuple((*_head(row), *(cell(each["share"]) for each in row["figures"][name])) for row in rows)
     return Table(f"{title} (queries)", columns, cells)
 
 
@@ -121,9 +127,11 @@ def _head(row: Row) -> tuple[str, str]:
     return _NAMES.get(placer, Path(placer).name), f"{row['trial']['noise']:g}"
 
 
-def _cell(share: float | None) -> str:
+def cell(share: float | None) -> str:
+    """A share; "-" of nothing."""
     return "-" if share is None else f"{share:.3f}"
 
 
-def _with_interval(figure: dict[str, float]) -> str:
+def with_interval(figure: dict[str, float]) -> str:
+    """A share with its interval."""
     return f"{figure['share']:.3f} [{figure['low95']:.3f}, {figure['high95']:.3f}]"

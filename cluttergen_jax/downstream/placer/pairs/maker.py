@@ -6,7 +6,6 @@ import io
 import json
 import os
 import shutil
-import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
@@ -30,14 +29,13 @@ from cluttergen_jax.downstream.placer.pairs.stored import (
     PairSet,
     block_path,
     changed_frame,
-    depth_bytes,
-    depth_of,
     read_block,
     read_pairs,
     stacked,
 )
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.query import PlacementQuery
+from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, depth_bytes, depth_of
 from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import folder_whole, remove_partial, write_atomically, writing
@@ -45,13 +43,11 @@ from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.progress import COMPILING, Progress
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.lock import LOCK, BankLock
-from cluttergen_jax.sensing.camera import Camera, find_preset
+from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
-from cluttergen_jax.sensing.rays import FIRST_OBJECT, SUPPORT, RaySensor, sensed_model
+from cluttergen_jax.sensing.rays import FIRST_OBJECT, SUPPORT
 
 _METADATA = b"cluttergen"
-_VIEWS = 20
-"""Cameras that are tried for a pair until one sees the support and is not inside it."""
 
 
 class SensedPair(NamedTuple):
@@ -75,14 +71,11 @@ class PairMaker:
     """
 
     def __init__(self, scenes: PartialScenes, camera: str, seed: int, num_threads: int = 0) -> None:
-        world = scenes.problem.world
         self.scenes, self.seed = scenes, seed
-        self._preset, self._camera = find_preset(camera), camera
+        self._cameras = SceneCameras(scenes.problem, camera)
         self._maker, self._judge = QueryMaker(scenes.problem), Judge(scenes.rules)
         self._draw = CandidateDraw(scenes.rules)
-        self._sensor = RaySensor(sensed_model(world.objects, world.support))
         self._pool = ThreadPoolExecutor(num_threads or os.cpu_count())
-        self._local = threading.local()
 
     def places(self, pairs: np.ndarray) -> np.ndarray:
         """i64[P, 2]: scene and slot of each pair; all of a bank come before any comes again."""
@@ -124,22 +117,8 @@ class PairMaker:
 
     def _look(self, pair: int, place: np.ndarray, poses: np.ndarray, is_placed: np.ndarray) -> SensedPair:
         """What the pair's camera sees."""
-        if not hasattr(self._local, "data"):
-            self._local.data = self._sensor.make_data()
         rng = np.random.default_rng((self.seed, pair, 2))
-        self._sensor.pose(self._local.data, poses, is_placed)
-        for _ in range(_VIEWS):
-            camera = self._preset(self.scenes.problem.world.support, rng)
-            image = self._sensor.sense(self._local.data, camera)
-            if _is_inside(camera, self.scenes.problem.world.support) or not (image.label >= SUPPORT).any():
-                continue
-            break
-        else:
-            raise ConfigError(
-                f"camera {self._camera!r} is inside the support or does not see it",
-                "a camera that looks at the support from outside",
-                "another camera, or another support",
-            )
+        camera, image = self._cameras.look(poses, is_placed, rng)
         stored = depth_bytes(image.depth)
         depth = depth_of(stored, camera.width, camera.height)
         # A placer that is given noisy maps proposes poses that fit them, so every other pair has such.
@@ -320,14 +299,3 @@ def _labels(label: np.ndarray, standing: Sequence[int]) -> bytes:
         if FIRST_OBJECT + index < len(number):
             number[FIRST_OBJECT + index] = FIRST_OBJECT + place
     return number[label].tobytes()
-
-
-def _is_inside(camera: Camera, support: Any) -> bool:
-    """Whether a camera is inside one of the support's boxes."""
-    for box in support.boxes:
-        cos, sin = np.cos(box.yaw), np.sin(box.yaw)
-        x, y, z = camera.eye - np.asarray(box.center)
-        local = np.abs([cos * x + sin * y, cos * y - sin * x, z])
-        if (local <= np.asarray(box.half_extents)).all():
-            return True
-    return False

@@ -11,10 +11,11 @@ A block is written as a whole or not at all (`data.write_pairs`).
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import repeat
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,10 +26,12 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.config import check_workers
 from cluttergen_jax.downstream.placer.query import PlacementQuery
+from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, View, check_cameras, depth_of
 from cluttergen_jax.downstream.placer.sight import QueryMaker, Sight
 from cluttergen_jax.errors import BankError, ConfigError, closest
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.geometry import product, rotation_matrix
+from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank.bank import Bank
@@ -41,7 +44,6 @@ INDEX = "pairs.json"
 BLOCK_SIZE = 256
 SPLITS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
 """The first seed of a bank of each split: scenes of different splits have different keys."""
-MILLIMETRES = 1000
 AGAIN = "the same `cluttergen placer data` again, which makes what is missing"
 
 SCHEMA = pa.schema(
@@ -199,6 +201,10 @@ def read_block(path: Path, split: str, block: int, num_rows: int) -> pa.Table | 
     return table.slice(0, num_rows)
 
 
+Wanted = Callable[[pa.Table], np.ndarray]
+"""Says of some rows which are wanted, bool[R]."""
+
+
 def load_queries(
     dataset: str | Path | PairSet,
     noise: NoiseConfig | Sequence[NoiseConfig] = NOISE_OFF,
@@ -206,6 +212,8 @@ def load_queries(
     split: str = "train",
     num_pairs: int | None = None,
     num_threads: int = 0,
+    num_cameras: int = 1,
+    wanted: Wanted | None = None,
 ) -> tuple[PlacementQuery, PairLabels]:
     """The queries of a split, NumPy arrays with a leading axis, and what is known beside them.
 
@@ -213,19 +221,25 @@ def load_queries(
       noise: of the depth camera, drawn here: another `seed` draws it anew; of several, pairs take turns.
       num_pairs: the first so many; all if None.
       num_threads: 0 takes every core.
+      num_cameras: that look at each scene, their maps fused (`sight.QueryMaker.see_all`). All but the first
+        are drawn and looked through here; which they are is decided by the pairs' own seed.
+      wanted: of these pairs, which are read; all if None.
 
     Raises:
-      ConfigError: there is no such split, or an argument is out of range.
+      ConfigError: there is no such split, an argument is out of range, or no pair is wanted.
       BankError: a block or an asset is missing or damaged.
     """
     check_workers("num_threads", num_threads)
     pairs = dataset if isinstance(dataset, PairSet) else read_pairs(dataset)
-    total = int(pairs.split(split)["num_pairs"])
+    made = pairs.split(split)
+    total = int(made["num_pairs"])
     if num_pairs is not None and not 1 <= num_pairs <= total:
         raise ConfigError(f"num_pairs = {num_pairs}", f"1 to {total}, the pairs of {split!r} in {pairs.path}")
+    check_cameras(num_cameras, made["camera"])
     total, problem = num_pairs or total, pairs.setup(split).problem
-    maker, names = QueryMaker(problem), {name: k for k, name in enumerate(problem.world.names)}
+    names = {name: k for k, name in enumerate(problem.world.names)}
     noises = (noise,) if isinstance(noise, NoiseConfig) else tuple(noise)
+    reader = _Reader(problem, made, num_cameras)
     queries: list[PlacementQuery] = []
     labels: list[PairLabels] = []
     with (
@@ -233,30 +247,67 @@ def load_queries(
         Progress(f"reading {split}", total, "pair") as progress,
     ):
         for table in pairs.tables(split):
-            table = table.slice(0, total - progress.done)
-            part = labels_of(table, names, problem.rules.num_slots)
-            images = images_of(table, maker.T_world_region)
-            sights = list(
-                pool.map(
-                    lambda image, pair: see_pair(maker, image, noises[pair % len(noises)], seed, pair),
-                    images,
-                    part.pair,
-                )
-            )
-            seen = zip(sights, part.object_index, strict=True)
-            queries.append(stacked([maker.query(sight, index) for sight, index in seen]))
-            labels.append(part._replace(unseen=np.array([sight.unseen for sight in sights], np.float32)))
-            progress.update(len(part.pair))
+            rows = table.slice(0, total - progress.done)
+            chosen = rows if wanted is None else rows.filter(pa.array(wanted(rows)))
+            if chosen.num_rows:
+                part = labels_of(chosen, names, problem.rules.num_slots)
+                noise_of_each = [noises[pair % len(noises)] for pair in part.pair]
+                sights = list(pool.map(reader.see, reader.scenes(chosen, part), noise_of_each, repeat(seed)))
+                seen = zip(sights, part.object_index, strict=True)
+                queries.append(stacked([reader.maker.query(sight, index) for sight, index in seen]))
+                unseen = np.array([sight.unseen for sight in sights], np.float32)
+                labels.append(part._replace(unseen=unseen))
+            progress.update(rows.num_rows)
             if progress.done >= total:
                 break
+    if not queries:
+        raise ConfigError(f"no wanted pairs among {total} of {split!r} in {pairs.path}", "one or more")
     return joined(queries), PairLabels(*(np.concatenate(each) for each in zip(*labels, strict=True)))
 
 
-def see_pair(
-    maker: QueryMaker, image: tuple[np.ndarray, Camera], noise: NoiseConfig, seed: int, pair: int
-) -> Sight:
-    """What a pair's depth image shows its camera with noise drawn for it."""
-    return maker.see(*image, noise, np.random.default_rng((seed, pair)))
+def of_tenths(*tenths: int) -> Wanted:
+    """Pairs whose numbers end in one of these digits: pairs of a split stand in a drawn order."""
+    return lambda table: np.isin(np.asarray(table["pair"]) % 10, tenths)
+
+
+class _SeenScene(NamedTuple):
+    """A pair as it is read: its image and camera, its number, and what stands, in the world."""
+
+    view: View
+    pair: int
+    poses: np.ndarray
+    is_placed: np.ndarray
+
+
+class _Reader:
+    """Makes sights of the rows of one split.
+
+    Args:
+      problem: their world; made: how they were made; num_cameras: that look at each.
+    """
+
+    def __init__(self, problem: Problem, made: dict[str, Any], num_cameras: int) -> None:
+        self.maker, self._num_cameras, self._made = QueryMaker(problem), num_cameras, made
+        self._num_objects = len(problem.world.names)
+        self._cameras = SceneCameras(problem, made["camera"]) if num_cameras > 1 else None
+
+    def scenes(self, table: pa.Table, labels: PairLabels) -> Iterator[_SeenScene]:
+        """What `see` needs of some rows."""
+        for row, view in enumerate(images_of(table, self.maker.T_world_region)):
+            standing = slice(0, int(labels.num_standing[row]))
+            poses, is_placed = np.zeros((self._num_objects, 7)), np.zeros(self._num_objects, bool)
+            at = labels.order[row, standing]
+            poses[at] = changed_frame(self.maker.T_world_region, labels.poses[row, standing])
+            is_placed[at] = True
+            yield _SeenScene(view, int(labels.pair[row]), poses, is_placed)
+
+    def see(self, scene: _SeenScene, noise: NoiseConfig, seed: int) -> Sight:
+        """What a pair's cameras see with noise drawn for it."""
+        views = [scene.view]
+        if self._cameras is not None:
+            place = (int(self._made["seed"]), scene.pair)
+            views += self._cameras.further(scene.poses, scene.is_placed, place, self._num_cameras)
+        return self.maker.see_all(views, noise, np.random.default_rng((seed, scene.pair)))
 
 
 def stacked(queries: Sequence[PlacementQuery]) -> PlacementQuery:
@@ -307,26 +358,14 @@ def labels_of(table: pa.Table, names: dict[str, int], num_slots: int) -> PairLab
     )
 
 
-def images_of(table: pa.Table, T_world_region: np.ndarray) -> Iterator[tuple[np.ndarray, Camera]]:
+def images_of(table: pa.Table, T_world_region: np.ndarray) -> Iterator[View]:
     """Each row's depth image, f32[H, W] in metres, inf where nothing is, and its camera in the world."""
     names = ("camera_K", "T_region_camera", "width", "height", "depth")
     for row in table.select(names).to_pylist():
         width, height = row["width"], row["height"]
         T = np.array(row["T_region_camera"]).reshape(4, 4)
         camera = Camera(width, height, np.array(row["camera_K"]).reshape(3, 3), T_world_region @ T)
-        yield depth_of(row["depth"], width, height), camera
-
-
-def depth_of(data: bytes, width: int, height: int) -> np.ndarray:
-    """f32[H, W], metres, inf where nothing is, from a row's bytes."""
-    stored = np.frombuffer(data, "<u2").reshape(height, width)
-    return np.where(stored > 0, stored.astype(np.float32) / MILLIMETRES, np.float32(np.inf))
-
-
-def depth_bytes(depth: np.ndarray) -> bytes:
-    """The inverse of `depth_of`, to the millimetre."""
-    whole = np.round(np.where(np.isfinite(depth), depth, 0.0) * MILLIMETRES)
-    return np.clip(whole, 0, np.iinfo(np.uint16).max).astype("<u2").tobytes()
+        yield View(depth_of(row["depth"], width, height), camera)
 
 
 def changed_frame(T: np.ndarray, poses: np.ndarray) -> np.ndarray:

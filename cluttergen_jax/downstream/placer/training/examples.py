@@ -15,14 +15,23 @@ import numpy as np
 
 from cluttergen_jax.config import PlacerNoise
 from cluttergen_jax.downstream.placer.heads.head import Example
-from cluttergen_jax.downstream.placer.pairs.stored import PairLabels, PairSet, load_queries, read_pairs
+from cluttergen_jax.downstream.placer.pairs.stored import (
+    PairLabels,
+    PairSet,
+    Wanted,
+    load_queries,
+    of_tenths,
+    read_pairs,
+)
 from cluttergen_jax.downstream.placer.query import PlacementQuery, padded
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.search.fit import UnderSide
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
 
-_HELD_OUT = 10
-"""Where there is no validation split, every tenth scene of the training split is one."""
+_TENTH = 10
+TESTING, VALIDATING = 8, 9
+"""The last digits of pairs that the paper's protocol tests and validates with; where there is no validation
+split, scenes whose numbers end in the latter are one."""
 _SAME = 1e-6
 _NOISES = {"on": (REALSENSE,), "off": (NOISE_OFF,), "both": (NOISE_OFF, REALSENSE)}
 """Of odd pairs the candidates were drawn on noisy maps."""
@@ -37,12 +46,16 @@ class ExampleSource:
       noise: of the camera: "on", "off", or "both": every other pair is seen with noise.
       seed: of the noise.
       num_pairs: of each folder's training split, the first so many; all if None.
+      held_out: what validates: "scenes" of their own (the split `val`, else every tenth of the training
+        split's), or "pairs", as the paper has it: every tenth pair, and every tenth is left out to test with,
+        so that all three are of the same scenes.
     """
 
     data: tuple[Path, ...]
     noise: PlacerNoise = "both"
     seed: int = 0
     num_pairs: int | None = None
+    held_out: Literal["scenes", "pairs"] = "scenes"
 
     @cached_property
     def sets(self) -> tuple[PairSet, ...]:
@@ -57,6 +70,7 @@ class ExampleSource:
             "noise": self.noise,
             "seed": self.seed,
             "num_pairs": self.num_pairs,
+            **({} if self.held_out == "scenes" else {"held_out": self.held_out}),
         }
 
     def load(self, split: Literal["train", "val"]) -> Example:
@@ -78,15 +92,22 @@ class ExampleSource:
 
     def _load(self, pairs: PairSet, split: Literal["train", "val"]) -> Example | None:
         """The examples of one folder; None where it has none of the split."""
-        has_val = "val" in pairs.splits
-        source = "train" if split == "train" or not has_val else "val"
-        number = self.num_pairs if source == "train" else None
-        queries, labels = load_queries(pairs, _NOISES[self.noise], self.seed, source, number)
-        found = examples_of(queries, labels)
-        if has_val:
-            return found
-        is_held_out = labels.scene % _HELD_OUT == _HELD_OUT - 1
-        return taken(found, is_held_out if split == "val" else ~is_held_out)
+        source, number, wanted = "train", self.num_pairs, self._wanted(pairs, split)
+        if wanted is None and split == "val":
+            source, number = "val", None
+        if wanted is not None and not any(wanted(table).any() for table in pairs.tables(source)):
+            return None
+        return examples_of(
+            *load_queries(pairs, _NOISES[self.noise], self.seed, source, number, wanted=wanted)
+        )
+
+    def _wanted(self, pairs: PairSet, split: Literal["train", "val"]) -> Wanted | None:
+        """Which pairs of the training split are of a part of it; None where all are."""
+        if self.held_out == "pairs":
+            return of_tenths(VALIDATING) if split == "val" else of_tenths(*range(TESTING))
+        if "val" in pairs.splits:
+            return None
+        return lambda table: (np.asarray(table["scene"]) % _TENTH == VALIDATING) == (split == "val")
 
 
 def _digest(pairs: PairSet) -> str:

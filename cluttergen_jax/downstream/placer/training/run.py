@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -69,11 +70,13 @@ class PlacerTraining:
         folder.mkdir(parents=True, exist_ok=True)
 
     def run(self) -> Path:
-        """The checkpoint's folder, after the last step.
+        """The checkpoint's folder, after the last step; at once if it is there already.
 
         Raises:
           KeyboardInterrupt: on Ctrl-C, once everything is saved.
         """
+        if self._is_done():
+            return self.folder / "placer"
         started = time.monotonic()
         held_out = self._prepared(self.source.load("val"), "val")
         examples = self._prepared(self.source.load("train"), "train")
@@ -92,6 +95,14 @@ class PlacerTraining:
         folder = self._save(state, held_out)
         self._show(f"time       {time_text(time.monotonic() - started)}; placer in {folder}")
         return folder
+
+    def _is_done(self) -> bool:
+        """Whether the folder holds this run's placer, which is written last."""
+        place = self.folder / "placer"
+        if not (place / "record.json").is_file():
+            return False
+        record = checkpoint.read_record(place)
+        return all(record.get(name) == value for name, value in json.loads(json.dumps(self.recipe)).items())
 
     def _prepared(self, examples: Example, split: str) -> Any:
         """All examples of a split as the head reads them, NumPy arrays."""

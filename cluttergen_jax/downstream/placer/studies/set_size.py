@@ -1,0 +1,41 @@
+"""The study `set-size`: placers by how many pairs they learned from."""
+
+from __future__ import annotations
+
+from cluttergen_jax.downstream.placer.pairs.stored import PairSet
+from cluttergen_jax.downstream.placer.studies.study import VALIDATING, Found, PlacerStudy, SuiteFolder
+from cluttergen_jax.downstream.placer.studies.trained import Variant, rows_of, table_of
+
+SIZES = (200, 1000, 5000, 20_000)
+_FEW_SCENES = 5000
+"""Up to so many pairs are the first of one set, of 500 scenes; more are of a set of their own."""
+_NOTES = (
+    "up to 5,000 pairs: the first so many of 5,000 of 500 scenes; 20,000 are of 2,000 scenes",
+    "whatever their number, the epoch is chosen on 600 other pairs, of 60 scenes of their own",
+    "every size is seen as often as the preset says: fewer pairs are fewer steps",
+)
+
+
+def run(suite: SuiteFolder) -> Found:
+    """The heads `scored` and `mixture` by size; more pairs than the scale allows are left out."""
+    scale = suite.scale
+    sizes = [size for size in SIZES if size <= (scale.most_pairs or size)] or [scale.capped(SIZES[0])]
+    variants = []
+    for head in scale.chosen("scored", "mixture"):
+        for size in sizes:
+            pairs = _pairs(suite, size)
+            name = f"household-{head}-{size}"
+            runs = {seed: suite.trained(name, pairs, head, seed, size) for seed in scale.training_seeds}
+            variants.append(Variant({"head": head, "pairs": f"{size:,}"}, runs))
+    rows = rows_of(suite.trials(suite.test_set()), variants)
+    title = f"{rows[0]['trial']['queries']} queries of household, by pairs learned from"
+    return Found(rows, [table_of(title, rows, _NOTES)])
+
+
+def _pairs(suite: SuiteFolder, size: int) -> PairSet:
+    if size <= _FEW_SCENES:
+        return suite.household()
+    return suite.training_set("household", 2000, size, VALIDATING)
+
+
+SET_SIZE = PlacerStudy("set-size", "Placers by how many pairs they learned from", run)
