@@ -32,6 +32,7 @@ from cluttergen_jax.downstream.rearrange.trials import Rearrangements, run_rearr
 from cluttergen_jax.downstream.robot.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.frames import inverse, made, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
+from cluttergen_jax.downstream.robot.mover import Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.trials import EPISODES
 from cluttergen_jax.errors import BankError, ConfigError
@@ -152,6 +153,25 @@ def test_the_arm_goes_where_the_observer_says(monkeypatch):
     assert not result.is_success
     assert np.allclose(closed[0][:2], [0.05, -0.08], atol=0.002)
     assert observer.asked[0] == ("red", "blue")
+
+
+@pytest.mark.slow
+def test_an_object_that_is_put_back_is_no_retry(monkeypatch):
+    place = Mover.place
+
+    def back(self, places):
+        place(self, places[-1:])
+        return len(places) - 1
+
+    monkeypatch.setattr(Mover, "place", back)
+    goals = standing([[0.05, 0.25], [0.05, 0.08]])
+    only_red = replace(SCENE, poses=standing([[0.05, -0.15], [0.05, 0.08]]))
+    result = rearrange_episode(task_of(goals, only_red), RearrangeOptions(), TrueObserver())
+    assert result.outcome == Outcome.NO_PATH
+    assert "red" in result.detail
+    assert result.picks > 1
+    assert (result.retries, result.waits) == (0, 0)
+    assert result.right == [False, True]
 
 
 def test_what_is_not_seen_stays_where_it_was_or_moves_with_the_hand():

@@ -251,7 +251,7 @@ class Rearranger:
         return matrix_of(np.array(clear)[np.argsort(-room)[:_PLACES]])
 
     def _move(self, k: int, places: np.ndarray, *, is_wait: bool = False, is_apart: bool = False) -> bool:
-        """Brings an object to one of places f64[M, 4, 4]; False if there is no way, and nothing was done.
+        """Brings an object to one of places f64[M, 4, 4]; False if there is no way: it is where it was.
 
         Raises:
           Failed: something went wrong that cannot be mended.
@@ -271,14 +271,22 @@ class Rearranger:
         self._execution.aim_at(k)
         self._sight.held = k
         self._judge.begin_move()
-        self._carry(mover, plan, np.concatenate([places, stood[None]]))
+        is_back = self._carry(mover, plan, np.concatenate([places, stood[None]])) == len(places)
         mover.go_home()
         self._sight()
         self._judge.check_others(k)
-        return True
+        if is_back:
+            self._times[int(is_wait), k] -= 1
+            self.waits -= is_wait
+            self._why = Failed(Outcome.NO_PATH, f"{scene.names[k]} from above where it was")
+        return not is_back
 
-    def _carry(self, mover: Mover, plan: PickPlan, places: np.ndarray) -> None:
-        """Picks up and puts down; an object that slipped is put down as it lies in the hand, or lost."""
+    def _carry(self, mover: Mover, plan: PickPlan, places: np.ndarray) -> int | None:
+        """Picks up and puts down; an object that slipped is put down as it lies in the hand, or lost.
+
+        Returns:
+          At which place it was put down; None of one that slipped.
+        """
         try:
             mover.pick(plan)
         except Failed as failure:
@@ -286,13 +294,14 @@ class Rearranger:
                 raise
         if mover.has_lost(_IN_HAND):
             mover.let_go()
-            return
+            return None
         try:
-            mover.place(places)
+            return mover.place(places)
         except Failed as failure:
             if failure.outcome != Outcome.SLIP:
                 raise
             mover.let_go()
+            return None
 
     def _count(self, k: int, is_wait: bool) -> None:
         """Counts a pick.
