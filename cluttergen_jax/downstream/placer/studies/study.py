@@ -24,7 +24,7 @@ NUM_OBJECTS = 10
 _SCENES, _QUICK_SCENES = 100, 2
 VALIDATING = (60, 600)
 """Scenes and pairs of the split `val` beside a training set."""
-_QUICK_PAIRS, _QUICK_EPOCHS = 80, 1
+_QUICK_PAIRS, _QUICK_EPOCHS = 100, 1
 _SEEDS = 3
 MOST_SEED = 999_999
 """Of pairs, whose splits' banks have seeds in ranges of their own."""
