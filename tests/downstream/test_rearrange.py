@@ -23,8 +23,8 @@ from cluttergen_jax.downstream.rearrange.judge import Judge
 from cluttergen_jax.downstream.rearrange.observe import (
     Cause,
     EpisodeView,
+    ObjectTracker,
     SceneEstimate,
-    Sight,
     TrueObserver,
 )
 from cluttergen_jax.downstream.rearrange.settings import SETTINGS, RearrangeOptions, RearrangeSetting
@@ -185,7 +185,7 @@ def test_what_is_not_seen_stays_where_it_was_or_moves_with_the_hand():
 
     execution = Execution(SCENE, 0)
     view = EpisodeView(execution, SCENE.names)
-    sight = Sight(Once(), view)
+    sight = ObjectTracker(Once(), view)
     first = sight()
     sight.held = 0
     execution.move_fingers(-0.01, Phase.FREE)

@@ -21,7 +21,7 @@ _MEDIAN, _LEAST_PIXELS = 3, 2
 """With noise: of the filter of depths, and pixels that make a surface."""
 
 
-class Sight(NamedTuple):
+class SceneMaps(NamedTuple):
     """What was seen of one scene; region frame, metres.
 
     Attributes:
@@ -70,7 +70,9 @@ class QueryMaker:
         """f64[4, 4]."""
         return self.grid.T_world_region
 
-    def see(self, depth: np.ndarray, camera: Camera, noise: NoiseConfig, rng: np.random.Generator) -> Sight:
+    def see(
+        self, depth: np.ndarray, camera: Camera, noise: NoiseConfig, rng: np.random.Generator
+    ) -> SceneMaps:
         """What a depth image shows, f32[H, W] in metres along the optical axis, inf where nothing is.
 
         With noise, the top, which is known, corrects the camera's stated pose (`sensing.partial.levelled`).
@@ -79,7 +81,7 @@ class QueryMaker:
 
     def see_all(
         self, views: Sequence[tuple[np.ndarray, Camera]], noise: NoiseConfig, rng: np.random.Generator
-    ) -> Sight:
+    ) -> SceneMaps:
         """What several cameras show of the same scene, each with noise of its own.
 
         `heights` is the highest that any of them saw, `ceilings` the lowest from which on one of them sees
@@ -97,9 +99,9 @@ class QueryMaker:
             points.append(self._points(depth, camera))
         found = merged(maps)
         cloud = _drawn(np.concatenate(points), rng)
-        return Sight(found.height, found.ceiling, *cloud, self._unseen(found))
+        return SceneMaps(found.height, found.ceiling, *cloud, self._unseen(found))
 
-    def query(self, sight: Sight, object_index: int) -> PlacementQuery:
+    def query(self, sight: SceneMaps, object_index: int) -> PlacementQuery:
         """The query for one of the world's objects, NumPy arrays."""
         has = {name: array[object_index] for name, array in self._geometry.items()}
         corner = np.asarray(self.grid.corner, np.float32)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cluttergen_jax.downstream.rearrange.judge import Judge
 from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, reach_of, unlike
-from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, Observer, Sight
+from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, ObjectTracker, Observer
 from cluttergen_jax.downstream.rearrange.order import Meetings, lowest_first, ready, smallest_waiting
 from cluttergen_jax.downstream.rearrange.settings import AREA, RearrangeOptions, RearrangeSetting
 from cluttergen_jax.downstream.rearrange.symmetry import equal_places, offset
@@ -115,7 +115,7 @@ class Rearranger:
         task: RearrangeTask,
         options: RearrangeOptions,
         execution: Execution,
-        sight: Sight,
+        sight: ObjectTracker,
         judge: Judge,
     ) -> None:
         self._task, self._options, self._scene = task, options, task.scene
@@ -345,7 +345,7 @@ def rearrange_episode(
     execution = Execution(scene, 0, every=every, sleeps=True)
     judge = Judge(execution, scene, num_moved, task.symmetry)
     with EpisodeView(execution, scene.names) as view:
-        sight = Sight(observer, view, options.relook)
+        sight = ObjectTracker(observer, view, options.relook)
         worker = Rearranger(task, options, execution, sight, judge)
         outcome, detail = str(Outcome.SUCCESS), ""
         try:

@@ -162,8 +162,8 @@ class TrueObserver:
         )
 
 
-class Sight:
-    """What is known of where objects are: what was seen last; what the closed hand holds moves with it.
+class ObjectTracker:
+    """Where objects are as far as is known: as last seen; what the closed hand holds moves with it.
 
     Args:
       relook: False looks once, and then goes by what the hand has done.

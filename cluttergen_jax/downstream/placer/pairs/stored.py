@@ -27,7 +27,7 @@ import pyarrow.parquet as pq
 from cluttergen_jax.config import check_workers
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, View, check_cameras, depth_of
-from cluttergen_jax.downstream.placer.sight import QueryMaker, Sight
+from cluttergen_jax.downstream.placer.sight import QueryMaker, SceneMaps
 from cluttergen_jax.errors import BankError, ConfigError, closest
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.geometry import product, rotation_matrix
@@ -301,7 +301,7 @@ class _Reader:
             is_placed[at] = True
             yield _SeenScene(view, int(labels.pair[row]), poses, is_placed)
 
-    def see(self, scene: _SeenScene, noise: NoiseConfig, seed: int) -> Sight:
+    def see(self, scene: _SeenScene, noise: NoiseConfig, seed: int) -> SceneMaps:
         """What a pair's cameras see with noise drawn for it."""
         views = [scene.view]
         if self._cameras is not None:
