@@ -6,6 +6,7 @@ import gc
 import json
 import os
 import platform
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -37,6 +38,15 @@ def home(tmp_path, monkeypatch):
     """The folder of a user's own pools and supports, empty and nobody's."""
     monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
     return tmp_path / "home"
+
+
+@pytest.fixture(autouse=True)
+def keeps_ctrl_c():
+    """What answers Ctrl-C after a test is what did before."""
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    after = signal.signal(signal.SIGINT, before)
+    assert after is before, f"the test left {after} to answer Ctrl-C"
 
 
 @pytest.hookimpl(wrapper=True)

@@ -311,9 +311,11 @@ def test_a_session_ends_with_the_scenes_that_were_saved_and_the_next_adds_to_the
 
         def work():
             panel = panels[-1]
-            for act in (panel.lower, panel.drop, panel.save, panel.new, panel.lower, panel.drop):
-                panel._worker.submit(panel._do, act).result()
-            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+            try:
+                for act in (panel.lower, panel.drop, panel.save, panel.new, panel.lower, panel.drop):
+                    panel._worker.submit(panel._do, act).result()
+            finally:
+                signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
 
         threading.Thread(target=work).start()
 

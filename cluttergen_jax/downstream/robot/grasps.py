@@ -29,8 +29,8 @@ MIN_GRASPS = 8
 """As many an object needs; one with fewer is named."""
 _VERSION = 1
 _NUM_LINES = 6000
-_CANDIDATES = 4
-"""Times the grasps that are wanted are tested at most."""
+_CANDIDATES, _LEAST_CANDIDATES = 4, 128
+"""Times the grasps that are wanted are tested at most; and so many where few are wanted of what is hard to hold."""
 _AT_ONCE = 16
 _COLUMNS = {"width": "metres", "shift": "metres", "slip": "metres", "turn": "radians", "margin": "weights"}
 
@@ -74,7 +74,7 @@ def make_grasps(asset: ObjectAsset, number: int, seed: int, pool: Rollout) -> Gr
     content = object_hash(asset)
     # An object's own numbers, whatever pool it is in.
     rng = np.random.default_rng([seed, int(content[:12], 16)])
-    candidates = candidates_of(asset, _CANDIDATES * number, _NUM_LINES, rng)
+    candidates = candidates_of(asset, max(_CANDIDATES * number, _LEAST_CANDIDATES), _NUM_LINES, rng)
     tests: list[GripTest] = []
     for first in range(0, len(candidates.width), _AT_ONCE):
         tests.append(grip_test(asset, candidates.take(slice(first, first + _AT_ONCE)), pool))
