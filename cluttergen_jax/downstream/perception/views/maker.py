@@ -140,7 +140,7 @@ def write_views(
     """The views of one split in a folder, begun or continued; see `cluttergen_jax.perception_data`."""
     path, first = Path(out), next(iter(banks.values()))
     scenes = [StandingScenes(bank) for bank in banks.values()]
-    names = [str(name) for name in first.record["names"]]
+    names = [str(name) for name in first.record["recipe"]["names"]]
     made = {
         "seed": config.seed,
         "arm": config.arm,

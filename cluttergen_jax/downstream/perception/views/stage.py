@@ -51,7 +51,9 @@ class View:
 class Stage:
     """See `open_stage`. `model` may be told of colours and materials between pictures."""
 
-    def __init__(self, model: mujoco.MjModel, renderer: Renderer, names: Sequence[str], has_arm: bool) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, renderer: Renderer, names: Sequence[str], has_arm: bool
+    ) -> None:
         self.model, self._renderer = model, renderer
         self._data = mujoco.MjData(model)
         self._qpos = [int(model.joint(name).qposadr[0]) for name in names]
