@@ -11,7 +11,7 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, unlike
 from cluttergen_jax.downstream.rearrange.settings import AREA, SETTINGS
-from cluttergen_jax.downstream.rearrange.symmetry import (
+from cluttergen_jax.downstream.perception.symmetry import (
     ROUND,
     equal_places,
     offset,

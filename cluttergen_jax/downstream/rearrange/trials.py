@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.downstream.perception.symmetry import turn_symmetry
 from cluttergen_jax.downstream.rearrange.episode import RearrangeResult, RearrangeTask, rearrange_episode
 from cluttergen_jax.downstream.rearrange.layouts import SceneDraw
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
 from cluttergen_jax.downstream.rearrange.order import Meetings
 from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions, RearrangeSetting
-from cluttergen_jax.downstream.rearrange.symmetry import turn_symmetry
 from cluttergen_jax.downstream.robot.grasps import Grasps, grasps_of
 from cluttergen_jax.downstream.robot.rows import RowFile, share_of
 from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed

@@ -116,7 +116,11 @@ def network_images(rgb: Array, depth: Array, height: Array) -> Array:
     is_there = depth > 0
     far = jnp.where(is_there, (depth - _NEAR) / _DEPTH_SCALE, -2.0)
     high = jnp.where(is_there, jnp.clip(height / _HEIGHT_SCALE, -2.0, 4.0), -2.0)
-    return jnp.concatenate([4 * (rgb / 255.0 - 0.5), jnp.stack([far, high], axis=-1)], axis=-1)
+    light = rgb / 255.0
+    axes = (-3, -2, -1)
+    # Whatever the exposure, a picture is as bright and as rich in contrast as any other.
+    light = (light - light.mean(axes, keepdims=True)) / (light.std(axes, keepdims=True) + 0.05)
+    return jnp.concatenate([light, jnp.stack([far, high], axis=-1)], axis=-1)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,9 +14,8 @@ from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, Camera, free, intrins
 
 SIZE, FOCAL = (320, 240), REALSENSE_FOCAL / 2
 """Of pictures: a depth camera of the RealSense kind at half of its resolution."""
-KINDS = ("free", "overhead", "wrist")
-"""Of cameras, in the order of `draw_camera`'s shares."""
-_SHARES = (0.45, 0.3, 0.25)
+Kind = Literal["free", "overhead", "wrist"]
+"""Of cameras."""
 _WRIST_PLACE = np.array([0.06, 0.0, -0.08])
 _WRIST_TILT = np.radians(-8.0)
 _TILT, _SHIFT = np.radians(4.0), 0.03
@@ -37,20 +37,19 @@ def above(support: SupportAsset) -> Camera:
     return overhead(support, *SIZE, FOCAL)
 
 
-def draw_camera(support: SupportAsset, tool: np.ndarray | None, rng: np.random.Generator) -> Camera:
+def draw_camera(
+    kind: Kind, support: SupportAsset, tool: np.ndarray | None, rng: np.random.Generator
+) -> Camera:
     """A camera for a view: around the table, nearly overhead, or as the one on the hand.
 
     Args:
       tool: f64[4, 4], T_world_tool, where the arm is in the view; None if there is none.
     """
-    kind = rng.choice(len(KINDS), p=_SHARES)
-    if KINDS[kind] == "free":
+    if kind == "free":
         return free(support, rng, *SIZE, FOCAL)
-    if KINDS[kind] == "overhead":
+    if kind == "overhead":
         return _shaken(above(support), rng)
-    if tool is not None:
-        return _shaken(wrist_camera(tool), rng)
-    return wrist_camera(_draw_tool(support, rng))
+    return wrist_camera(_draw_tool(support, rng) if tool is None else tool)
 
 
 def _shaken(camera: Camera, rng: np.random.Generator) -> Camera:

@@ -21,7 +21,7 @@ from cluttergen_jax.downstream.perception.views.appearance import (
     draw_light,
     jittered,
 )
-from cluttergen_jax.downstream.perception.views.cameras import SIZE, draw_camera
+from cluttergen_jax.downstream.perception.views.cameras import SIZE, Kind, draw_camera
 from cluttergen_jax.downstream.perception.views.stage import Stage, open_stage
 from cluttergen_jax.downstream.perception.views.stored import (
     BLOCK_SIZE,
@@ -41,7 +41,13 @@ from cluttergen_jax.files import folder_whole, remove_partial, write_atomically,
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.lock import BankLock
+from cluttergen_jax.sensing.camera import Camera
 
+_ROBOT = 0.6
+"""Share of pairs of the robot's cameras."""
+_ROBOTS: tuple[Kind, Kind] = ("overhead", "wrist")
+_CAMERAS, _SEEN = 8, 0.4
+"""Cameras that are drawn until so large a share of the objects is in the picture."""
 _COLUMNS = ("index", "is_success", "object_index", "poses")
 
 
@@ -106,27 +112,51 @@ class ViewMaker:
         self._support, self._num_objects = support, num_objects
 
     def view(self, number: int) -> dict[str, Any]:
-        """A row of `stored.SCHEMA`."""
-        rng = np.random.default_rng((self._config.seed, number, 3))
+        """A row of `stored.SCHEMA`; views 2 i and 2 i + 1 show the same moment, in different light.
+
+        Half of such pairs are of the robot's cameras, the one over the table and the one on the hand.
+        """
+        pair, place = divmod(number, 2)
+        rng = np.random.default_rng((self._config.seed, pair, 3))
         stage, support = self._stage, self._support
-        scenes = self._scenes[number % len(self._scenes)]
+        scenes = self._scenes[pair % len(self._scenes)]
         row = int(rng.integers(len(scenes.number)))
         placed = scenes.objects[row][scenes.objects[row] >= 0]
         # What was placed first stands without what came later, not the other way round.
-        placed = placed[: rng.integers(1, len(placed) + 1)]
+        placed = placed[: 1 + int(len(placed) * np.sqrt(rng.uniform()))]
         poses = np.zeros((self._num_objects, 7))
         poses[placed] = scenes.poses[row, : len(placed)]
         stage.place(poses, np.isin(np.arange(self._num_objects), placed))
-        has_arm = bool(rng.uniform() < self._config.arm)
+        is_robot, has_arm = rng.uniform() < _ROBOT, bool(rng.uniform() < self._config.arm)
         tool = stage.move_arm(support.top, rng if has_arm else None)
+        kind = _ROBOTS[place] if is_robot else "free"
+        rng = np.random.default_rng((self._config.seed, number, 4))
+        texture, yaw = self._dress(rng)
+        seen = stage.picture(self._camera(kind, poses[placed], tool, rng), yaw)
+        stored = StoredView(number, seen, placed, poses[placed], scenes.method, has_arm)
+        return row_of(stored, int(scenes.number[row]), texture)
+
+    def _dress(self, rng: np.random.Generator) -> tuple[int, float]:
+        """Draws colours, texture and light; the texture's number and the lamps' turn."""
+        stage = self._stage
         texture, light = int(rng.choice(self._textures)), draw_light(rng)
         rgba = stage.rgba
         rgba[stage.object_geoms] = jittered(rgba[stage.object_geoms], rng)
         rgba[stage.floor, :3] = rng.uniform(0.1, 0.9) + rng.normal(0, 0.03, 3)
         stage.dress(np.clip(rgba, 0, 1), self._materials[texture], light)
-        seen = stage.picture(draw_camera(support, tool, rng), light.yaw)
-        stored = StoredView(number, seen, placed, poses[placed], scenes.method, has_arm)
-        return row_of(stored, int(scenes.number[row]), texture)
+        return texture, light.yaw
+
+    def _camera(
+        self, kind: Kind, poses: np.ndarray, tool: np.ndarray | None, rng: np.random.Generator
+    ) -> Camera:
+        """A camera that has some of the objects in its picture, if one is found soon."""
+        for _ in range(_CAMERAS):
+            camera = draw_camera(kind, self._support, tool, rng)
+            pixels, depth = camera.project(poses[:, :3])
+            is_inside = (pixels > 0).all(1) & (pixels < [camera.width, camera.height]).all(1) & (depth > 0)
+            if is_inside.mean() >= _SEEN:
+                break
+        return camera
 
 
 def write_views(
