@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from cluttergen_jax.api.perception import perception_data
+from cluttergen_jax.api.perception import perception_data, perception_eval, perception_train
 from cluttergen_jax.cli.options import Options, options_from
 
 
@@ -23,6 +23,34 @@ class PerceptionData(Options):
         views = self.call(perception_data)
         for split in views.splits:
             print(f"views      {views.split(split)['num_views']} of {split} in {views.path}")
+        return 0
+
+
+@options_from(perception_train, data=Annotated[str, tyro.conf.Positional])
+class PerceptionTrain(Options):
+    """Train a segmenter on views. The same command takes an interrupted run up again.
+
+    Example: `cluttergen perception train views --out runs/segmenter`
+    """
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        self.call(perception_train)
+        return 0
+
+
+@options_from(perception_eval, data=Annotated[str, tyro.conf.Positional])
+class PerceptionEval(Options):
+    """Judge masks, poses and certainty against what is true (extra `perception`).
+
+    Every row is kept in the folder `--out`: the same command takes an interrupted one up again.
+
+    Example: `cluttergen perception eval views --segmenter runs/segmenter`
+    """
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        print(self.call(perception_eval, out=self.out or "out/perception"))
         return 0
 
 

@@ -1,4 +1,4 @@
-"""A run that fits a network: examples made once, gradient steps, the best weights kept, resumed where it stopped."""
+"""A run that fits a network: examples made once, gradient steps, the best weights kept; it can be resumed."""
 
 from __future__ import annotations
 

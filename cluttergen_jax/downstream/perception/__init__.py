@@ -1,1 +1,1 @@
-"""Perception: known objects found in colour and depth images, by a small network and classical registration."""
+"""Perception: known objects in colour and depth images, by a small network and classical registration."""

@@ -71,7 +71,7 @@ class SceneFinder:
                 f"a segmenter of {', '.join(segmenter.names)}", f"one of {', '.join(names)}", "its own pool"
             )
         self.names, self._segmenter = names, segmenter
-        self._estimator = estimator or RegistrationEstimator(objects, support)
+        self.estimator = estimator or RegistrationEstimator(objects, support)
         self._certainty, self._steady = certainty or Certainty(), SteadyCheck(objects, support)
         self._grid = Grid.of(support, _RADIUS)
 
@@ -101,7 +101,7 @@ class SceneFinder:
         if strange := [name for name in asked if name not in self.names]:
             raise ConfigError(f"objects {', '.join(strange)}", ", ".join(self.names))
         numbers = [self.names.index(name) for name in asked]
-        found = {number: self._estimator(number, looks) for number in numbers}
+        found = {number: self.estimator(number, looks) for number in numbers}
         estimates = {number: each for number, each in found.items() if each is not None}
         steady = self._steadiness(estimates)
         count = len(asked)

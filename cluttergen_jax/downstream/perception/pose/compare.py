@@ -18,7 +18,6 @@ from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.robot.frames import pose_of
 from cluttergen_jax.geometry import transformed
 from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.rays import RaySensor, sensed_model
 
 AGREES = 0.006
 """Metres by which depths may differ and agree by half."""
@@ -57,7 +56,7 @@ class Comparer:
     """
 
     def __init__(self, model: ObjectModel, index: int, looks: Sequence[Look]) -> None:
-        self._sensor = _sensor_of(model)
+        self._sensor = model.sensor
         self._data = self._sensor.make_data()
         self._points = model.points[::10]
         self._index = index
@@ -116,14 +115,3 @@ class Comparer:
         K[:2] /= stride
         K[:2, 2] += 0.5
         return replace(camera, width=len(columns), height=len(rows), K=K), rows, columns
-
-
-_SENSORS: dict[int, tuple[ObjectModel, RaySensor]] = {}
-
-
-def _sensor_of(model: ObjectModel) -> RaySensor:
-    """The object alone, compiled when it is first asked for."""
-    if id(model) not in _SENSORS:
-        surfaces = bool(model.asset.pieces)
-        _SENSORS[id(model)] = model, RaySensor(sensed_model([model.asset], None), surfaces)
-    return _SENSORS[id(model)][1]

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.downstream.perception.symmetry import turn_symmetry
+from cluttergen_jax.sensing.rays import RaySensor, sensed_model
 
 NUM_POINTS = 3000
 NUM_DENSE, NUM_JUDGED = 60_000, 1000
@@ -47,11 +48,16 @@ class ObjectModel:
         return cKDTree(self.points)
 
     @cached_property
+    def sensor(self) -> RaySensor:
+        """Casts rays at the object alone."""
+        return RaySensor(sensed_model([self.asset], None), bool(self.asset.pieces))
+
+    @cached_property
     def _dense(self) -> cKDTree:
         return cKDTree(trimesh.sample.sample_surface(self._surface, NUM_DENSE, seed=1)[0])
 
     def surface_distance(self, pose: np.ndarray, other: np.ndarray) -> float:
-        """Metres from points of the surface at one pose f64[4, 4] to the surface at another, on average (ADD-S).
+        """ADD-S: mean metres from points of the surface at one pose f64[4, 4] to the surface at another.
 
         The other surface is so densely sampled that what this adds is below a millimetre.
         """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,11 +23,11 @@ FEWEST_PIXELS = 40
 """Of an object, below which no pose is sought."""
 _MOST_POINTS = 400
 _BEST, _REFINED = 5, 3
-_SURE = 0.55
-"""A score at which no other way of lying is sought."""
+_SURE = 0.6
+"""A score at which nothing else is tried."""
+_OFFSET, _AROUND = 0.5, np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+"""Where else registration begins, in half diagonals of the object, towards the eye and across."""
 _SAME_PLACE, _SAME_TURN = 0.01, np.radians(10)
-_STANDS_LOW = 0.012
-"""Metres over the table by which what was found to stand there may seem to float."""
 _STEPS = ((0.003, 4.0), (0.0015, 2.0))
 """Metres and degrees of the last refinement."""
 _FREE_GAIN = 0.03
@@ -89,20 +90,30 @@ class RegistrationEstimator:
     def _upright(
         self, model: ObjectModel, points: np.ndarray, eyes: np.ndarray, compare: Comparer
     ) -> list[tuple[float, np.ndarray]]:
-        """The best poses of an upright object, each with its score: on the table, or at any height."""
-        found = []
-        for yaw in starting_yaws(model.symmetry):
-            free = registered(model, points, eyes, float(yaw), None)
-            found.append((compare(free).score, free))
+        """The best poses of an upright object, each with its score: on the table, and if need be elsewhere.
+
+        If none on the table agrees well, it may stand on something else, or begin too far away.
+        """
+        yaws = starting_yaws(model.symmetry)
+
+        def from_all(bottom: float | None, offsets: np.ndarray) -> list[tuple[float, np.ndarray]]:
+            starts = itertools.product(yaws, offsets)
+            poses = [registered(model, points, eyes, yaw, bottom, offset) for yaw, offset in starts]
+            return [(compare(pose).score, pose) for pose in poses]
+
+        nothing = np.zeros((1, 2))
+        found = from_all(self._top, nothing)
+        if _best(found)[0][0] < _SURE:
+            found += from_all(None, nothing)
+        if _best(found)[0][0] < _SURE:
+            away = _OFFSET * float(np.linalg.norm(model.asset.half_extents[:2]))
+            found += from_all(self._top, away * _AROUND)
         best = _unlike(found, model.symmetry)[:_BEST]
         # Long things look much the same when they are turned round.
         for _, pose in best[:_REFINED]:
-            other = registered(model, points, eyes, _yaw(pose) + np.pi, None)
+            bottom = pose[2, 3] - model.asset.half_extents[2]
+            other = registered(model, points, eyes, _yaw(pose) + np.pi, float(bottom))
             best.append((compare(other).score, other))
-        for _, pose in list(best):
-            if abs(pose[2, 3] - model.asset.half_extents[2] - self._top) < _STANDS_LOW:
-                standing = registered(model, points, eyes, _yaw(pose), self._top)
-                best.append((compare(standing).score, standing))
         return _best(best)
 
     def _lying(
@@ -127,7 +138,7 @@ class RegistrationEstimator:
 
 
 def seen_points(index: int, looks: Sequence[Look]) -> tuple[np.ndarray, np.ndarray, int]:
-    """Points f64[P, 3] of an object, world frame, from where each was seen f64[P, 3], and pixels in its masks.
+    """Points f64[P, 3] of an object, world frame; the eye of each f64[P, 3]; pixels in its masks.
 
     Points beyond the bulk of each look's, along its line of sight, are left out: what bled over an edge.
     """

@@ -31,7 +31,7 @@ class SteadyCheck:
         self._data = mujoco.MjData(self._model)
 
     def __call__(self, poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:
-        """bool[K]: those of the objects placed at f64[K, 7], bool[K], that moved by 3 mm or less in 20 steps."""
+        """bool[K]: of the objects placed, bool[K], at f64[K, 7], those that moved by 3 mm or less."""
         data = self._data
         mujoco.mj_resetData(self._model, data)
         data.qpos.reshape(-1, 7)[is_placed] = poses[is_placed]

@@ -23,15 +23,23 @@ def starting_yaws(symmetry: int) -> np.ndarray:
 
 
 def registered(
-    model: ObjectModel, points: np.ndarray, eyes: np.ndarray, yaw: float, bottom: float | None
+    model: ObjectModel,
+    points: np.ndarray,
+    eyes: np.ndarray,
+    yaw: float,
+    bottom: float | None,
+    offset: np.ndarray | None = None,
 ) -> np.ndarray:
     """f64[4, 4]: T_world_object near a turn, by iterated closest points on tangent planes.
 
     Args:
       points: f64[P, 3], of the object, world frame. eyes: f64[P, 3], from where each was seen.
       yaw: radians. bottom: the height of what it stands on; None leaves z free.
+      offset: f64[2], metres, added to the first guess in plan; none if None.
     """
     pose = _first_guess(model, points, eyes, yaw, bottom)
+    if offset is not None:
+        pose[:2, 3] += offset
     fixed = bottom is not None
     for step in range(_STEPS):
         trim = _FIRST_TRIM * (_LAST_TRIM / _FIRST_TRIM) ** (step / (_STEPS - 1))

@@ -1,4 +1,4 @@
-"""Examples out of a folder of views: what a noisy camera makes of each, and its labels, at the network's size."""
+"""Examples out of a folder of views: what a noisy camera makes of each, at the network's size."""
 
 from __future__ import annotations
 

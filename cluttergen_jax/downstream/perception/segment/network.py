@@ -62,7 +62,7 @@ class SegmentNet(nn.Module):
 
     @nn.compact
     def __call__(self, images: Array) -> tuple[Array, Array]:
-        """Logits f32[B, H, W, C] of the classes and votes f32[B, H, W, 2], `_VOTE_SCALE` pixels right and down.
+        """Logits f32[B, H, W, C] of the classes; votes f32[B, H, W, 2], in `_VOTE_SCALE`, right and down.
 
         Args:
           images: f32[B, H, W, 5], as `network_images` makes them.
@@ -152,7 +152,7 @@ class SegmentLearner:
         return classes + _VOTE_WEIGHT * vote, {"classes": classes, "votes": vote}
 
     def answers(self, params: Any, images: Array) -> tuple[Array, Array]:
-        """Probabilities f32[B, H, W, C], and where each pixel says that its object's centre is, f32[B, H, W, 2]."""
+        """Probabilities f32[B, H, W, C]; where pixels say that their object's centre is, f32[B, H, W, 2]."""
         logits, votes = self._answers(params, images)
         place = jnp.stack(jnp.meshgrid(jnp.arange(WIDTH) + 0.5, jnp.arange(HEIGHT) + 0.5), axis=-1)
         return jax.nn.softmax(logits), place + _VOTE_SCALE * votes

@@ -17,7 +17,7 @@ from cluttergen_jax.downstream.perception.segment.scores import intersection_ove
 from cluttergen_jax.downstream.perception.segment.trained import KIND, answers_of
 from cluttergen_jax.learning.ppo import checkpoint
 
-FIT = FitConfig(num_epochs=14, batch_size=4, learning_rate=2e-3)
+FIT = FitConfig(num_epochs=14, batch_size=8, learning_rate=3e-3)
 """Of the full setting, 3,000 views."""
 
 

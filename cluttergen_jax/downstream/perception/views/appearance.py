@@ -77,7 +77,7 @@ def draw_light(rng: np.random.Generator) -> Light:
 
 
 def jittered(rgba: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """f[N, 4]: colours f[N, 4] of surfaces, each brighter or darker, paler, and of another tint by a little."""
+    """f[N, 4]: colours f[N, 4] of surfaces, each a little brighter or darker, paler, of another tint."""
     number = len(rgba)
     grey = rgba[:, :3].mean(1, keepdims=True)
     strength, gain = rng.uniform(0.7, 1.2, (number, 1)), rng.uniform(0.75, 1.2, (number, 1))

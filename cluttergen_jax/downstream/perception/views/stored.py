@@ -23,6 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.perception.views.stage import View
 from cluttergen_jax.errors import BankError, ConfigError, closest
@@ -57,8 +58,8 @@ SCHEMA = pa.schema(
     ]
 )
 """`objects` are those that stand, by their number in the pool, at `poses`, T_world_object, metres and wxyz.
-Depth is u16 in tenths of a millimetre along the optical axis, little-endian, row by row, 0 where nothing is or
-beyond 6.5 m; labels are u8 (`classes`); rgb is u8. Neither exposure nor noise is in them."""
+Depth is u16 in tenths of a millimetre along the optical axis, little-endian, row by row, 0 where nothing is
+or beyond 6.5 m; labels are u8 (`classes`); rgb is u8. Neither exposure nor noise is in them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +117,12 @@ class ViewSet:
         """
         bank = Bank(self.path, {"assets": self.record["assets"]})
         return tuple(bank.object(name) for name in self.record["names"])
+
+    @property
+    def pool(self) -> str:
+        """The name of the pool, for people."""
+        recipes = [recipe for split in self.record["splits"].values() for recipe in split["recipes"]]
+        return public_name(str(recipes[0].get("pool"))) if recipes else ""
 
     @property
     def names(self) -> tuple[str, ...]:
