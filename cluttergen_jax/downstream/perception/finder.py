@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +76,7 @@ class SceneFinder:
         self._grid = Grid.of(support, _RADIUS)
 
     def look(self, rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> Look:
-        """One picture, segmented; the known table corrects the camera's height, pitch and roll.
+        """One picture, segmented; the known table corrects the camera's height and orientation.
 
         Args:
           rgb: u8[H, W, 3]. depth: f32[H, W], metres, nan or inf where nothing was measured.
@@ -85,7 +85,7 @@ class SceneFinder:
           ConfigError: the images are not the camera's, or hold no depth.
         """
         rgb, depth = checked_images(rgb, depth, camera)
-        camera = levelled(depth, camera, self._grid)
+        camera = upright_at_its_place(depth, camera, self._grid)
         return Look(depth, self._segmenter(rgb, depth, camera).label, camera)
 
     def __call__(self, looks: Sequence[Look], names: Sequence[str] | None = None) -> FoundScene:
@@ -122,6 +122,22 @@ class SceneFinder:
         for number, estimate in estimates.items():
             poses[number], is_placed[number] = estimate.pose, True
         return self._steady(poses, is_placed)
+
+
+def upright_at_its_place(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
+    """The camera turned and raised so that the table that it sees lies level, its place in plan as stated.
+
+    What a wrong orientation does to far points is centimetres, what a wrong position does is not: so the
+    tilt that is seen is taken for an error of orientation alone (`sensing.partial.levelled` turns about the
+    table instead).
+
+    Args:
+      depth: f32[H, W], metres, nan where nothing was measured.
+    """
+    found = levelled(depth, camera, grid)
+    T = found.T_world_camera.copy()
+    T[:2, 3] = camera.eye[:2]
+    return replace(found, T_world_camera=T)
 
 
 def load_finder(segmenter: str | Path, objects: Sequence[ObjectAsset], support: SupportAsset) -> SceneFinder:

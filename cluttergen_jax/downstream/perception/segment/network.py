@@ -119,7 +119,7 @@ def network_images(rgb: Array, depth: Array, height: Array) -> Array:
     light = rgb / 255.0
     axes = (-3, -2, -1)
     # Whatever the exposure, a picture is as bright and as rich in contrast as any other.
-    light = (light - light.mean(axes, keepdims=True)) / (light.std(axes, keepdims=True) + 0.05)
+    light = (light - light.mean(axes, keepdims=True)) / (light.std(axes, keepdims=True) + 0.01)
     return jnp.concatenate([light, jnp.stack([far, high], axis=-1)], axis=-1)
 
 

@@ -1,4 +1,4 @@
-"""Training of a segmenter: a run that is taken up again, and a checkpoint of half precision with its record."""
+"""Training of a segmenter: a run that can be resumed, and a checkpoint of half precision with its record."""
 
 from __future__ import annotations
 
