@@ -64,7 +64,11 @@ class Perception:
       action: what to do.
     """
 
-    action: Annotated[PerceptionData, tyro.conf.subcommand("data")]
+    action: (
+        Annotated[PerceptionData, tyro.conf.subcommand("data")]
+        | Annotated[PerceptionTrain, tyro.conf.subcommand("train")]
+        | Annotated[PerceptionEval, tyro.conf.subcommand("eval")]
+    )
 
     def run(self) -> int:
         """Runs the chosen action; the exit status."""

