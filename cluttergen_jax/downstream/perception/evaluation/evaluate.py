@@ -116,9 +116,7 @@ class PerceptionResult:
                 str(row.cameras),
                 f"{row.noise:g}",
                 str(len(row.moments)),
-                f"{row.mean_iou:.3f}",
-                share_of(sum(m.found for m in row.moments), sum(m.visible for m in row.moments)),
-                share_of(sum(m.false for m in row.moments), sum(m.masks for m in row.moments)),
+                *(("-",) * 3 if self.segmenter == TRUE_MASKS else _mask_shares(row)),
                 f"{np.mean([m.cpu for m in row.moments]):.2f}",
             )
             for row in self.rows
@@ -167,6 +165,14 @@ class PerceptionResult:
                 told = [f"{each.mean():.3f}" for each in (found[:, 0], found[:, 1], both)]
                 rows.append((name, str(len(found)), *told))
         return rows
+
+
+def _mask_shares(row: PerceptionRow) -> tuple[str, str, str]:
+    """Mean IoU, objects found, and false masks."""
+    found, visible, false, masks = (
+        sum(getattr(each, name) for each in row.moments) for name in ("found", "visible", "false", "masks")
+    )
+    return f"{row.mean_iou:.3f}", share_of(found, visible), share_of(false, masks)
 
 
 def _shares(row: PerceptionRow, low: float, high: float) -> tuple[str, str, str]:
