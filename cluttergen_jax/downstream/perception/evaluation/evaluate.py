@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -209,8 +210,10 @@ def evaluate_perception(
     rows = []
     for number in cameras:
         for factor in noise:
-            name = f"{split}-{number}-cameras-noise-{factor:g}.jsonl"
             setting = recipe | {"split": split, "cameras": number, "noise": factor}
+            # Another network, or another rule of certainty, has rows of its own.
+            digest = hashlib.sha256(json.dumps(setting, sort_keys=True).encode()).hexdigest()[:8]
+            name = f"{split}-{number}-cameras-noise-{factor:g}-{digest}.jsonl"
             file = RowFile(None if out is None else out / name, setting, JudgedMoment, "perception eval")
             moments = _judge_all(views, split, number, factor, num_views, seed, finder, file, true_masks)
             rows.append(PerceptionRow(number, factor, tuple(moments), views.names))
