@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 
+import cluttergen_jax as cg
 from cluttergen_jax.downstream.fitting.fit import FitConfig
 from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
 from cluttergen_jax.downstream.perception.segment.examples import example_of
@@ -31,7 +32,7 @@ from cluttergen_jax.downstream.perception.segment.trained import (
     segmenter_folder,
 )
 from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining
-from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.errors import BankError, ConfigError, PoolError
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from tests.helpers.perception import OBJECTS, POSES, TABLE, ByColour, drawn_view, overhead, view_of
@@ -250,3 +251,23 @@ def test_a_stored_segmenter_is_read_and_damaged_ones_are_refused(tmp_path):
         load_segmenter(stored(tmp_path / "names", names=["a"]))
     with pytest.raises(PoolError, match="does not say what network"):
         load_segmenter(stored(tmp_path / "sizes", network={"num_objects": 3}))
+
+
+@pytest.mark.parametrize(
+    ("call", "given", "told"),
+    [
+        (cg.perception_train, {"reads": "colours"}, "reads"),
+        (cg.perception_train, {"seed": -1}, "seed"),
+        (cg.perception_train, {"num_epochs": 0}, "num_epochs"),
+        (cg.perception_train, {}, "holds no views"),
+        (cg.perception_eval, {"cameras": (3,)}, "cameras"),
+        (cg.perception_eval, {"cameras": ()}, "cameras"),
+        (cg.perception_eval, {"noise": (-1.0,)}, "noise"),
+        (cg.perception_eval, {"num_views": 0}, "num_views"),
+        (cg.perception_eval, {}, "holds no views"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(call, given, told, tmp_path):
+    with pytest.raises((ConfigError, BankError), match=told):
+        call(tmp_path, **given)
+    assert not list(tmp_path.iterdir())
