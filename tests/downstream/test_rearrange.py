@@ -28,7 +28,7 @@ from cluttergen_jax.downstream.rearrange.observe import (
     TrueObserver,
 )
 from cluttergen_jax.downstream.rearrange.settings import SETTINGS, RearrangeOptions, RearrangeSetting
-from cluttergen_jax.downstream.rearrange.trials import Rearrangements, run_rearrangements
+from cluttergen_jax.downstream.rearrange.trials import Rearrangements, is_stacked, run_rearrangements
 from cluttergen_jax.downstream.robot.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.frames import inverse, made, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
@@ -252,6 +252,28 @@ def test_the_judge_finds_what_is_wrong():
     with pytest.raises(Failed) as told:
         judge.check_end(SCENE.poses)
     assert (told.value.outcome, told.value.detail) == (Outcome.DISPLACED, "blue")
+
+
+def test_a_heap_counts_if_the_arm_gets_at_what_lies_on_top():
+    poses = standing(PLACES)
+    poses[1, :3] = [*PLACES[0], TOP + 2 * HALF[2] + BOXES[1].half_extents[2]]
+    heap = replace(SCENE, poses=poses)
+    grasps = tuple(map(grasps_of_box, SCENE.names))
+    # From below, through the box that it lies on.
+    upwards = grasps[1].pose * [1, 1, -1, 1, 1, 1, 1] @ np.diag([1.0, 1, 1, 0, 0, 0, 0]) + [
+        0,
+        0,
+        0,
+        1,
+        0,
+        0,
+        0,
+    ]
+    no_way = (grasps[0], replace(grasps[1], pose=upwards))
+    assert is_stacked(heap, grasps, 1)
+    assert not is_stacked(heap, grasps, 2)
+    assert not is_stacked(heap, no_way, 1)
+    assert not is_stacked(SCENE, grasps, 1)
 
 
 def test_without_a_layout_it_is_said():

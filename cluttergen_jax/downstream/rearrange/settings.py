@@ -23,7 +23,7 @@ class RearrangeSetting:
       num_objects: that shall be moved; num_others: that stand in the target and shall stay.
       start, target: where objects stand at first, and where their layouts are drawn.
       method: how the starting scene is made.
-      num_stacked: objects that lie on others at the start, at least.
+      num_stacked: objects that lie on others at the start, at least; the arm gets at the topmost.
     """
 
     name: str

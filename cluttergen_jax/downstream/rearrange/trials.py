@@ -13,11 +13,13 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.downstream.perception.symmetry import turn_symmetry
 from cluttergen_jax.downstream.rearrange.episode import RearrangeResult, RearrangeTask, rearrange_episode
-from cluttergen_jax.downstream.rearrange.layouts import SceneDraw
+from cluttergen_jax.downstream.rearrange.layouts import SceneDraw, reach_of
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
 from cluttergen_jax.downstream.rearrange.order import Meetings
 from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions, RearrangeSetting
 from cluttergen_jax.downstream.robot.grasps import Grasps, grasps_of
+from cluttergen_jax.downstream.robot.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.rows import RowFile, share_of
 from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed
 from cluttergen_jax.errors import ConfigError
@@ -75,9 +77,9 @@ class Starts:
                     np.concatenate([poses, stay]),
                     place.support,
                 )
-                if setting.num_stacked and _num_stacked(scene) < setting.num_stacked:
-                    continue
                 grasps, symmetry = self._grasps_of(objects), self._symmetry_of(objects)
+                if setting.num_stacked and not is_stacked(scene, grasps, setting.num_stacked):
+                    continue
                 return RearrangeTask(setting, scene, tuple(numbers), grasps, symmetry, place, _drawn(rng))
         raise ConfigError(f"no starting scene of {setting.name!r}", "smaller objects", "another pool")
 
@@ -100,9 +102,20 @@ def _drawn(rng: np.random.Generator) -> int:
     return int(rng.integers(2**30))
 
 
-def _num_stacked(scene: Scene) -> int:
-    """Objects that lie on others."""
-    return int(Meetings(scene.objects).relations(scene.poses, scene.poses).lies_on.any(1).sum())
+def is_stacked(scene: Scene, grasps: Sequence[Grasps], number: int) -> bool:
+    """Whether so many objects lie on others, and the arm gets at those of them on which nothing lies.
+
+    A ring that fell over what it lies on is an example of what no hand can take.
+
+    Args:
+      grasps: of each object of the scene.
+    """
+    lies_on = Meetings(scene.objects).relations(scene.poses, scene.poses).lies_on
+    top = np.flatnonzero(lies_on.any(1) & ~lies_on.any(0))
+    if lies_on.any(1).sum() < number:
+        return False
+    arm = ArmKinematics(base_pose(scene.support))
+    return reach_of(scene.objects, scene.poses, top, grasps, scene.support, arm) == 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ MIN_GRASPS = 8
 _VERSION = 1
 _NUM_LINES = 6000
 _CANDIDATES, _LEAST_CANDIDATES = 4, 128
-"""Times the grasps that are wanted are tested at most; so many where few are wanted of what hardly holds."""
+"""Candidates that are tested at most, for each grasp that is wanted; and at least, where few are wanted."""
 _AT_ONCE = 16
 _COLUMNS = {"width": "metres", "shift": "metres", "slip": "metres", "turn": "radians", "margin": "weights"}
 
