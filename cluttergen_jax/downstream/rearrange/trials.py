@@ -111,7 +111,7 @@ def is_stacked(scene: Scene, grasps: Sequence[Grasps], number: int) -> bool:
       grasps: of each object of the scene.
     """
     lies_on = Meetings(scene.objects).relations(scene.poses, scene.poses).lies_on
-    top = np.flatnonzero(lies_on.any(1) & ~lies_on.any(0))
+    top = np.flatnonzero(lies_on.any(1) & ~lies_on.any(0)).tolist()
     if lies_on.any(1).sum() < number:
         return False
     arm = ArmKinematics(base_pose(scene.support))
