@@ -37,7 +37,7 @@ $(VENV)/.dev: $(VENV)/.core
 	@touch $@
 
 $(VENV)/.all: $(VENV)/.dev
-	$(INSTALL) -e '.[dev,ycb,ray,peers,usd,viewer,video,browser,fuzz,hub,docs,remote,robot]'
+	$(INSTALL) -e '.[dev,ycb,ray,peers,usd,viewer,video,browser,fuzz,hub,docs,remote,robot,perception]'
 	@touch $@
 
 demo: $(VENV)/.core ## generate, draw, save and verify 20 scenes of ten dining objects in out/demo

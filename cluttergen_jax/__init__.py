@@ -15,6 +15,7 @@ What a command does, one function does, with the same defaults:
     placer_data, placer_eval       pairs for stable placement; how often what placers propose stands
     placer_train                   pairs -> a placer for what one camera sees
     place_by_hand                  a person's scenes -> a bank
+    perception_data, _train, _eval views of scenes; a segmenter; how well objects and poses are found
     robot_grasps, robot_place      grasps of a pool's objects; objects moved by a simulated arm
     rearrange                      objects brought into new layouts by that arm
     push_bank, pull_bank           a bank to and from a hub
@@ -33,6 +34,7 @@ from cluttergen_jax.api.export import export
 from cluttergen_jax.api.generate import generate
 from cluttergen_jax.api.hub import pull_bank, push_bank
 from cluttergen_jax.api.import_ import import_pool, import_support
+from cluttergen_jax.api.perception import perception_data, perception_eval, perception_train
 from cluttergen_jax.api.place import place_by_hand
 from cluttergen_jax.api.placer import placer_data, placer_eval
 from cluttergen_jax.api.placer_train import placer_train
@@ -87,6 +89,9 @@ __all__ = [
     "make_sampler",
     "make_sb3_env",
     "make_vector_env",
+    "perception_data",
+    "perception_eval",
+    "perception_train",
     "place_by_hand",
     "placer_data",
     "placer_eval",

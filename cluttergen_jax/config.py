@@ -60,6 +60,8 @@ PlacerHead = Literal["scored", "mixture", "regression"]
 PlacerPreset = Literal["cpu", "paper"]
 PlacerLoss = Literal["printed", "symmetric"]
 PlacerNoise = Literal["on", "off", "both"]
+SegmenterInput = Literal["colour", "depth"]
+RobotObserver = Literal["true", "perception"]
 ExportFormat = Literal["mjcf", "urdf", "sdf", "usd", "glb", "maniskill", "robosuite", "libero"]
 
 REMOVED = {

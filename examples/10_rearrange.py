@@ -33,7 +33,8 @@ for row in found.rows:
     print(f"  {row.picks} picks ({row.fewest} could do), {row.path:.1f} m of the tool in {row.seconds:.0f} s")
 
 # %% [markdown]
-# Where objects are the arm is told by an observer. So far there is a perfect one; here is one that errs by
+# Where objects are the arm is told by an observer: a perfect one, or one that looks through cameras
+# (`observer="perception"`, which needs a trained segmenter). Here is one of your own, that errs by
 # some millimetres. It asks the perfect one; yours would look at `world.picture(camera)`.
 
 

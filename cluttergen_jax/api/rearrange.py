@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import LayoutRule, PickOrder, Rearrangement, check_workers
+from cluttergen_jax.config import LayoutRule, PickOrder, Rearrangement, RobotObserver, check_workers
 from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
+    from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
     from cluttergen_jax.downstream.rearrange.trials import Rearrangements
 
 _MOST_SEED = 999_999
@@ -28,6 +29,8 @@ def rearrange(
     relook: bool = True,
     order: PickOrder = "graph",
     one_grasp: bool = False,
+    observer: RobotObserver = "true",
+    segmenter: str | Path | None = None,
     seed: int = 0,
     num_threads: int = 0,
 ) -> Rearrangements:
@@ -35,8 +38,8 @@ def rearrange(
 
     Where objects shall go is drawn by the generator: of 64 layouts the most unlike ones are kept and one is
     chosen. The arm then moves one object after another, by way of free places where they are in each other's
-    way, and looks again after each. The true poses stand in for what its cameras would tell. The same call
-    continues an interrupted one, and each episode is made again by its seed.
+    way, and looks again after each. Where objects are, an observer tells it. The same call continues an
+    interrupted one, and each episode is made again by its seed.
 
     Args:
       out: the folder; rows are kept there, for each setting apart.
@@ -52,6 +55,10 @@ def rearrange(
       relook: look again after each move, and try again what went wrong; without it only once.
       order: graph, by what is in whose way; or lowest object first, as in the paper.
       one_grasp: an object has a single grasp, at 0 and 180 degrees, as in the paper.
+      observer: true, the true poses; or perception, what cameras over the table and on the hand show, with
+        noise (extra `perception`).
+      segmenter: of `perception`: a folder of `perception train`, or a pool's name where one comes with the
+        package; the pool's own if not given.
       seed: of all that is drawn.
       num_threads: 0 takes every core.
 
@@ -61,8 +68,8 @@ def rearrange(
     Raises:
       ConfigError: a setting is unknown or out of range, or the pool has too few objects.
       BankError: the folder holds other episodes, or a damaged file.
-      PoolError: there is no such pool.
-      MissingExtraError: the extra `robot` is not installed.
+      PoolError: there is no such pool or segmenter.
+      MissingExtraError: the extra `robot`, or `perception` where it is asked for, is not installed.
     """
     import os
     from typing import get_args
@@ -78,11 +85,19 @@ def rearrange(
     check_range("seed", seed, 0, _MOST_SEED, 0)
     if layout is not None:
         check_range("layout", layout, 0, num_layouts - 1, 0)
-    asked = (("setting", setting, Rearrangement), ("choose", choose, LayoutRule), ("order", order, PickOrder))
+    asked = (
+        ("setting", setting, Rearrangement),
+        ("choose", choose, LayoutRule),
+        ("order", order, PickOrder),
+        ("observer", observer, RobotObserver),
+    )
     for name, value, known in asked:
         if value not in get_args(known):
             raise ConfigError(f"{name} = {value!r}", ", ".join(get_args(known)))
+    if segmenter is not None and observer == "true":
+        raise ConfigError("`segmenter` with the observer 'true'", "observer='perception'", "leaving it out")
     panda_folder()
+    told = None if observer == "true" else _looking(pool, segmenter, seed)
     options = RearrangeOptions(choose, layout, num_layouts, relook, order, one_grasp)
     threads = num_threads or os.cpu_count() or 1
     return run_rearrangements(
@@ -92,5 +107,18 @@ def rearrange(
         seed,
         Path(out) / setting,
         pool=str(pool),
+        observer=told,
         num_threads=threads,
     )
+
+
+def _looking(pool: str | Path, segmenter: str | Path | None, seed: int) -> PerceptionObserver:
+    """The observer that looks through cameras, for a pool's objects on the usual table."""
+    from cluttergen_jax.assets.pool import find_pool
+    from cluttergen_jax.assets.support_file import find_support
+    from cluttergen_jax.downstream.perception.finder import load_finder
+    from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
+
+    support = find_support("table")
+    finder = load_finder(pool if segmenter is None else segmenter, find_pool(pool).objects, support)
+    return PerceptionObserver(finder, support, seed=seed)

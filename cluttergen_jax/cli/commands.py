@@ -25,6 +25,7 @@ COMMANDS = {
     ),
     "evaluate": "Compare methods on pools and supports, or make a suite of tables and figures (`--suite`).",
     "placer": "Stable placement from one camera's view: `placer data`, `placer train` and `placer eval`.",
+    "perception": "Known objects in images: `perception data`, `perception train` and `perception eval`.",
     "robot": "A robot arm in simulation: `robot grasps` and `robot place`.",
     "rearrange": "Let a simulated Franka Panda rearrange the objects of scenes (extra `robot`).",
     "import": (
@@ -53,7 +54,7 @@ def all_commands() -> Any:
 
 def overview() -> str:
     """What `cluttergen --help` says."""
-    lines = [f"  {name:<10}{about}" for name, about in COMMANDS.items()]
+    lines = [f"  {name:<12}{about}" for name, about in COMMANDS.items()]
     return "\n".join(
         [
             "usage: cluttergen COMMAND [OPTIONS]",

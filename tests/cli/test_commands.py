@@ -80,7 +80,7 @@ def test_the_table_of_commands_says_what_their_docstrings_say():
         command = load(name)
         doc = command.__doc__
         assert about == doc.splitlines()[0], name
-        assert f"  {name:<10}{about}" in overview()
+        assert f"  {name:<12}{about}" in overview()
         # The example is one that the command itself understands.
         examples = re.findall(r"`cluttergen (\S+)([^`]*)`", doc.split("Example: ")[1])
         assert examples

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import pytest
 
+from cluttergen_jax.downstream.fitting.fit import FitConfig, num_examples, taken
 from cluttergen_jax.downstream.placer.heads.features import (
     CROP_SIDE,
     MIRRORED,
@@ -33,10 +34,10 @@ from cluttergen_jax.downstream.placer.heads.trained import (
 from cluttergen_jax.downstream.placer.map_search import APART
 from cluttergen_jax.downstream.placer.proposers import find_placer
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
-from cluttergen_jax.downstream.placer.training.examples import joined_examples, num_examples, taken
-from cluttergen_jax.downstream.placer.training.fitting import FitConfig, best_temperature
+from cluttergen_jax.downstream.placer.training.examples import joined_examples
 from cluttergen_jax.downstream.placer.training.presets import preset
 from cluttergen_jax.downstream.placer.training.run import PlacerTraining
+from cluttergen_jax.downstream.placer.training.temperature import best_temperature
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.policies.embedded import list_policies
 from cluttergen_jax.learning.ppo.checkpoint import save_policy

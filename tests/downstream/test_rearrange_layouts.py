@@ -9,15 +9,15 @@ pytest.importorskip("mink")
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, unlike
-from cluttergen_jax.downstream.rearrange.settings import AREA, SETTINGS
-from cluttergen_jax.downstream.rearrange.symmetry import (
+from cluttergen_jax.downstream.perception.symmetry import (
     ROUND,
     equal_places,
     offset,
     turn_matrix,
     turn_symmetry,
 )
+from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, unlike
+from cluttergen_jax.downstream.rearrange.settings import AREA, SETTINGS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed
 from cluttergen_jax.geometry import transformed, yaw_quaternion

@@ -22,9 +22,10 @@ EXPECTED = {
     "07_conditions": r"turned regions(.|\n)*kept free(.|\n)*around a plate(.|\n)*on a desk",
     "08_other_trainers": r"Brax: reward .* an attempt, \d+ episodes(.|\n)*Gymnasium: reward .*\(32, \d+\)",
     "09_stable_placement": r"hidden from the camera(.|\n)*\d of \d objects placed from one noisy image each",
+    "11_perception": r"certainty [01]\.\d\d; from the true place: \d(.|\n)*\d objects found, 3 on the table",
     "10_rearrange": r"paper, true poses: (.|\n)*picks \(\d+ could do\)(.|\n)*paper, true poses, 3 mm off: ",
 }
-ARM = "10_rearrange"
+ARM, EYES = "10_rearrange", "11_perception"
 SLOW = set(EXPECTED) - {"01_five_lines"}
 
 
@@ -36,7 +37,7 @@ def run(name, folder, home):
     return done.stdout
 
 
-def test_there_are_ten_of_at_most_a_hundred_lines():
+def test_there_are_eleven_of_at_most_a_hundred_lines():
     assert [path.stem for path in EXAMPLES] == sorted(EXPECTED)
     for path in EXAMPLES:
         text = path.read_text()
@@ -51,7 +52,7 @@ def test_there_are_ten_of_at_most_a_hundred_lines():
     [
         pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name
         for name in EXPECTED
-        if name != ARM
+        if name not in (ARM, EYES)
     ],
 )
 def test_example_runs(name, tmp_path):
@@ -69,3 +70,11 @@ def test_the_arm_rearranges(tmp_path):
         pytest.importorskip(module)
     out = run(ARM, tmp_path, tmp_path / "home")
     assert re.search(EXPECTED[ARM], out), out
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_picture_becomes_poses(tmp_path):
+    pytest.importorskip("small_gicp")
+    out = run(EYES, tmp_path, tmp_path / "home")
+    assert re.search(EXPECTED[EYES], out), out

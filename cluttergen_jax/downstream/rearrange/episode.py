@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cluttergen_jax.downstream.perception.symmetry import equal_places, offset
 from cluttergen_jax.downstream.rearrange.judge import Judge
 from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, reach_of, unlike
 from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, ObjectTracker, Observer
 from cluttergen_jax.downstream.rearrange.order import Meetings, lowest_first, ready, smallest_waiting
 from cluttergen_jax.downstream.rearrange.settings import AREA, RearrangeOptions, RearrangeSetting
-from cluttergen_jax.downstream.rearrange.symmetry import equal_places, offset
 from cluttergen_jax.downstream.robot.collision import PlanningWorld
 from cluttergen_jax.downstream.robot.execute import Execution
 from cluttergen_jax.downstream.robot.frames import matrix_of

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.config import StabilityConfig, VerifyConfig
+from cluttergen_jax.downstream.perception.symmetry import offset
 from cluttergen_jax.downstream.rearrange.observe import Cause
-from cluttergen_jax.downstream.rearrange.symmetry import offset
 from cluttergen_jax.downstream.robot.episode import WATCHED
 from cluttergen_jax.downstream.robot.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.frames import angle_between, matrix_of

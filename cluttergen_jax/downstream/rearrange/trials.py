@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.downstream.perception.symmetry import turn_symmetry
 from cluttergen_jax.downstream.rearrange.episode import RearrangeResult, RearrangeTask, rearrange_episode
 from cluttergen_jax.downstream.rearrange.layouts import SceneDraw, reach_of
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
 from cluttergen_jax.downstream.rearrange.order import Meetings
 from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions, RearrangeSetting
-from cluttergen_jax.downstream.rearrange.symmetry import turn_symmetry
 from cluttergen_jax.downstream.robot.grasps import Grasps, grasps_of
 from cluttergen_jax.downstream.robot.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.model import base_pose
@@ -111,7 +111,7 @@ def is_stacked(scene: Scene, grasps: Sequence[Grasps], number: int) -> bool:
       grasps: of each object of the scene.
     """
     lies_on = Meetings(scene.objects).relations(scene.poses, scene.poses).lies_on
-    top = np.flatnonzero(lies_on.any(1) & ~lies_on.any(0))
+    top = np.flatnonzero(lies_on.any(1) & ~lies_on.any(0)).tolist()
     if lies_on.any(1).sum() < number:
         return False
     arm = ArmKinematics(base_pose(scene.support))

@@ -123,17 +123,6 @@ def examples_of(queries: PlacementQuery, labels: PairLabels) -> Example:
     return Example(queries, target, labels.candidate, labels.verdict)
 
 
-def num_examples(examples: Any) -> int:
-    """How many there are: the leading axis of all arrays."""
-    return len(jax.tree.leaves(examples)[0])
-
-
-def taken(examples: Any, which: np.ndarray) -> Any:
-    """Some of the examples: i[M] or bool[N]; None if there are none."""
-    index = np.flatnonzero(which) if which.dtype == bool else which
-    return jax.tree.map(lambda leaf: leaf[index], examples) if len(index) else None
-
-
 def joined_examples(parts: Sequence[Example]) -> Example:
     """Examples of several worlds as one, their maps and columns padded to one size.
 

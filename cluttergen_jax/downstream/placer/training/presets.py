@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any, get_args
 
 from cluttergen_jax.config import PlacerHead
+from cluttergen_jax.downstream.fitting.fit import FitConfig
 from cluttergen_jax.downstream.placer.heads.head import Head
 from cluttergen_jax.downstream.placer.heads.mixture import MixtureHead
 from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig, RegressionHead
 from cluttergen_jax.downstream.placer.heads.scored import ScoredHead
 from cluttergen_jax.downstream.placer.query import NUM_OBJECT_POINTS, NUM_POINTS
-from cluttergen_jax.downstream.placer.training.fitting import FitConfig
 from cluttergen_jax.errors import ConfigError, closest
 
 _REGRESSION_CPU = FitConfig(

@@ -1,9 +1,9 @@
-"""Gradient steps of a placer's head, and the temperature of its chances."""
+"""Gradient steps of a network: how it is fitted, what a run changes, and a step."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -11,20 +11,35 @@ import numpy as np
 import optax
 from flax import struct
 
-from cluttergen_jax.downstream.placer.heads.head import Head
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.types import Array
 
 _WARM_UP = 0.02
-_TEMPERATURES = np.exp(np.linspace(np.log(0.25), np.log(4.0), 129))
+
+
+class Learner(Protocol):
+    """A network and what it learns from an example; a frozen value."""
+
+    @property
+    def config(self) -> Any:
+        """Sizes of the network, a frozen dataclass of JSON values."""
+        ...
+
+    def init(self, key: Array) -> Any:
+        """Fresh weights."""
+        ...
+
+    def loss(self, params: Any, examples: Any, key: Array) -> tuple[Array, dict[str, Array]]:
+        """What to keep low over a batch of examples, f32, and its parts by name."""
+        ...
 
 
 @dataclass(frozen=True)
 class FitConfig:
-    """How a head is fitted.
+    """How a network is fitted.
 
     Attributes:
-      num_epochs: times that all pairs are seen; batch_size: pairs a step.
+      num_epochs: times that all examples are seen; batch_size: examples a step.
       learning_rate: of AdamW, at its highest.
       schedule: "cosine" (after a short warm-up) or "linear", either down to zero.
       weight_decay: of AdamW.
@@ -76,26 +91,26 @@ class FitState(struct.PyTreeNode):
 
 @dataclass(frozen=True)
 class Fit:
-    """Gradient steps of one head; pure, whoever drives them compiles.
+    """Gradient steps of one network; pure, whoever drives them compiles.
 
     Attributes:
-      head: what is fitted; config: how; num_steps: of the whole run.
+      learner: what is fitted; config: how; num_steps: of the whole run.
     """
 
-    head: Head
+    learner: Learner
     config: FitConfig
     num_steps: int
 
     def start(self) -> FitState:
         """Fresh weights."""
-        params = self.head.init(jax.random.key(self.config.seed))
+        params = self.learner.init(jax.random.key(self.config.seed))
         moments = self.config.optimizer(self.num_steps).init(params)
         return FitState(params, moments, jnp.int32(0), params, jnp.float32(jnp.inf))
 
     def step(self, state: FitState, examples: Any) -> tuple[FitState, dict[str, Array]]:
         """One step on a batch of prepared examples: the new state, and the loss with its parts."""
         key = jax.random.fold_in(jax.random.key(self.config.seed + 1), state.step)
-        gradient = jax.value_and_grad(self.head.loss, has_aux=True)
+        gradient = jax.value_and_grad(self.learner.loss, has_aux=True)
         (loss, parts), slope = gradient(state.params, examples, key)
         optimizer = self.config.optimizer(self.num_steps)
         change, moments = optimizer.update(slope, state.optimizer, state.params)
@@ -104,11 +119,15 @@ class Fit:
 
     def loss(self, params: Any, examples: Any) -> Array:
         """f32: the loss on examples that nothing is learned from."""
-        return self.head.loss(params, examples, jax.random.key(0))[0]
+        return self.learner.loss(params, examples, jax.random.key(0))[0]
 
 
-def best_temperature(logits: np.ndarray, label: np.ndarray) -> float:
-    """By which logits f32[N] are divided so that their chances fit labels bool[N] best (least surprise)."""
-    signed = np.where(label, 1.0, -1.0) * logits.astype(np.float64)
-    surprise = [np.logaddexp(0.0, -signed / each).mean() for each in _TEMPERATURES]
-    return float(_TEMPERATURES[int(np.argmin(surprise))])
+def num_examples(examples: Any) -> int:
+    """How many there are: the leading axis of all arrays."""
+    return len(jax.tree.leaves(examples)[0])
+
+
+def taken(examples: Any, which: np.ndarray) -> Any:
+    """Some of the examples: i[M] or bool[N]; None if there are none."""
+    index = np.flatnonzero(which) if which.dtype == bool else which
+    return jax.tree.map(lambda leaf: leaf[index], examples) if len(index) else None

@@ -1,0 +1,75 @@
+"""`cluttergen perception`: views, segmenters, and how well objects and their poses are found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from cluttergen_jax.api.perception import perception_data, perception_eval, perception_train
+from cluttergen_jax.cli.options import Options, options_from
+
+
+@options_from(perception_data)
+class PerceptionData(Options):
+    """Render views of scenes to train and judge perception with. The same command goes on where it stopped.
+
+    Example: `cluttergen perception data --pool household --num-views 3000 --out views`
+    """
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        views = self.call(perception_data)
+        for split in views.splits:
+            print(f"views      {views.split(split)['num_views']} of {split} in {views.path}")
+        return 0
+
+
+@options_from(perception_train, data=Annotated[str, tyro.conf.Positional])
+class PerceptionTrain(Options):
+    """Train a segmenter on views. The same command takes an interrupted run up again.
+
+    Example: `cluttergen perception train views --out runs/segmenter`
+    """
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        self.call(perception_train)
+        return 0
+
+
+@options_from(perception_eval, data=Annotated[str, tyro.conf.Positional])
+class PerceptionEval(Options):
+    """Judge masks, poses and certainty against what is true (extra `perception`).
+
+    Every row is kept in the folder `--out`: the same command takes an interrupted one up again.
+
+    Example: `cluttergen perception eval views --segmenter runs/segmenter`
+    """
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        print(self.call(perception_eval, out=self.out or "out/perception"))
+        return 0
+
+
+@dataclass(frozen=True)
+class Perception:
+    """Known objects in images: `perception data`, `perception train` and `perception eval`.
+
+    Example: `cluttergen perception data --num-views 3000 --out views`
+
+    Attributes:
+      action: what to do.
+    """
+
+    action: (
+        Annotated[PerceptionData, tyro.conf.subcommand("data")]
+        | Annotated[PerceptionTrain, tyro.conf.subcommand("train")]
+        | Annotated[PerceptionEval, tyro.conf.subcommand("eval")]
+    )
+
+    def run(self) -> int:
+        """Runs the chosen action; the exit status."""
+        return self.action.run()

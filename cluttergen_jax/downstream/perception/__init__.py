@@ -1,0 +1,1 @@
+"""Perception: known objects in colour and depth images, by a small network and classical registration."""

@@ -1,0 +1,1 @@
+"""How well perception does: masks, poses and certainty against what is true."""

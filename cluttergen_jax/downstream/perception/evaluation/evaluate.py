@@ -1,0 +1,271 @@
+"""The evaluation of perception: moments judged one after another, kept as they are made; and tables."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from cluttergen_jax.downstream.perception.certainty import (
+    Certainty,
+    read_certainty,
+    reliability,
+    write_certainty,
+)
+from cluttergen_jax.downstream.perception.classes import num_classes
+from cluttergen_jax.downstream.perception.evaluation.judged import (
+    GOOD_ADDS,
+    GOOD_TURN,
+    JudgedMoment,
+    judged,
+)
+from cluttergen_jax.downstream.perception.finder import SceneFinder
+from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
+from cluttergen_jax.downstream.perception.segment.scores import iou_of
+from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation, Segmenter
+from cluttergen_jax.downstream.perception.segment.trained import load_segmenter, segmenter_folder
+from cluttergen_jax.downstream.perception.views.stored import StoredView, ViewSet
+from cluttergen_jax.downstream.robot.rows import RowFile, share_of
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.progress import Progress
+from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing.noise import REALSENSE
+from cluttergen_jax.tables import aligned_table
+
+TRUE_MASKS = "true"
+"""In place of a segmenter: the true labels."""
+WELL_SEEN = 0.3
+"""Share of an object's silhouette that is seen, from which on its pose is asked for."""
+_SHARES = ((0.0, 0.1), (0.1, WELL_SEEN), (WELL_SEEN, 0.6), (0.6, 1.01))
+
+
+class _NoSegmenter:
+    """Labels nothing: the true labels take the place of what it says."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self.names = names
+
+    def __call__(self, rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> Segmentation:
+        return Segmentation(self.names, np.zeros(depth.shape, np.uint8), np.zeros(len(self.names)))
+
+
+@dataclass(frozen=True)
+class PerceptionRow:
+    """Moments of one setting.
+
+    Attributes:
+      cameras: that saw each. noise: times that of a usual camera.
+      moments: what was found of each. names: of all objects.
+    """
+
+    cameras: int
+    noise: float
+    moments: tuple[JudgedMoment, ...]
+    names: tuple[str, ...]
+
+    @property
+    def mean_iou(self) -> float:
+        """Over the classes that are there, background and arm among them, all pixels together."""
+        number = num_classes(len(self.names))
+        confused = np.sum([each.confused for each in self.moments], axis=0).reshape(number, number)
+        return float(np.nanmean(iou_of(confused)))
+
+    def right(self, low: float = WELL_SEEN, high: float = np.inf) -> np.ndarray:
+        """bool[n, 3] of objects with a visible share in [low, high): ADD-S, turn, and both are good."""
+        rows = [
+            (adds is not None and adds < GOOD_ADDS, turn is not None and turn < GOOD_TURN)
+            for each in self.moments
+            for share, adds, turn in zip(each.share, each.adds, each.turn, strict=True)
+            if low <= share < high
+        ]
+        found = np.array(rows, bool).reshape(-1, 2)
+        return np.column_stack([found, found.all(1)])
+
+    def certainties(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of all poses that were told: chances f64[n], features f64[n, 6], and which are right bool[n]."""
+        rows = [
+            (chance, features, is_right)
+            for each in self.moments
+            for chance, features, is_right in zip(each.certainty, each.features, each.is_right, strict=True)
+            if any(features)
+        ]
+        chance, features, right = zip(*rows, strict=True) if rows else ((), (), ())
+        return np.array(chance), np.array(features).reshape(-1, 6), np.array(right, bool)
+
+
+@dataclass(frozen=True)
+class PerceptionResult:
+    """What perception found; printed, tables.
+
+    Attributes:
+      segmenter: its name. rows: one for each setting.
+    """
+
+    segmenter: str
+    rows: tuple[PerceptionRow, ...]
+
+    def __str__(self) -> str:
+        columns = ("", "cameras", "noise", "moments", "mean IoU", "found", "false", "CPU-s")
+        masks = [
+            (
+                self.segmenter,
+                str(row.cameras),
+                f"{row.noise:g}",
+                str(len(row.moments)),
+                *(("-",) * 3 if self.segmenter == TRUE_MASKS else _mask_shares(row)),
+                f"{np.mean([m.cpu for m in row.moments]):.2f}",
+            )
+            for row in self.rows
+        ]
+        limits = f"ADD-S < {1e3 * GOOD_ADDS:g} mm", f"turn < {np.degrees(GOOD_TURN):g} deg", "both"
+        poses = [
+            (
+                f"{low:.0%} to {min(high, 1):.0%} seen",
+                str(row.cameras),
+                f"{row.noise:g}",
+                *_shares(row, low, high),
+            )
+            for row in self.rows
+            for low, high in _SHARES
+        ]
+        told = [
+            (f"{mean:.2f} told", str(row.cameras), f"{row.noise:g}", f"{share:.2f} right", str(count))
+            for row in self.rows
+            for mean, share, count in reliability(*row.certainties()[::2])
+        ]
+        return "\n\n".join(
+            [
+                aligned_table(columns, masks),
+                aligned_table(("", "cameras", "noise", *limits), poses),
+                aligned_table(("certainty", "cameras", "noise", "", "poses"), told),
+                aligned_table(("object", "poses", *limits), self._by_object()),
+            ]
+        )
+
+    def _by_object(self) -> list[tuple[str, ...]]:
+        """Of each object, all settings together, where it is well seen."""
+        rows = []
+        for name in self.rows[0].names:
+            right = [
+                (adds is not None and adds < GOOD_ADDS, turn is not None and turn < GOOD_TURN)
+                for row in self.rows
+                for each in row.moments
+                for known, share, adds, turn in zip(
+                    each.objects, each.share, each.adds, each.turn, strict=True
+                )
+                if known == name and share >= WELL_SEEN
+            ]
+            found = np.array(right, bool).reshape(-1, 2)
+            both = found.all(1)
+            if len(found):
+                told = [f"{each.mean():.3f}" for each in (found[:, 0], found[:, 1], both)]
+                rows.append((name, str(len(found)), *told))
+        return rows
+
+
+def _mask_shares(row: PerceptionRow) -> tuple[str, str, str]:
+    """Mean IoU, objects found, and false masks."""
+    found, visible, false, masks = (
+        sum(getattr(each, name) for each in row.moments) for name in ("found", "visible", "false", "masks")
+    )
+    return f"{row.mean_iou:.3f}", share_of(found, visible), share_of(false, masks)
+
+
+def _shares(row: PerceptionRow, low: float, high: float) -> tuple[str, str, str]:
+    right = row.right(low, high)
+    a, b, c = (share_of(int(each.sum()), len(right)) for each in right.T)
+    return a, b, c
+
+
+def evaluate_perception(
+    views: ViewSet,
+    split: str,
+    segmenter: str,
+    cameras: Sequence[int],
+    noise: Sequence[float],
+    num_views: int | None,
+    seed: int,
+    out: Path | None,
+    calibrate: bool = False,
+) -> PerceptionResult:
+    """See `cluttergen_jax.perception_eval`."""
+    true_masks = segmenter == TRUE_MASKS
+    folder = None if true_masks else segmenter_folder(segmenter)
+    known: Segmenter = _NoSegmenter(views.names) if folder is None else load_segmenter(folder)
+    certainty = Certainty() if folder is None else read_certainty(folder)
+    estimator = RegistrationEstimator(views.objects, views.support)
+    finder = SceneFinder(views.objects, views.support, known, estimator, certainty)
+    weights = TRUE_MASKS if folder is None else (folder / "weights.npz").read_bytes()
+    recipe = {
+        "views": views.digest(split),
+        "segmenter": hashlib.sha256(weights if isinstance(weights, bytes) else weights.encode()).hexdigest(),
+        "certainty": list(certainty.weights),
+        "seed": seed,
+    }
+    rows = []
+    for number in cameras:
+        for factor in noise:
+            setting = recipe | {"split": split, "cameras": number, "noise": factor}
+            # Another network, or another rule of certainty, has rows of its own.
+            digest = hashlib.sha256(json.dumps(setting, sort_keys=True).encode()).hexdigest()[:8]
+            name = f"{split}-{number}-cameras-noise-{factor:g}-{digest}.jsonl"
+            file = RowFile(None if out is None else out / name, setting, JudgedMoment, "perception eval")
+            moments = _judge_all(views, split, number, factor, num_views, seed, finder, file, true_masks)
+            rows.append(PerceptionRow(number, factor, tuple(moments), views.names))
+    result = PerceptionResult(segmenter, tuple(rows))
+    if calibrate:
+        _calibrate(result, folder)
+    return result
+
+
+def _judge_all(
+    views: ViewSet,
+    split: str,
+    cameras: int,
+    factor: float,
+    num_views: int | None,
+    seed: int,
+    finder: SceneFinder,
+    file: RowFile[JudgedMoment],
+    true_masks: bool,
+) -> list[JudgedMoment]:
+    total = (num_views or int(views.split(split)["num_views"])) // cameras
+    if not total:
+        raise ConfigError(f"{num_views} views for {cameras} cameras", "one moment or more")
+    rows = file.read()[:total]
+    if len(rows) == total:
+        return rows
+    estimator = finder.estimator
+    assert isinstance(estimator, RegistrationEstimator)
+    models = [estimator.model(k) for k in range(len(views.names))]
+    title = f"{cameras} cameras, noise {factor:g}"
+    with Progress(title, total, "moment", kept=len(rows)) as progress:
+        for moment in islice(_moments(views, split, cameras, total), len(rows), None):
+            rows.append(judged(moment, finder, models, REALSENSE.scaled(factor), seed, true_masks))
+            file.write(rows)
+            progress.update()
+    return rows
+
+
+def _moments(views: ViewSet, split: str, cameras: int, total: int) -> Iterator[list[StoredView]]:
+    """Views that belong together: views 2 i and 2 i + 1 show the same moment."""
+    stored = views.views(split, total * cameras)
+    while moment := list(islice(stored, cameras)):
+        yield moment
+
+
+def _calibrate(result: PerceptionResult, folder: Path | None) -> None:
+    """Fits the rule of certainty to all poses, and stores it beside the segmenter."""
+    if folder is None:
+        raise ConfigError("calibration with true masks", "a trained segmenter", "segmenter='runs/segmenter'")
+    parts = [row.certainties()[1:] for row in result.rows]
+    features = np.concatenate([each[0] for each in parts])
+    right = np.concatenate([each[1] for each in parts])
+    if not len(features):
+        raise ConfigError("calibration without any pose", "views in which objects are found", "more views")
+    write_certainty(folder, Certainty().fitted(features, right))

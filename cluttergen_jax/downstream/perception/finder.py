@@ -1,0 +1,155 @@
+"""The finder: from pictures of one moment to where each known object is, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.downstream.perception.certainty import Certainty, features_of, read_certainty
+from cluttergen_jax.downstream.perception.pose.estimator import Look, PoseEstimate, PoseEstimator
+from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
+from cluttergen_jax.downstream.perception.pose.steady import SteadyCheck
+from cluttergen_jax.downstream.perception.segment.segmenter import Segmenter, checked_images
+from cluttergen_jax.downstream.perception.segment.trained import load_segmenter, segmenter_folder
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing.partial import Grid, levelled
+
+LEAST_CERTAIN = 0.1
+"""Below it an object counts as not seen."""
+_RADIUS = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class FoundScene:
+    """Where N objects are, by what was seen.
+
+    Attributes:
+      names: of the objects.
+      pose: f64[N, 7], T_world_object, metres, wxyz; the identity where not seen.
+      seen: bool[N]. certainty: f64[N] in [0, 1], the chance that the pose is right; 0 where not seen.
+      features: f64[N, 6], what that was told from (`certainty.FEATURES`).
+      visible: f64[N], share of each silhouette that is seen.
+    """
+
+    names: tuple[str, ...]
+    pose: np.ndarray
+    seen: np.ndarray
+    certainty: np.ndarray
+    features: np.ndarray
+    visible: np.ndarray
+
+
+class SceneFinder:
+    """Finds known objects in pictures of one moment.
+
+    Args:
+      objects: K, in the order of the segmenter's names. support: the table.
+      segmenter, estimator: any that obey the protocols.
+      certainty: the rule that tells chances.
+
+    Raises:
+      ConfigError: the segmenter knows other objects.
+    """
+
+    def __init__(
+        self,
+        objects: Sequence[ObjectAsset],
+        support: SupportAsset,
+        segmenter: Segmenter,
+        estimator: PoseEstimator | None = None,
+        certainty: Certainty | None = None,
+    ) -> None:
+        names = tuple(asset.name for asset in objects)
+        if names != tuple(segmenter.names):
+            raise ConfigError(
+                f"a segmenter of {', '.join(segmenter.names)}", f"one of {', '.join(names)}", "its own pool"
+            )
+        self.names, self._segmenter = names, segmenter
+        self.estimator = estimator or RegistrationEstimator(objects, support)
+        self._certainty, self._steady = certainty or Certainty(), SteadyCheck(objects, support)
+        self._grid = Grid.of(support, _RADIUS)
+
+    def look(self, rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> Look:
+        """One picture, segmented; the known table corrects the camera's height and orientation.
+
+        Args:
+          rgb: u8[H, W, 3]. depth: f32[H, W], metres, nan or inf where nothing was measured.
+
+        Raises:
+          ConfigError: the images are not the camera's, or hold no depth.
+        """
+        rgb, depth = checked_images(rgb, depth, camera)
+        camera = upright_at_its_place(depth, camera, self._grid)
+        return Look(depth, self._segmenter(rgb, depth, camera).label, camera)
+
+    def __call__(self, looks: Sequence[Look], names: Sequence[str] | None = None) -> FoundScene:
+        """Where objects are; all if no names are given.
+
+        Args:
+          looks: of one moment, in which nothing moved.
+
+        Raises:
+          ConfigError: an object of that name is not known.
+        """
+        asked = self.names if names is None else tuple(names)
+        if strange := [name for name in asked if name not in self.names]:
+            raise ConfigError(f"objects {', '.join(strange)}", ", ".join(self.names))
+        numbers = [self.names.index(name) for name in asked]
+        found = {number: self.estimator(number, looks) for number in numbers}
+        estimates = {number: each for number, each in found.items() if each is not None}
+        steady = self._steadiness(estimates)
+        count = len(asked)
+        pose, features = np.tile(np.eye(7)[3], (count, 1)), np.zeros((count, 6))
+        visible, certainty = np.zeros(count), np.zeros(count)
+        for place, number in enumerate(numbers):
+            if number in estimates:
+                pose[place] = estimates[number].pose
+                features[place] = features_of(estimates[number], bool(steady[number]))
+                visible[place] = estimates[number].visible
+                certainty[place] = self._certainty(features[place])
+        seen = certainty >= LEAST_CERTAIN
+        return FoundScene(asked, pose, seen, np.where(seen, certainty, 0.0), features, visible)
+
+    def _steadiness(self, estimates: dict[int, PoseEstimate]) -> np.ndarray:
+        """bool[K]: what stays where it is said to be, all others standing where they are said to."""
+        poses, is_placed = np.tile(np.eye(7)[3], (len(self.names), 1)), np.zeros(len(self.names), bool)
+        for number, estimate in estimates.items():
+            poses[number], is_placed[number] = estimate.pose, True
+        return self._steady(poses, is_placed)
+
+
+def upright_at_its_place(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
+    """The camera turned and raised so that the table that it sees lies level, its place in plan as stated.
+
+    What a wrong orientation does to far points is centimetres, what a wrong position does is not: so the
+    tilt that is seen is taken for an error of orientation alone (`sensing.partial.levelled` turns about the
+    table instead).
+
+    Args:
+      depth: f32[H, W], metres, nan where nothing was measured.
+    """
+    found = levelled(depth, camera, grid)
+    T = found.T_world_camera.copy()
+    T[:2, 3] = camera.eye[:2]
+    return replace(found, T_world_camera=T)
+
+
+def load_finder(segmenter: str | Path, objects: Sequence[ObjectAsset], support: SupportAsset) -> SceneFinder:
+    """A finder with a trained segmenter, and with the rule of certainty that lies beside it.
+
+    Args:
+      segmenter: a pool's name or a folder (`segment.trained.segmenter_folder`).
+
+    Raises:
+      PoolError: there is no such segmenter, or it is damaged.
+      ConfigError: it knows other objects.
+      MissingExtraError: the extra `perception` is not installed.
+    """
+    certainty = read_certainty(segmenter_folder(segmenter))
+    return SceneFinder(objects, support, load_segmenter(segmenter), certainty=certainty)

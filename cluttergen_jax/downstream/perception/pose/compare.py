@@ -1,0 +1,117 @@
+"""Render and compare: how well the picture of a pose agrees with what was seen, in the object and around it.
+
+The object alone is seen by rays where it was found and where the pose has it. Rays that meet it where its
+mask is agree if their depths do. Rays that meet it where something farther away was seen go through air that
+was seen to be empty, and speak against the pose; so does a mask that no ray explains. What is behind
+something nearer, or where nothing was measured, says nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cluttergen_jax.downstream.perception.pose.estimator import Look
+from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.robot.frames import pose_of
+from cluttergen_jax.geometry import transformed
+from cluttergen_jax.sensing.camera import Camera
+
+AGREES = 0.006
+"""Metres by which depths may differ and agree by half."""
+_IN_FRONT = 0.012
+"""Metres by which a pose may be before what was seen and not be said to fill empty air."""
+_MOST_RAYS = 900
+_OTHERS_WEIGHT = 0.5
+"""Of rays that agree in depth where the mask says otherwise."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What rays said of a pose: sums over all looks.
+
+    Attributes:
+      agree: rays that agree, by how much each. weight: of all that say something.
+      drawn: rays that meet the object; seen: of these, those in the mask.
+    """
+
+    agree: float
+    weight: float
+    drawn: float
+    seen: float
+
+    @property
+    def score(self) -> float:
+        """In [0, 1]."""
+        return self.agree / self.weight if self.weight else 0.0
+
+
+class Comparer:
+    """Compares poses of one object with looks.
+
+    Args:
+      model: the object. index: its number. looks: at one moment.
+    """
+
+    def __init__(self, model: ObjectModel, index: int, looks: Sequence[Look]) -> None:
+        self._sensor = model.sensor
+        self._data = self._sensor.make_data()
+        self._points = model.points[::10]
+        self._index = index
+        self._looks = [each for each in looks if each.mask(index).any()]
+
+    def __call__(self, pose: np.ndarray) -> Agreement:
+        """How well a pose f64[4, 4] agrees with all looks that show the object."""
+        found = [self._compared(look, pose) for look in self._looks]
+        return Agreement(*np.sum(found, axis=0)) if found else Agreement(0.0, 0.0, 0.0, 0.0)
+
+    def visible(self, pose: np.ndarray) -> float:
+        """The share of the silhouette that is seen, in the look that shows the most."""
+        found = [Agreement(*self._compared(look, pose)) for look in self._looks]
+        return max((min(each.seen / each.drawn, 1.0) if each.drawn else 0.0 for each in found), default=0.0)
+
+    def _compared(self, look: Look, pose: np.ndarray) -> tuple[float, float, float, float]:
+        mask = look.mask(self._index)
+        window, rows, columns = self._window(look.camera, mask, pose)
+        self._sensor.pose(self._data, pose_of(pose)[None])
+        drawn = self._sensor.sense(self._data, window).depth
+        # Beyond the picture's edge nothing was seen, for or against.
+        inside = (rows >= 0)[:, None] & (rows < look.camera.height)[:, None]
+        inside = inside & (columns >= 0) & (columns < look.camera.width)
+        at = np.ix_(np.clip(rows, 0, look.camera.height - 1), np.clip(columns, 0, look.camera.width - 1))
+        seen, in_mask = look.depth[at], mask[at] & inside
+        is_hit, is_known = np.isfinite(drawn), np.isfinite(seen) & inside
+        with np.errstate(invalid="ignore"):
+            behind = np.where(is_known & is_hit, seen - drawn, 0.0)
+        agree = np.exp2(-((behind / AGREES) ** 2)) * (is_hit & is_known)
+        in_air = is_hit & is_known & ~in_mask & (behind > _IN_FRONT)
+        others = is_hit & is_known & ~in_mask & (np.abs(behind) <= _IN_FRONT)
+        weight = (in_mask & is_known).sum() + in_air.sum() + _OTHERS_WEIGHT * others.sum()
+        both = float(agree[in_mask].sum())
+        return both, float(weight), float(is_hit.sum()), float((is_hit & in_mask).sum())
+
+    def _window(
+        self, camera: Camera, mask: np.ndarray, pose: np.ndarray
+    ) -> tuple[Camera, np.ndarray, np.ndarray]:
+        """A camera that sees the mask and the pose alone, and the pixels i[h], i[w] that it sees."""
+        moved = transformed(pose_of(pose), self._points)
+        pixels, depth = camera.project(moved)
+        rows, columns = np.nonzero(mask)
+        low = np.array([columns.min(), rows.min()], np.float64)
+        high = np.array([columns.max(), rows.max()], np.float64)
+        if (depth > 0.05).all():
+            size = np.array([camera.width, camera.height])
+            low = np.minimum(low, np.clip(pixels.min(0), -0.5 * size, 1.5 * size))
+            high = np.maximum(high, np.clip(pixels.max(0), -0.5 * size, 1.5 * size))
+        left, upper = np.floor(low).astype(int) - 2
+        width, height = np.ceil(high - low).astype(int) + 5
+        stride = max(1, int(np.ceil(np.sqrt(width * height / _MOST_RAYS))))
+        columns, rows = np.arange(left, left + width, stride), np.arange(upper, upper + height, stride)
+        K = camera.K.copy()
+        # The middle of the window's first pixel is that of the picture's pixel (left, upper).
+        K[:2, 2] -= [left + 0.5, upper + 0.5]
+        K[:2] /= stride
+        K[:2, 2] += 0.5
+        return replace(camera, width=len(columns), height=len(rows), K=K), rows, columns

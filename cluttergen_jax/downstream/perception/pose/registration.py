@@ -1,0 +1,204 @@
+"""Our pose estimator: upright registration from many turns, then free; rendered, compared, refined."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.downstream.perception.pose.compare import Comparer
+from cluttergen_jax.downstream.perception.pose.estimator import Look, PoseEstimate
+from cluttergen_jax.downstream.perception.pose.free import FreeRegistration, need_gicp
+from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.perception.pose.upright import registered, starting_yaws
+from cluttergen_jax.downstream.perception.symmetry import offset, turn_matrix
+from cluttergen_jax.downstream.robot.frames import made, pose_of, shifted
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import rotation_matrix
+
+FEWEST_PIXELS = 40
+"""Of an object, below which no pose is sought."""
+_MOST_POINTS = 400
+_BEST, _REFINED = 5, 3
+_SURE = 0.6
+"""A score at which nothing else is tried."""
+_OFFSET, _AROUND = 0.5, np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+"""Where else registration begins, in half diagonals of the object, towards the eye and across."""
+_SAME_PLACE, _SAME_TURN = 0.01, np.radians(10)
+_STEPS = ((0.003, 4.0), (0.0015, 2.0))
+"""Metres and degrees of the last refinement."""
+_FREE_GAIN = 0.03
+"""By which a pose that is not upright has to agree better."""
+
+
+class RegistrationEstimator:
+    """Poses by registration and comparison; see `estimator.PoseEstimator`.
+
+    Args:
+      objects: K, in the order of their numbers. support: the table that they stand on.
+
+    Raises:
+      MissingExtraError: the extra `perception` is not installed.
+    """
+
+    def __init__(self, objects: Sequence[ObjectAsset], support: SupportAsset) -> None:
+        need_gicp()
+        self._objects, self._top = tuple(objects), float(support.top)
+        self._models: dict[int, tuple[ObjectModel, FreeRegistration]] = {}
+
+    def model(self, index: int) -> ObjectModel:
+        """Of an object, made when it is first asked for."""
+        return self._known(index)[0]
+
+    def _known(self, index: int) -> tuple[ObjectModel, FreeRegistration]:
+        if not 0 <= index < len(self._objects):
+            raise ConfigError(f"object {index}", f"0 to {len(self._objects) - 1}")
+        if index not in self._models:
+            model = ObjectModel.of(self._objects[index])
+            self._models[index] = model, FreeRegistration(model)
+        return self._models[index]
+
+    def __call__(self, index: int, looks: Sequence[Look]) -> PoseEstimate | None:
+        """See `estimator.PoseEstimator`."""
+        model, free = self._known(index)
+        points, eyes, num_pixels = seen_points(index, looks)
+        if num_pixels < FEWEST_PIXELS or len(points) < FEWEST_PIXELS // 2:
+            return None
+        compare = Comparer(model, index, looks)
+        found = self._upright(model, points, eyes, compare)
+        if found[0][0] < _SURE:
+            found = _best([*found, *self._lying(model, free, points, eyes, compare)])
+        tried = list(found)
+        for score, pose in _unlike(found, model.symmetry)[:_REFINED]:
+            freed = free(points, pose)
+            tried.append((compare(freed).score - _FREE_GAIN * _is_upright(pose), freed))
+            tried.append(_climbed(compare, (score, pose)))
+        ranked = _best(tried)
+        score, pose = ranked[0]
+        others = [each for each, other in ranked[1:] if _differs(other, pose, model.symmetry)]
+        return PoseEstimate(
+            pose=pose_of(pose),
+            score=max(score, 0.0),
+            gap=score - max(others, default=0.0),
+            visible=compare.visible(pose),
+            num_pixels=num_pixels,
+        )
+
+    def _upright(
+        self, model: ObjectModel, points: np.ndarray, eyes: np.ndarray, compare: Comparer
+    ) -> list[tuple[float, np.ndarray]]:
+        """The best poses of an upright object, each with its score: on the table, and if need be elsewhere.
+
+        If none on the table agrees well, it may stand on something else, or begin too far away.
+        """
+        yaws = starting_yaws(model.symmetry)
+
+        def from_all(bottom: float | None, offsets: np.ndarray) -> list[tuple[float, np.ndarray]]:
+            starts = itertools.product(yaws, offsets)
+            poses = [registered(model, points, eyes, yaw, bottom, offset) for yaw, offset in starts]
+            return [(compare(pose).score, pose) for pose in poses]
+
+        nothing = np.zeros((1, 2))
+        found = from_all(self._top, nothing)
+        if _best(found)[0][0] < _SURE:
+            found += from_all(None, nothing)
+        if _best(found)[0][0] < _SURE:
+            away = _OFFSET * float(np.linalg.norm(model.asset.half_extents[:2]))
+            found += from_all(self._top, away * _AROUND)
+        best = _unlike(found, model.symmetry)[:_BEST]
+        # Long things look much the same when they are turned round.
+        for _, pose in best[:_REFINED]:
+            bottom = pose[2, 3] - model.asset.half_extents[2]
+            other = registered(model, points, eyes, _yaw(pose) + np.pi, float(bottom))
+            best.append((compare(other).score, other))
+        return _best(best)
+
+    def _lying(
+        self,
+        model: ObjectModel,
+        free: FreeRegistration,
+        points: np.ndarray,
+        eyes: np.ndarray,
+        compare: Comparer,
+    ) -> list[tuple[float, np.ndarray]]:
+        """Poses of an object that rests in another way, if it has one."""
+        found = []
+        for resting in model.asset.resting[1:3]:
+            rotation = rotation_matrix(np.array(resting.quaternion))
+            for yaw in 2 * np.pi * np.arange(12) / 12:
+                turn = turn_matrix(yaw)[:3, :3] @ rotation
+                center = points.mean(0)
+                center[2] = self._top + resting.height
+                pose = free(points, made(turn, center))
+                found.append((compare(pose).score, pose))
+        return _best(found)[:_BEST]
+
+
+def seen_points(index: int, looks: Sequence[Look]) -> tuple[np.ndarray, np.ndarray, int]:
+    """Points f64[P, 3] of an object, world frame; the eye of each f64[P, 3]; pixels in its masks.
+
+    Points beyond the bulk of each look's, along its line of sight, are left out: what bled over an edge.
+    """
+    points, eyes, number = [], [], 0
+    for look in looks:
+        mask = look.mask(index)
+        number += int(mask.sum())
+        there = mask & np.isfinite(look.depth)
+        if there.sum() < 8:
+            continue
+        found = look.camera.points(look.depth)[there]
+        middle = np.median(found, axis=0)
+        far = np.linalg.norm(found - middle, axis=1)
+        found = found[far < 3.5 * np.median(far) + 0.01]
+        points.append(found)
+        eyes.append(np.broadcast_to(look.camera.eye, found.shape))
+    if not points:
+        return np.zeros((0, 3)), np.zeros((0, 3)), number
+    all_points, all_eyes = np.concatenate(points), np.concatenate(eyes)
+    chosen = np.random.default_rng(len(all_points)).permutation(len(all_points))[:_MOST_POINTS]
+    return all_points[chosen], all_eyes[chosen], number
+
+
+def _best(found: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
+    return sorted(found, key=lambda each: -each[0])
+
+
+def _unlike(found: list[tuple[float, np.ndarray]], symmetry: int) -> list[tuple[float, np.ndarray]]:
+    """The best of each place and turn, best first."""
+    kept: list[tuple[float, np.ndarray]] = []
+    for score, pose in _best(found):
+        if all(_differs(pose, other, symmetry) for _, other in kept):
+            kept.append((score, pose))
+    return kept
+
+
+def _yaw(pose: np.ndarray) -> float:
+    return float(np.arctan2(pose[1, 0], pose[0, 0]))
+
+
+def _is_upright(pose: np.ndarray) -> bool:
+    return bool(pose[2, 2] > 1 - 1e-9)
+
+
+def _differs(pose: np.ndarray, other: np.ndarray, symmetry: int) -> bool:
+    shift, turn = offset(pose, other, symmetry)
+    return shift > _SAME_PLACE or turn > _SAME_TURN
+
+
+def _climbed(compare: Comparer, start: tuple[float, np.ndarray]) -> tuple[float, np.ndarray]:
+    """A better pose near one, by small moves in plan and turns about z, each kept if it agrees better."""
+    best, pose = start
+    for step, degrees in _STEPS:
+        turn = np.radians(degrees)
+        for along in ((step, 0, 0), (-step, 0, 0), (0, step, 0), (0, -step, 0)):
+            tried = shifted(pose, along)
+            if (score := compare(tried).score) > best:
+                best, pose = score, tried
+        for angle in (turn, -turn):
+            tried = pose @ turn_matrix(angle)
+            if (score := compare(tried).score) > best:
+                best, pose = score, tried
+    return best, pose

@@ -1,0 +1,110 @@
+"""Registration of objects that stand upright: x, y, z and a turn about z, from many turns at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.perception.symmetry import ROUND
+from cluttergen_jax.geometry import yaw_matrix
+
+NUM_YAWS = 24
+_STEPS = 12
+_FIRST_TRIM, _LAST_TRIM = 0.04, 0.010
+"""Metres beyond which points pair with nothing, at the first and at the last step."""
+
+
+def starting_yaws(symmetry: int) -> np.ndarray:
+    """f64[n]: turns to begin with, radians; fewer where turns look alike."""
+    if symmetry >= ROUND:
+        return np.zeros(1)
+    number = max(NUM_YAWS // symmetry, 3)
+    return 2 * np.pi / symmetry * np.arange(number) / number
+
+
+def registered(
+    model: ObjectModel,
+    points: np.ndarray,
+    eyes: np.ndarray,
+    yaw: float,
+    bottom: float | None,
+    offset: np.ndarray | None = None,
+) -> np.ndarray:
+    """f64[4, 4]: T_world_object near a turn, by iterated closest points on tangent planes.
+
+    Args:
+      points: f64[P, 3], of the object, world frame. eyes: f64[P, 3], from where each was seen.
+      yaw: radians. bottom: the height of what it stands on; None leaves z free.
+      offset: f64[2], metres, added to the first guess in plan; none if None.
+    """
+    pose = _first_guess(model, points, eyes, yaw, bottom)
+    if offset is not None:
+        pose[:2, 3] += offset
+    fixed = bottom is not None
+    for step in range(_STEPS):
+        trim = _FIRST_TRIM * (_LAST_TRIM / _FIRST_TRIM) ** (step / (_STEPS - 1))
+        rotation = pose[:3, :3]
+        local = (points - pose[:3, 3]) @ rotation
+        distance, nearest = model.tree.query(local, distance_upper_bound=trim)
+        is_near = np.isfinite(distance)
+        if is_near.sum() < 8:
+            return pose
+        near, index = local[is_near], nearest[is_near]
+        normal = model.normals[index]
+        # A surface that faces away from the eye was not what was seen.
+        view = near - ((eyes[is_near] - pose[:3, 3]) @ rotation)
+        faces = (normal * view).sum(1) < 0
+        weight = np.where(faces, 1.0, 0.2)
+        weight *= np.clip(1 - (distance[is_near] / trim) ** 2, 0.0, None)
+        change = _solved(near, model.points[index], normal, weight, fixed)
+        turn = yaw_matrix(change[3])
+        moved = np.eye(4)
+        moved[:3, :3], moved[:3, 3] = turn, change[:3]
+        pose = pose @ moved
+    return pose
+
+
+def _first_guess(
+    model: ObjectModel, points: np.ndarray, eyes: np.ndarray, yaw: float, bottom: float | None
+) -> np.ndarray:
+    """The middle of what would be seen at this turn lies in the middle of what was seen."""
+    turn = yaw_matrix(yaw)
+    toward = (eyes.mean(0) - points.mean(0)) @ turn
+    is_seen = model.normals @ toward > 0
+    seen = model.points[is_seen] if is_seen.sum() > 20 else model.points
+    pose = np.eye(4)
+    pose[:3, :3] = turn
+    pose[:3, 3] = points.mean(0) - turn @ seen.mean(0)
+    if bottom is not None:
+        pose[2, 3] = bottom + model.asset.half_extents[2]
+    return pose
+
+
+def _solved(
+    near: np.ndarray, target: np.ndarray, normal: np.ndarray, weight: np.ndarray, fixed: bool
+) -> np.ndarray:
+    """f64[4]: the move x, y, z, yaw of the object, in its frame, that brings its planes to the points.
+
+    Args:
+      near, target, normal: f64[P, 3], seen points, the surface's points and normals; weight: f64[P].
+      fixed: z does not change.
+    """
+    residual = ((near - target) * normal).sum(1)
+    # A point p of the object moves by t + w x p.
+    about = target[:, 0] * normal[:, 1] - target[:, 1] * normal[:, 0]
+    design = np.column_stack([normal, about])
+    if fixed:
+        design[:, 2] = 0.0
+    # Slides that the planes leave open are held by the points themselves, a little.
+    sides = [
+        np.column_stack([np.eye(3)[axis] * np.ones((len(near), 1)), np.zeros(len(near))]) for axis in (0, 1)
+    ]
+    for axis, side in enumerate(sides):
+        side[:, 3] = -target[:, 1] if axis == 0 else target[:, 0]
+    rows = np.concatenate([design, *(0.2 * side for side in sides)])
+    aims = np.concatenate([residual, *(0.2 * (near - target)[:, axis] for axis in (0, 1))])
+    root = np.sqrt(np.tile(weight, 3))
+    damped = np.concatenate([rows * root[:, None], 1e-4 * np.eye(4)])
+    change = np.linalg.lstsq(damped, np.concatenate([aims * root, np.zeros(4)]), rcond=None)[0]
+    change[3] = np.clip(change[3], -0.3, 0.3)
+    return change

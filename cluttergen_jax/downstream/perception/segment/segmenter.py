@@ -1,0 +1,81 @@
+"""Segmenters: what they are given and what they answer; and a look at whether images can be used at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.sensing.camera import Camera
+
+_FARTHEST = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Segmentation:
+    """What each pixel shows. H rows, W columns, K objects.
+
+    Attributes:
+      names: of the objects.
+      label: u8[H, W], see `classes`.
+      score: f32[K], mean probability of the pixels of each object; 0 where it has none.
+    """
+
+    names: tuple[str, ...]
+    label: np.ndarray
+    score: np.ndarray
+
+    def mask(self, index: int) -> np.ndarray:
+        """bool[H, W]: the pixels of one object."""
+        return self.label == FIRST_OBJECT + index
+
+
+class Segmenter(Protocol):
+    """Tells for each pixel which of some known objects it shows."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the objects that it knows."""
+        ...
+
+    def __call__(self, rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> Segmentation:
+        """What each pixel shows.
+
+        Args:
+          rgb: u8[H, W, 3]. depth: f32[H, W], metres along the optical axis, nan or inf where none.
+          camera: of this size.
+
+        Raises:
+          ConfigError: the images are not the camera's (`checked_images`).
+        """
+        ...
+
+
+def checked_images(rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """The images as all here take them: u8[H, W, 3]; f32[H, W], nan where nothing was measured.
+
+    Raises:
+      ConfigError: sizes or types are wrong, or no pixel has a depth between 0 and 20 m.
+    """
+    rgb, depth = np.asarray(rgb), np.asarray(depth)
+    shape = (camera.height, camera.width)
+    if rgb.shape != (*shape, 3) or rgb.dtype != np.uint8:
+        raise ConfigError(f"a picture of type {rgb.dtype} and shape {rgb.shape}", f"uint8, {(*shape, 3)}")
+    if depth.shape != shape or not np.issubdtype(depth.dtype, np.floating):
+        raise ConfigError(
+            f"a depth image of type {depth.dtype} and shape {depth.shape}",
+            f"floating point, {shape}, the camera's",
+            "metres along the optical axis, not millimetres",
+        )
+    with np.errstate(invalid="ignore"):
+        is_there = np.isfinite(depth) & (depth > 0) & (depth < _FARTHEST)
+    if not is_there.any():
+        raise ConfigError(
+            "a depth image in which nothing was measured",
+            f"metres from 0 to {_FARTHEST:g} somewhere",
+            "depth in metres; nan where nothing was measured",
+        )
+    return rgb, np.where(is_there, depth, np.nan).astype(np.float32)

@@ -1,0 +1,145 @@
+"""The trained segmenter: from a folder, or one of those that come with the package."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from cluttergen_jax.assets.pool import embedded_root
+from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
+from cluttergen_jax.downstream.perception.segment.network import (
+    HEIGHT,
+    WIDTH,
+    SegmentConfig,
+    SegmentExample,
+    SegmentLearner,
+    grown,
+    network_images,
+    shrunk,
+)
+from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation, checked_images
+from cluttergen_jax.errors import PoolError
+from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_record
+from cluttergen_jax.sensing.camera import Camera
+
+KIND = "segmenter"
+"""Of a checkpoint, as its record names it."""
+_HINT = "the folder `segmenter` of a run of `cluttergen perception train`"
+_BIN, _SPREAD, _REACH = 2, 2.0, 25.0
+"""Pixels: of the votes' histogram, of its blur, and from its peak within which votes are believed."""
+
+_answers: Any = jax.jit(
+    lambda learner, params, rgb, depth, height: learner.answers(params, network_images(rgb, depth, height)),
+    static_argnums=0,
+)
+
+
+def answers_of(learner: Any, params: Any, examples: SegmentExample) -> tuple[np.ndarray, np.ndarray]:
+    """Probabilities f32[B, H, W, C] and centres f32[B, H, W, 2] that the network tells of examples."""
+    found = _answers(learner, params, examples.rgb, examples.depth, examples.height)
+    return np.asarray(found[0]), np.asarray(found[1])
+
+
+class NetworkSegmenter:
+    """Segments by a trained network; of each object those pixels are kept whose votes for its centre agree.
+
+    Args:
+      names: of the objects. params: the network's weights. config: its sizes.
+      top: height of the table's top, metres.
+    """
+
+    def __init__(self, names: tuple[str, ...], params: Any, config: SegmentConfig, top: float) -> None:
+        self._names, self._params, self._top = tuple(names), params, top
+        self._learner = SegmentLearner(config)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the objects that it knows."""
+        return self._names
+
+    def __call__(self, rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> Segmentation:
+        """See `segmenter.Segmenter`."""
+        rgb, depth = checked_images(rgb, depth, camera)
+        height = (camera.points(depth)[..., 2] - self._top).astype(np.float32)
+        images = (each[None] for each in shrunk(rgb, depth, height))
+        chance, center = (np.asarray(each)[0] for each in _answers(self._learner, self._params, *images))
+        label = chance.argmax(-1).astype(np.uint8)
+        score = np.zeros(len(self._names), np.float32)
+        for index in range(len(self._names)):
+            mask = label == FIRST_OBJECT + index
+            if mask.any():
+                keeps = mask.copy()
+                keeps[mask] = agreeing(center[mask])
+                label[mask & ~keeps] = 0
+                score[index] = chance[keeps, FIRST_OBJECT + index].mean()
+        return Segmentation(self._names, grown(label, depth.shape), score)
+
+
+def agreeing(votes: np.ndarray) -> np.ndarray:
+    """bool[P]: the votes f32[P, 2], pixels, that are near to where most of them are."""
+    cells = np.clip((votes / _BIN).astype(int), 0, [WIDTH // _BIN - 1, HEIGHT // _BIN - 1])
+    histogram = np.zeros((WIDTH // _BIN, HEIGHT // _BIN))
+    np.add.at(histogram, (cells[:, 0], cells[:, 1]), 1.0)
+    smooth = gaussian_filter(histogram, _SPREAD)
+    peak = _BIN * (np.array(np.unravel_index(smooth.argmax(), smooth.shape)) + 0.5)
+    return np.linalg.norm(votes - peak, axis=1) < _REACH
+
+
+def embedded_segmenters() -> dict[str, Path]:
+    """The trained segmenters that come with the package, by the name of their pool."""
+    root = embedded_root() / "segmenters"
+    folders = sorted(root.iterdir()) if root.is_dir() else []
+    return {folder.name: folder for folder in folders if (folder / "record.json").is_file()}
+
+
+def segmenter_folder(segmenter: str | Path) -> Path:
+    """Where a trained segmenter is: that of a pool's name, a folder of its own, or a run's.
+
+    Raises:
+      PoolError: it is neither.
+    """
+    known = embedded_segmenters()
+    path = known.get(str(segmenter), Path(segmenter))
+    for folder in (path / KIND, path):
+        if (folder / "record.json").is_file():
+            return folder
+    raise PoolError(
+        f"no segmenter {str(segmenter)!r}",
+        f"{', '.join(known) or 'none comes with the package'}; {_HINT}",
+        "cluttergen perception train",
+    )
+
+
+def load_segmenter(segmenter: str | Path) -> NetworkSegmenter:
+    """The segmenter in a folder, or of a pool's name.
+
+    Raises:
+      PoolError: there is none, it is damaged, or of another kind.
+    """
+    path = segmenter_folder(segmenter)
+    record = read_record(path)
+    if record.get("kind") != KIND:
+        raise PoolError(f"{path} holds a network of kind {record.get('kind')!r}, no segmenter", hint=_HINT)
+    try:
+        sizes = {each.name: record["network"][each.name] for each in fields(SegmentConfig)}
+        config = SegmentConfig(**sizes | {"widths": tuple(sizes["widths"])})
+        names, top = tuple(map(str, record["names"])), float(record["top"])
+        if len(names) != config.num_objects or len(config.widths) != len(set(SegmentConfig(1).widths)):
+            raise ValueError(f"{len(names)} names, widths {config.widths}")
+        blank = _blank(SegmentLearner(config))
+    except (TypeError, KeyError, ValueError) as error:
+        raise PoolError(
+            f"{path / 'record.json'} does not say what network it holds ({error})", hint=_HINT
+        ) from error
+    return NetworkSegmenter(names, read_policy(path, blank), config, top)
+
+
+def _blank(learner: SegmentLearner) -> Any:
+    """Weights of the learner's shapes, all zero."""
+    shapes = jax.eval_shape(learner.init, jax.random.key(0))
+    return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)

@@ -1,0 +1,267 @@
+"""The maker of views: draws scene, camera, arm and appearance of each, and renders blocks of them."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cluttergen_jax.downstream.perception.views.appearance import (
+    HELD_OUT_TEXTURES,
+    NUM_TEXTURES,
+    draw_light,
+    jittered,
+)
+from cluttergen_jax.downstream.perception.views.cameras import SIZE, Kind, draw_camera
+from cluttergen_jax.downstream.perception.views.stage import Stage, open_stage
+from cluttergen_jax.downstream.perception.views.stored import (
+    BLOCK_SIZE,
+    FORMAT,
+    INDEX,
+    KIND,
+    SCHEMA,
+    StoredView,
+    ViewSet,
+    block_path,
+    read_block,
+    read_views,
+    row_of,
+)
+from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.files import folder_whole, remove_partial, write_atomically, writing
+from cluttergen_jax.progress import Progress
+from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.lock import BankLock
+from cluttergen_jax.sensing.camera import Camera
+
+_ROBOT = 0.6
+"""Share of pairs of the robot's cameras."""
+_ROBOTS: tuple[Kind, Kind] = ("overhead", "wrist")
+_CAMERAS, _SEEN = 8, 0.4
+"""Cameras that are drawn until so large a share of the objects is in the picture."""
+_COLUMNS = ("index", "is_success", "object_index", "poses")
+
+
+@dataclass(frozen=True)
+class ViewConfig:
+    """What views are made of.
+
+    Attributes:
+      seed: of all that is drawn. arm: share of the views with the arm in them, in [0, 1].
+      held_out: table textures that training does not see.
+    """
+
+    seed: int = 0
+    arm: float = 1 / 3
+    held_out: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.arm <= 1:
+            raise ConfigError(f"arm = {self.arm}", "a share from 0 to 1", "arm=0")
+
+
+class StandingScenes:
+    """The scenes of a bank that stand: numbers, objects in the order of placement, and poses.
+
+    Attributes:
+      method: of the bank. number: i[S]; objects: i[S, N], -1 is padding; poses: f64[S, N, 7], T_world_object.
+
+    Raises:
+      BankError: none stands.
+    """
+
+    def __init__(self, bank: Bank) -> None:
+        rows = [row for table in bank.tables(_COLUMNS) for row in table.to_pylist() if row["is_success"]]
+        if not rows:
+            raise BankError(f"{bank.path}: none of its scenes stands", "one that does or more", "more scenes")
+        self.method = str(bank.record["recipe"]["method"])
+        self.number = np.array([row["index"] for row in rows])
+        self.objects = np.array([row["object_index"] for row in rows])
+        self.poses = np.array([row["poses"] for row in rows], np.float64)
+
+
+class ViewMaker:
+    """Makes views of scenes; view i is the same however many are made.
+
+    Args:
+      scenes: of each bank; all of the same objects and support. stage, materials: see `open_stage`.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[StandingScenes],
+        stage: Stage,
+        materials: Sequence[str],
+        config: ViewConfig,
+        support: Any,
+        num_objects: int,
+    ) -> None:
+        self._scenes, self._stage, self._config = tuple(scenes), stage, config
+        first = NUM_TEXTURES - HELD_OUT_TEXTURES
+        self._textures = range(first, NUM_TEXTURES) if config.held_out else range(first)
+        self._materials = [stage.material(name) for name in materials]
+        self._support, self._num_objects = support, num_objects
+
+    def view(self, number: int) -> dict[str, Any]:
+        """A row of `stored.SCHEMA`; views 2 i and 2 i + 1 show the same moment, in different light.
+
+        Half of such pairs are of the robot's cameras, the one over the table and the one on the hand.
+        """
+        pair, place = divmod(number, 2)
+        rng = np.random.default_rng((self._config.seed, pair, 3))
+        stage, support = self._stage, self._support
+        scenes = self._scenes[pair % len(self._scenes)]
+        row = int(rng.integers(len(scenes.number)))
+        placed = scenes.objects[row][scenes.objects[row] >= 0]
+        # What was placed first stands without what came later, not the other way round.
+        placed = placed[: 1 + int(len(placed) * np.sqrt(rng.uniform()))]
+        poses = np.zeros((self._num_objects, 7))
+        poses[placed] = scenes.poses[row, : len(placed)]
+        stage.place(poses, np.isin(np.arange(self._num_objects), placed))
+        is_robot, has_arm = rng.uniform() < _ROBOT, bool(rng.uniform() < self._config.arm)
+        tool = stage.move_arm(support.top, rng if has_arm else None)
+        kind = _ROBOTS[place] if is_robot else "free"
+        rng = np.random.default_rng((self._config.seed, number, 4))
+        texture, yaw = self._dress(rng)
+        seen = stage.picture(self._camera(kind, poses[placed], tool, rng), yaw)
+        stored = StoredView(number, seen, placed, poses[placed], scenes.method, has_arm)
+        return row_of(stored, int(scenes.number[row]), texture)
+
+    def _dress(self, rng: np.random.Generator) -> tuple[int, float]:
+        """Draws colours, texture and light; the texture's number and the lamps' turn."""
+        stage = self._stage
+        texture, light = int(rng.choice(self._textures)), draw_light(rng)
+        rgba = stage.rgba
+        rgba[stage.object_geoms] = jittered(rgba[stage.object_geoms], rng)
+        rgba[stage.floor, :3] = rng.uniform(0.1, 0.9) + rng.normal(0, 0.03, 3)
+        stage.dress(np.clip(rgba, 0, 1), self._materials[texture], light)
+        return texture, light.yaw
+
+    def _camera(
+        self, kind: Kind, poses: np.ndarray, tool: np.ndarray | None, rng: np.random.Generator
+    ) -> Camera:
+        """A camera that has some of the objects in its picture, if one is found soon."""
+        for _ in range(_CAMERAS):
+            camera = draw_camera(kind, self._support, tool, rng)
+            pixels, depth = camera.project(poses[:, :3])
+            is_inside = (pixels > 0).all(1) & (pixels < [camera.width, camera.height]).all(1) & (depth > 0)
+            if is_inside.mean() >= _SEEN:
+                break
+        return camera
+
+
+def write_views(
+    out: str | Path,
+    banks: Mapping[str, Bank],
+    split: str,
+    num_views: int,
+    config: ViewConfig,
+    overwrite: bool = False,
+) -> ViewSet:
+    """The views of one split in a folder, begun or continued; see `cluttergen_jax.perception_data`."""
+    path, first = Path(out), next(iter(banks.values()))
+    scenes = [StandingScenes(bank) for bank in banks.values()]
+    names = [str(name) for name in first.record["recipe"]["names"]]
+    made = {
+        "seed": config.seed,
+        "arm": config.arm,
+        "block_size": BLOCK_SIZE,
+        "size": list(SIZE),
+        "recipes": [bank.record["recipe"] for bank in banks.values()],
+        "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco")},
+    }
+    with writing(path):
+        path.mkdir(parents=True, exist_ok=True)
+        lock = BankLock(path)
+    try:
+        with writing(path):
+            remove_partial(path)
+            record = _begun(path, first, names, split, made, num_views, overwrite)
+            if not (path / "assets").is_dir():
+                with folder_whole(path / "assets", is_only_writer=True) as fresh:
+                    shutil.copytree(first.path / "assets", fresh)
+            write_atomically(path / INDEX, (json.dumps(record, indent=1) + "\n").encode(), is_durable=True)
+            views = ViewSet(path, record)
+            _write_blocks(views, scenes, split, num_views, config)
+    finally:
+        lock.release()
+    return views
+
+
+def _write_blocks(
+    views: ViewSet, scenes: Sequence[StandingScenes], split: str, num_views: int, config: ViewConfig
+) -> None:
+    """Renders every block that is missing, damaged or shorter."""
+    sizes = {
+        block: min(BLOCK_SIZE, num_views - block * BLOCK_SIZE) for block in range(-(-num_views // BLOCK_SIZE))
+    }
+    missing = [block for block in sizes if read_block(views.path, split, block, sizes[block]) is None]
+    kept = num_views - sum(sizes[block] for block in missing)
+    if not missing:
+        return
+    with (
+        Progress(f"views of {split}", num_views, "view", kept) as progress,
+        open_stage(views.objects, views.support, config.arm > 0) as (stage, materials),
+    ):
+        maker = ViewMaker(scenes, stage, materials, config, views.support, len(views.objects))
+        for block in missing:
+            rows = list(_rows(maker, block, sizes[block], progress.update))
+            buffer = io.BytesIO()
+            table = pa.Table.from_pylist(rows, schema=SCHEMA)
+            pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
+            write_atomically(block_path(views.path, split, block), buffer.getvalue(), is_durable=True)
+
+
+def _rows(
+    maker: ViewMaker, block: int, number: int, on_row: Callable[[int], None]
+) -> Iterator[dict[str, Any]]:
+    for view in range(block * BLOCK_SIZE, block * BLOCK_SIZE + number):
+        yield maker.view(view)
+        on_row(1)
+
+
+def _begun(
+    path: Path,
+    bank: Bank,
+    names: list[str],
+    split: str,
+    made: dict[str, Any],
+    num_views: int,
+    overwrite: bool,
+) -> dict[str, Any]:
+    """The folder's record with this split in it."""
+    made, assets = json.loads(json.dumps(made)), bank.record["assets"]
+    record: dict[str, Any] = {"format": FORMAT, "kind": KIND, "assets": assets, "names": names, "splits": {}}
+    if (path / INDEX).exists():
+        record = read_views(path).record
+    if (record["assets"], record["names"]) != (assets, names):
+        raise BankError(
+            f"{path} holds views of other objects or of another support",
+            "one pool and one support in a folder",
+            "another `out`",
+        )
+    known = record["splits"].get(split)
+    if known is not None and overwrite:
+        known = None
+        for file in path.glob(f"{split}-*.parquet"):
+            file.unlink()
+    if known is not None:
+        changed = sorted(name for name in made if known.get(name) != made[name])
+        if changed:
+            raise BankError(
+                f"{path} holds views of {split!r} made with another {', '.join(changed)}",
+                "the same settings, which continue it",
+                "another `out`, or `overwrite` to begin that split anew",
+            )
+        num_views = max(num_views, known["num_views"])
+    record["splits"][split] = {"num_views": num_views, **made}
+    return record

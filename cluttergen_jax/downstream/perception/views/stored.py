@@ -1,0 +1,245 @@
+"""Views on disk: what cameras saw of scenes, with labels and true poses.
+
+    views.json              how each split was made, digests of its assets
+    assets/                 the objects and the support, as a bank has them
+    train-000000.parquet    block 0 of a split: views 0 to 63, a row each
+    bank-train-clear/       the banks behind a split, where they were made along with it
+
+A block is written as a whole or not at all (`maker.write_views`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.pool import public_name
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.downstream.perception.views.stage import View
+from cluttergen_jax.errors import BankError, ConfigError, closest
+from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.sensing.camera import Camera
+
+FORMAT = 1
+KIND = "views"
+INDEX = "views.json"
+BLOCK_SIZE = 64
+SPLITS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
+"""The first seed of the banks of each split: scenes of different splits have different keys."""
+TENTHS_A_METRE = 10_000
+AGAIN = "the same `cluttergen perception data` again, which makes what is missing"
+
+SCHEMA = pa.schema(
+    [
+        ("view", pa.int32()),
+        ("scene", pa.int32()),
+        ("method", pa.string()),
+        ("texture", pa.int32()),
+        ("has_arm", pa.bool_()),
+        ("camera_K", pa.list_(pa.float64(), 9)),
+        ("T_world_camera", pa.list_(pa.float64(), 16)),
+        ("width", pa.int32()),
+        ("height", pa.int32()),
+        ("rgb", pa.binary()),
+        ("depth", pa.binary()),
+        ("label", pa.binary()),
+        ("objects", pa.list_(pa.int32())),
+        ("poses", pa.list_(pa.list_(pa.float64(), 7))),
+    ]
+)
+"""`objects` are those that stand, by their number in the pool, at `poses`, T_world_object, metres and wxyz.
+Depth is u16 in tenths of a millimetre along the optical axis, little-endian, row by row, 0 where nothing is
+or beyond 6.5 m; labels are u8 (`classes`); rgb is u8. Neither exposure nor noise is in them."""
+
+
+@dataclass(frozen=True, eq=False)
+class StoredView:
+    """A view as it is read.
+
+    Attributes:
+      number: of the view in its split. view: what was seen.
+      objects: i[n], numbers in the pool of what stands; poses: f64[n, 7], T_world_object.
+      method: of the scene. has_arm: the arm was there.
+    """
+
+    number: int
+    view: View
+    objects: np.ndarray
+    poses: np.ndarray
+    method: str
+    has_arm: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ViewSet:
+    """A folder of views that is read. `record` is what `views.json` holds."""
+
+    path: Path
+    record: dict[str, Any]
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Those that it holds."""
+        return tuple(self.record["splits"])
+
+    def split(self, name: str) -> dict[str, Any]:
+        """How a split was made.
+
+        Raises:
+          ConfigError: there is none of that name, or it holds no views.
+        """
+        if name not in SPLITS:
+            raise ConfigError(f"split = {name!r}", ", ".join(SPLITS), meant=closest(name, SPLITS))
+        if name not in self.record["splits"]:
+            raise ConfigError(
+                f"{self.path} holds no views of the split {name!r}",
+                f"{', '.join(self.splits) or 'none'} in that folder",
+                f"cluttergen perception data --split {name} --out {self.path}",
+            )
+        return self.record["splits"][name]
+
+    @cached_property
+    def objects(self) -> tuple[ObjectAsset, ...]:
+        """The pool's objects, in the order of their numbers.
+
+        Raises:
+          BankError: an asset is missing or damaged.
+        """
+        bank = Bank(self.path, {"assets": self.record["assets"]})
+        return tuple(bank.object(name) for name in self.record["names"])
+
+    @property
+    def pool(self) -> str:
+        """The name of the pool, for people."""
+        recipes = [recipe for split in self.record["splits"].values() for recipe in split["recipes"]]
+        return public_name(str(recipes[0].get("pool"))) if recipes else ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the objects."""
+        return tuple(self.record["names"])
+
+    @cached_property
+    def support(self) -> SupportAsset:
+        """The table."""
+        return Bank(self.path, {"assets": self.record["assets"]}).support
+
+    def digest(self, split: str) -> str:
+        """Equal for equal views of a split."""
+        told = [self.record["assets"], self.split(split)]
+        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:20]
+
+    def views(self, split: str, number: int | None = None) -> Iterator[StoredView]:
+        """The first views of a split, all if no number is given.
+
+        Raises:
+          ConfigError: there is no such split, or it has fewer; BankError: a block is missing or damaged.
+        """
+        total = int(self.split(split)["num_views"])
+        if number is not None and not 1 <= number <= total:
+            raise ConfigError(f"num_views = {number}", f"1 to {total}, the views of {split!r} in {self.path}")
+        total = number or total
+        for block in range(-(-total // BLOCK_SIZE)):
+            rows = min(BLOCK_SIZE, total - block * BLOCK_SIZE)
+            table = read_block(self.path, split, block, rows)
+            if table is None:
+                raise BankError(f"{block_path(self.path, split, block)} is missing or damaged", hint=AGAIN)
+            for row in table.to_pylist():
+                yield _stored(row)
+
+
+def read_views(path: str | Path) -> ViewSet:
+    """Opens a folder of views.
+
+    Raises:
+      BankError: it is none, or damaged.
+    """
+    path = Path(path)
+    try:
+        record = json.loads((path / INDEX).read_bytes())
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise BankError(
+            f"{path} holds no views: it has no {INDEX}", "a folder that `cluttergen perception data` made"
+        ) from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise BankError(f"{path / INDEX} cannot be read ({error})", hint=AGAIN) from error
+    if not isinstance(record, dict) or (record.get("kind"), record.get("format")) != (KIND, FORMAT):
+        raise BankError(f"{path / INDEX} is not the record of views of format {FORMAT}", hint=AGAIN)
+    return ViewSet(path, record)
+
+
+def block_path(path: Path, split: str, block: int) -> Path:
+    """Where a block of a split is stored."""
+    return path / f"{split}-{block:06d}.parquet"
+
+
+def read_block(path: Path, split: str, block: int, num_rows: int) -> pa.Table | None:
+    """The first rows of a block; None if it is missing, damaged or shorter."""
+    try:
+        table = pq.read_table(
+            block_path(path, split, block),
+            schema=SCHEMA,
+            page_checksum_verification=True,
+            partitioning=None,
+        )
+        table.validate(full=True)
+    except (FileNotFoundError, pa.ArrowException, OSError, ValueError):
+        return None
+    first = block * BLOCK_SIZE
+    numbers = np.arange(first, first + table.num_rows)
+    if table.num_rows < num_rows or not np.array_equal(table["view"], numbers):
+        return None
+    return table.slice(0, num_rows)
+
+
+def row_of(stored: StoredView, scene: int, texture: int) -> dict[str, Any]:
+    """A view as a row of `SCHEMA`."""
+    view, camera = stored.view, stored.view.camera
+    tenths = np.round(np.where(np.isfinite(view.depth), view.depth, 0.0).astype(np.float64) * TENTHS_A_METRE)
+    depth = np.where(tenths <= np.iinfo(np.uint16).max, tenths, 0).astype("<u2")
+    return {
+        "view": stored.number,
+        "scene": scene,
+        "method": stored.method,
+        "texture": texture,
+        "has_arm": stored.has_arm,
+        "camera_K": camera.K.ravel().tolist(),
+        "T_world_camera": camera.T_world_camera.ravel().tolist(),
+        "width": camera.width,
+        "height": camera.height,
+        "rgb": view.rgb.tobytes(),
+        "depth": depth.tobytes(),
+        "label": view.label.tobytes(),
+        "objects": stored.objects.tolist(),
+        "poses": stored.poses.tolist(),
+    }
+
+
+def _stored(row: dict[str, Any]) -> StoredView:
+    """The inverse of `row_of`."""
+    shape = (row["height"], row["width"])
+    camera = Camera(
+        row["width"],
+        row["height"],
+        np.array(row["camera_K"]).reshape(3, 3),
+        np.array(row["T_world_camera"]).reshape(4, 4),
+    )
+    tenths = np.frombuffer(row["depth"], "<u2").reshape(shape)
+    depth = np.where(tenths > 0, tenths / np.float32(TENTHS_A_METRE), np.inf).astype(np.float32)
+    rgb = np.frombuffer(row["rgb"], np.uint8).reshape(*shape, 3)
+    label = np.frombuffer(row["label"], np.uint8).reshape(shape)
+    poses = np.array(row["poses"], np.float64).reshape(-1, 7)
+    objects = np.array(row["objects"], np.int64)
+    return StoredView(
+        row["view"], View(rgb, depth, label, camera), objects, poses, row["method"], row["has_arm"]
+    )

@@ -1,0 +1,250 @@
+"""Poses: registration finds boxes, comparison tells right from wrong, certainty and the whole finder."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("small_gicp")
+
+from cluttergen_jax.downstream.perception.certainty import (
+    FEATURES,
+    Certainty,
+    read_certainty,
+    reliability,
+    write_certainty,
+)
+from cluttergen_jax.downstream.perception.evaluation.judged import judged
+from cluttergen_jax.downstream.perception.finder import SceneFinder
+from cluttergen_jax.downstream.perception.pose.compare import Comparer
+from cluttergen_jax.downstream.perception.pose.estimator import Look
+from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator, seen_points
+from cluttergen_jax.downstream.perception.pose.steady import SteadyCheck
+from cluttergen_jax.downstream.perception.symmetry import offset, turn_matrix
+from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE
+from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing.noise import REALSENSE
+from tests.helpers.perception import OBJECTS, POSES, TABLE, ByColour, overhead, standing, view_of
+
+SIDE = Camera.looking((0.7, 0.1, 1.2), (0.0, 0.0, TABLE.top), *SIZE, FOCAL)
+
+
+@pytest.fixture(scope="module")
+def estimator():
+    return RegistrationEstimator(OBJECTS, TABLE)
+
+
+def look_at(poses, camera):
+    view = view_of(poses, camera).view
+    return Look(np.where(np.isfinite(view.depth), view.depth, np.nan), view.label, camera)
+
+
+def errors(estimator, index, estimate, true):
+    shift, turn = offset(matrix_of(estimate.pose), matrix_of(true), estimator.model(index).symmetry)
+    return shift, np.degrees(turn)
+
+
+# Poses
+
+
+def test_one_object_in_one_view_is_found(estimator):
+    """The miniature: pixels, points, registration, comparison."""
+    pose = standing((-0.1, 0.05, 0.4))
+    found = estimator(0, [look_at(pose, SIDE)])
+    shift, turn = errors(estimator, 0, found, pose[0])
+    assert shift < 0.004
+    assert turn < 3
+    assert found.score > 0.8
+    assert found.visible > 0.9
+
+
+def test_the_same_looks_tell_the_same_pose(estimator):
+    look = look_at(POSES, SIDE)
+    assert np.array_equal(estimator(1, [look]).pose, estimator(1, [look]).pose)
+
+
+def test_two_cameras_are_used_together(estimator):
+    looks = [look_at(POSES, camera) for camera in (overhead(), SIDE)]
+    points, eyes, pixels = seen_points(2, looks)
+    assert pixels == sum(look.mask(2).sum() for look in looks)
+    assert len({tuple(eye) for eye in eyes.tolist()}) == 2
+    assert len(points) == len(eyes)
+    shift, turn = errors(estimator, 2, estimator(2, looks), POSES[2])
+    assert shift < 0.004
+    assert turn < 3
+
+
+def test_an_object_on_another_is_found_at_its_height(estimator):
+    poses = standing((0.0, 0.0, 0.3), (0.2, 0.2, 0.0), (0.2, -0.2, 1.0))
+    poses[2] = [0.0, 0.0, TABLE.top + 0.08 + OBJECTS[2].half_extents[2], *poses[2, 3:]]
+    shift, _ = errors(estimator, 2, estimator(2, [look_at(poses, SIDE)]), poses[2])
+    assert shift < 0.006
+
+
+def test_what_is_hardly_seen_has_no_pose(estimator):
+    look = look_at(POSES, SIDE)
+    label = np.where(np.arange(SIZE[0]) < 0, look.label, 0).astype(np.uint8)
+    assert estimator(0, [Look(look.depth, label, look.camera)]) is None
+    assert estimator(0, []) is None
+    blind = Look(np.full_like(look.depth, np.nan), look.label, look.camera)
+    assert estimator(0, [blind]) is None
+    with pytest.raises(ConfigError, match="object 7"):
+        estimator(7, [look])
+
+
+def test_a_box_has_two_equal_turns(estimator):
+    assert estimator.model(0).symmetry == 2
+
+
+def test_adds_is_measured_on_surfaces(estimator):
+    model = estimator.model(0)
+    pose = matrix_of(POSES[0])
+    assert model.surface_distance(pose, pose) < 0.001
+    assert model.surface_distance(pose, pose @ turn_matrix(np.pi)) < 0.001
+    lifted = pose.copy()
+    lifted[2, 3] += 0.01
+    assert 0.002 < model.surface_distance(pose, lifted) < 0.01
+
+
+# Comparison
+
+
+@pytest.mark.parametrize(
+    "change",
+    [(0.02, 0, 0, 0), (0, -0.02, 0, 0), (0, 0, 0.03, 0), (0, 0, 0, 0.6)],
+    ids=["x", "y", "z", "turn"],
+)
+def test_the_true_pose_agrees_better_than_others(estimator, change):
+    compare = Comparer(estimator.model(0), 0, [look_at(POSES, SIDE)])
+    true = matrix_of(POSES[0])
+    wrong = true @ turn_matrix(change[3])
+    wrong[:3, 3] += change[:3]
+    assert compare(true).score > 0.9
+    assert compare(wrong).score < compare(true).score - 0.15
+
+
+def test_filling_air_that_was_seen_to_be_empty_speaks_against_a_pose():
+    """Half of the box's pixels are taken away from its mask: where they are, the table is seen behind it."""
+    model = ObjectModel.of(OBJECTS[0])
+    true, empty = look_at(POSES[:1], SIDE), look_at(POSES[1:2] * 0 + standing((0.0, 0.3, 0.0)), SIDE)
+    mask = true.mask(0)
+    half = mask & (np.cumsum(mask, axis=1) > mask.sum(1, keepdims=True) / 2)
+    depth = np.where(half, empty.depth, true.depth)
+    label = np.where(half, 0, true.label).astype(np.uint8)
+    nothing = np.where(half, np.nan, true.depth)
+    pose = matrix_of(POSES[0])
+    in_air = Comparer(model, 0, [Look(depth, label, SIDE)])(pose).score
+    unknown = Comparer(model, 0, [Look(nothing, label, SIDE)])(pose).score
+    assert unknown > 0.9
+    assert in_air < 0.65
+
+
+# Physics, certainty
+
+
+def test_what_floats_or_overlaps_is_not_steady():
+    check = SteadyCheck(OBJECTS, TABLE)
+    assert check(POSES, np.ones(3, bool)).tolist() == [True, True, True]
+    poses = POSES.copy()
+    poses[0, 2] += 0.05
+    assert check(poses, np.ones(3, bool)).tolist() == [False, True, True]
+    poses = POSES.copy()
+    poses[1, :2] = poses[0, :2]
+    assert not check(poses, np.ones(3, bool))[:2].all()
+    assert check(POSES, np.array([True, False, True])).tolist() == [True, False, True]
+
+
+def test_certainty_is_fitted_to_what_was_right(tmp_path):
+    rng = np.random.default_rng(0)
+    features = np.column_stack([np.ones(4000), *(rng.uniform(0, 1, (5, 4000)))])
+    true = np.array([-3.0, 4.0, 2.0, 0.0, 0.0, 1.0])
+    right = rng.uniform(size=4000) < 1 / (1 + np.exp(-features @ true))
+    fitted = Certainty().fitted(features, right)
+    np.testing.assert_allclose(fitted.weights, true, atol=0.5)
+    for mean, share, count in reliability(fitted(features), right):
+        assert count < 200 or abs(mean - share) < 0.06
+    assert read_certainty(tmp_path) == Certainty()
+    write_certainty(tmp_path, fitted)
+    assert read_certainty(tmp_path) == fitted
+    assert len(fitted.weights) == len(FEATURES)
+    (tmp_path / "certainty.json").write_text('{"weights": {}}')
+    with pytest.raises(PoolError, match="damaged"):
+        read_certainty(tmp_path)
+
+
+# The whole
+
+
+@pytest.fixture(scope="module")
+def finder(estimator):
+    return SceneFinder(OBJECTS, TABLE, ByColour(), estimator)
+
+
+def test_all_objects_of_a_scene_are_found_in_pictures(finder):
+    looks = [finder.look(*_picture(camera)) for camera in (overhead(), SIDE)]
+    found = finder(looks)
+    assert found.names == ByColour.names
+    assert found.seen.all()
+    assert (found.certainty > 0.5).all()
+    np.testing.assert_allclose(found.pose[:, :3], POSES[:, :3], atol=0.005)
+    one = finder(looks, ["blue"])
+    assert one.names == ("blue",)
+    np.testing.assert_array_equal(one.pose[0], found.pose[2])
+
+
+def _picture(camera):
+    view = view_of(POSES, camera).view
+    return view.rgb, view.depth, camera
+
+
+def test_what_is_not_in_the_pictures_is_not_seen(finder):
+    view = view_of(POSES[:2], overhead()).view
+    found = finder([finder.look(view.rgb, view.depth, overhead())])
+    assert found.seen.tolist() == [True, True, False]
+    assert found.certainty[2] == 0
+    assert np.isfinite(found.pose).all()
+
+
+def test_bad_input_is_refused(finder, estimator):
+    view = view_of(POSES, overhead()).view
+    with pytest.raises(ConfigError, match="nothing was measured"):
+        finder.look(view.rgb, np.full_like(view.depth, np.nan), overhead())
+    with pytest.raises(ConfigError, match="picture of type"):
+        finder.look(view.rgb[::2], view.depth, overhead())
+    with pytest.raises(ConfigError, match="objects mug"):
+        finder([], ["mug"])
+    with pytest.raises(ConfigError, match="a segmenter of"):
+        SceneFinder(OBJECTS[::-1], TABLE, ByColour(), estimator)
+
+
+def test_a_moment_is_judged_against_the_truth(finder, estimator):
+    models = [estimator.model(k) for k in range(3)]
+    row = judged([view_of(POSES, overhead())], finder, models, REALSENSE.scaled(0.0), 0, False)
+    assert (row.visible, row.found, row.masks, row.false) == (3, 3, 3, 0)
+    assert row.is_right == [True, True, True]
+    assert max(row.adds) < 0.003
+    assert min(row.share) > 0.9
+    wrong = POSES.copy()
+    wrong[:, 0] += 0.02
+    told = view_of(POSES, overhead())
+    row = judged(
+        [type(told)(0, told.view, told.objects, wrong, "", False)],
+        finder,
+        models,
+        REALSENSE.scaled(0.0),
+        0,
+        True,
+    )
+    assert not any(row.is_right)
+    assert min(row.shift) > 0.015
+
+
+def test_noise_costs_millimetres_not_objects(finder, estimator):
+    models = [estimator.model(k) for k in range(3)]
+    views = [view_of(POSES, overhead(), 0), view_of(POSES, SIDE, 1)]
+    row = judged(views, finder, models, REALSENSE, 0, True)
+    assert row.objects == list(ByColour.names)
+    assert max(row.adds) < 0.006
+    again = judged(views, finder, models, REALSENSE, 0, True)
+    assert (row.adds, row.certainty) == (again.adds, again.certainty)
