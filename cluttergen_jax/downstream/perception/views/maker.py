@@ -114,7 +114,7 @@ class ViewMaker:
     def view(self, number: int) -> dict[str, Any]:
         """A row of `stored.SCHEMA`; views 2 i and 2 i + 1 show the same moment, in different light.
 
-        Half of such pairs are of the robot's cameras, the one over the table and the one on the hand.
+        Six in ten pairs are of the robot's cameras, the one over the table and the one on the hand.
         """
         pair, place = divmod(number, 2)
         rng = np.random.default_rng((self._config.seed, pair, 3))
