@@ -21,7 +21,7 @@ class Inspect:
       exclude: all but these.
       columns: objects in a row of the sheet.
       grasps: draw grasps of the Panda's hand about each object instead (extra `robot`); those that are not
-        kept are found first, as `cluttergen robot grasps` does.
+        kept are found first, as `robot grasps` does.
     """
 
     pool: tyro.conf.Positional[str]

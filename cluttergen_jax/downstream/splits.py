@@ -54,7 +54,7 @@ class SplitFormat:
     @property
     def again(self) -> str:
         """What mends a damaged folder."""
-        return f"the same `{self.command}` again, which makes what is missing"
+        return f"the same `cluttergen {self.command}` again, which makes what is missing"
 
     @property
     def number(self) -> str:
@@ -73,7 +73,7 @@ class SplitFormat:
         except (FileNotFoundError, NotADirectoryError) as error:
             raise BankError(
                 f"{path} holds no {self.kind}: it has no {self.index}",
-                f"a folder that `{self.command}` made",
+                f"a folder that `cluttergen {self.command}` made",
             ) from error
         except (OSError, ValueError, RecursionError) as error:
             raise BankError(f"{file} cannot be read ({error})", hint=self.again) from error
@@ -98,7 +98,7 @@ class SplitFormat:
             raise ConfigError(
                 f"{path} holds no {self.kind} of the split {name!r}",
                 f"{', '.join(record['splits']) or 'none'} in that folder",
-                f"{self.command} --split {name} --out {path}",
+                f"cluttergen {self.command} --split {name} --out {path}",
             )
         return record["splits"][name]
 

@@ -59,7 +59,7 @@ SCHEMA = pa.schema(
 """Poses are T_region_object, position in metres and quaternion wxyz; candidates x, y, z in metres and yaw in
 radians. Matrices stand row by row. Depth is u16 in millimetres along the optical axis, little-endian, row by
 row, 0 where nothing is; labels are u8: 0 the floor, 1 the support, 2 + k the k-th standing object."""
-PAIRS = SplitFormat("pairs", "pair", "cluttergen placer data", SCHEMA, 256)
+PAIRS = SplitFormat("pairs", "pair", "placer data", SCHEMA, 256)
 
 
 class PairLabels(NamedTuple):
