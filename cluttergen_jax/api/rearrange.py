@@ -77,8 +77,8 @@ def rearrange(
         noise (extra `perception`).
       segmenter: of `perception`: a folder of `perception train`, or a pool's name where one comes with the
         package; the pool's own if not given.
-      pick: a person looks at the layouts in a browser, in the order of the rule, and takes one, in each episode
-        (extra `viewer`); it is the only one that is tried.
+      pick: in each episode a person looks at the layouts in a browser, in the order of the rule, and takes
+        one (extra `viewer`); it is the only one that is tried.
       show_layouts: draw each episode's layouts over the scene as it stands, on a sheet layouts-NUMBER.png
         beside the rows, the chosen one framed.
       films: draw films of the first success and of the first failure of each kind, in the folder films beside

@@ -123,8 +123,9 @@ class LayoutPanel:
             add_ghost(self.server, f"/layout/{number}", asset, _colour(asset))
             for number, asset in enumerate(scene.objects[:num_moved])
         ]
-        for camera in [self.server.initial_camera, *(c.camera for c in self.server.get_clients().values())]:
-            aim(camera, scene.support.region, scene.support.top)
+        if self.number < 0:
+            for each in (self.server.initial_camera, *(c.camera for c in self.server.get_clients().values())):
+                aim(each, scene.support.region, scene.support.top)
         self._layouts, self._starts = layouts, poses[:num_moved, :3]
         self._order = layouts.ranked(self._rule).tolist()
         self.number = self._order[0]

@@ -17,6 +17,7 @@ from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.figure import GREEN
+from cluttergen_jax.rendering.overlay import with_frame
 from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
@@ -26,7 +27,7 @@ _PICTURE = PictureConfig(360, 270, 16, CameraView(azimuth=0.0, elevation=-58.0))
 _BLUE = (0.16, 0.43, 0.86)
 _GHOST_ALPHA, _GHOST_TINT = 0.62, 0.3
 _LIFT = 0.01
-_COLUMNS, _EDGE = 5, 5
+_COLUMNS = 5
 
 
 def layout_sheet(
@@ -63,7 +64,7 @@ def layout_sheet(
             moved = [RenderStyle(pose, _GHOST_ALPHA, _BLUE, _GHOST_TINT) for pose in goal]
             ways = [_way(*ends) for ends in zip(scene.poses[:num_moved], goal, strict=True)]
             image = shown.picture([*standing, *moved], ways)
-            images.append(_framed(image) if number == chosen else image)
+            images.append(with_frame(image, GREEN) if number == chosen else image)
     captions = [layout_words(layouts, number, number == chosen) for number in range(len(layouts))]
     return contact_sheet(images, captions, _COLUMNS)
 
@@ -80,14 +81,6 @@ def _way(start: np.ndarray, goal: np.ndarray) -> Trail:
     points = np.stack([start[:3], goal[:3]])
     points[:, 2] += _LIFT
     return Trail(points, _BLUE)
-
-
-def _framed(image: np.ndarray) -> np.ndarray:
-    framed = np.empty_like(image)
-    framed[:] = np.round(255 * np.array(GREEN))
-    inside = (slice(_EDGE, -_EDGE), slice(_EDGE, -_EDGE))
-    framed[inside] = image[inside]
-    return framed
 
 
 def save_sheets(

@@ -13,13 +13,14 @@ from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.robot.execute import Trace
 from cluttergen_jax.downstream.robot.model import Panda, PandaConfig
 from cluttergen_jax.errors import BankError
+from cluttergen_jax.files import inside
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering.camera import fitted_camera
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.figure import GREEN
 from cluttergen_jax.rendering.gl import find_backend
 from cluttergen_jax.rendering.lighting import add_lighting
-from cluttergen_jax.rendering.overlay import with_caption
+from cluttergen_jax.rendering.overlay import with_caption, with_frame
 from cluttergen_jax.rendering.renderer import open_renderer, set_range
 from cluttergen_jax.rendering.scene_renderer import RED
 from cluttergen_jax.rendering.video import check_format, save_film
@@ -99,7 +100,8 @@ def film_firsts(
     for number, row in enumerate(rows):
         firsts.setdefault(row.outcome, number)
     paths = {
-        number: folder / f"{outcome.replace(' ', '-')}-{number}.{film}" for outcome, number in firsts.items()
+        number: inside(folder, f"{outcome.replace(' ', '-')}-{number}.{film}")
+        for outcome, number in firsts.items()
     }
     missing = {number: path for number, path in paths.items() if not path.exists()}
     with Progress("films", len(missing), "film") as progress:
@@ -145,16 +147,17 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
     camera = fitted_camera(content, view, width, height)
     with open_renderer(model, width, height) as renderer:
 
-        def drawn(state: np.ndarray, text: str, dot: tuple[float, float, float] | None) -> np.ndarray:
+        def drawn(state: np.ndarray, text: str, rgb: tuple[float, float, float] | None = None) -> np.ndarray:
             data.qpos[:] = state
             mujoco.mj_kinematics(model, data)
             large = renderer.average(data, camera, 1, reach, light_yaw=light_yaw)
             small = large.reshape(_HEIGHT, _FINE, _WIDTH, _FINE, 3).mean((1, 3))
-            return with_caption(small.astype(np.uint8), text, dot)
+            image = with_caption(small.astype(np.uint8), text, rgb)
+            return image if rgb is None else with_frame(image, rgb)
 
         for number, (state, held) in enumerate(zip(trace.states, trace.held, strict=True), 1):
             moved = f": {trace.scene.names[held]} in hand" if held >= 0 else ""
-            yield drawn(state, f"{title}{moved}, {number * step:.1f} s", None)
+            yield drawn(state, f"{title}{moved}, {number * step:.1f} s")
         text = f"{title}: {_ending(row)}, {row.seconds:.1f} s"
         last = drawn(trace.data.qpos, text, GREEN if row.is_success else RED)
         yield from [last] * round(_HELD * FPS)
