@@ -13,6 +13,7 @@ pytest.importorskip("toppra")
 
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
 from cluttergen_jax.downstream.rearrange.layouts import Layouts
+from cluttergen_jax.downstream.rearrange.observe import TrueObserver
 from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions
 from cluttergen_jax.downstream.rearrange.sheet import layout_sheet, layout_words
 from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
@@ -25,6 +26,7 @@ from cluttergen_jax.rendering import gl
 from cluttergen_jax.rendering.figure import GREEN
 from cluttergen_jax.rendering.gl import RendererError, renderer_status
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
+from cluttergen_jax.sensing.camera import Camera
 from tests.helpers.arm import PLACES, SCENE, standing, task_of
 
 can_draw = pytest.mark.skipif(not renderer_status()[0], reason="nothing here can draw")
@@ -162,8 +164,18 @@ def test_a_rearrangement_is_filmed_and_its_layouts_are_shown(small, tmp_path, mo
         asked.append(len(layouts))
         return 0
 
+    class Looking:
+        """Draws pictures of its own in between."""
+
+        def __call__(self, world, names):
+            camera = Camera.looking((0.9, 0.0, 1.3), (0.0, 0.0, 0.9), 64, 48, 60.0)
+            assert world.picture(camera)[0].any()
+            return TrueObserver()(world, names)
+
     def run(**more):
-        return run_rearrangements(task.setting, RearrangeOptions(), 1, 0, tmp_path, ask=person, **more)
+        return run_rearrangements(
+            task.setting, RearrangeOptions(), 1, 0, tmp_path, observer=Looking(), ask=person, **more
+        )
 
     (row,) = run().rows
     assert (row.outcome, row.layout, row.chosen_by) == ("success", 0, "person")
