@@ -129,7 +129,7 @@ def _every(seconds: float) -> int:
 
 
 def _ending(row: EpisodeRow) -> str:
-    return f"{row.outcome}: {row.detail}" if row.detail else row.outcome
+    return f"{row.outcome}: {row.detail}".strip(" :")
 
 
 def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.ndarray]:
