@@ -2,33 +2,49 @@
 
 python docs/make_results.py                          from what is there
 python docs/make_results.py out/paper out/extended   after taking over what those suites made
+python docs/make_results.py --keep-rows out/paper    the same, and rows that were not made again stay
 """
 
 from __future__ import annotations
 
+import argparse
 import shutil
-import sys
 from pathlib import Path
 
-from cluttergen_jax.evaluation.report import document, read_results, shown_pictures
+from cluttergen_jax.evaluation.report import (
+    document,
+    read_results,
+    shown_pictures,
+    with_earlier_rows,
+)
+from cluttergen_jax.evaluation.store import json_bytes
+from cluttergen_jax.files import write_atomically
 
 HERE = Path(__file__).parent
 FOLDER, PAGE = HERE / "results", HERE / "results.md"
 NOTES = HERE / "missed.md"
 
 
-def take_over(folder: Path) -> None:
+def take_over(folder: Path, keep_rows: bool) -> None:
     """Copies the studies of a suite's folder, and the pictures that the page shows."""
+    FOLDER.mkdir(exist_ok=True)
+    earlier = {result["name"]: result for result in read_results(FOLDER)} if keep_rows else {}
     for result in read_results(folder):
-        FOLDER.mkdir(exist_ok=True)
-        for name in (f"{result['name']}.json", *shown_pictures(result)):
-            shutil.copyfile(folder / name, FOLDER / name)
+        name = result["name"]
+        result = with_earlier_rows(result, earlier[name]) if name in earlier else result
+        write_atomically(FOLDER / f"{name}.json", json_bytes(result))
+        for picture in shown_pictures(result):
+            shutil.copyfile(folder / picture, FOLDER / picture)
 
 
 def main() -> None:
     """Writes the page."""
-    for folder in sys.argv[1:]:
-        take_over(Path(folder))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folders", type=Path, nargs="*")
+    parser.add_argument("--keep-rows", action="store_true")
+    asked = parser.parse_args()
+    for folder in asked.folders:
+        take_over(folder, asked.keep_rows)
     results = read_results(FOLDER)
     PAGE.write_text(document(results, NOTES.read_text(encoding="utf-8")), encoding="utf-8")
     print(f"{PAGE}: {len(results)} studies")

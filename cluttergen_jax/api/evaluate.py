@@ -147,9 +147,9 @@ def evaluate_suite(
 
     Args:
       suite: "paper" (its tables and figures), "extended" (what it does not ask) or "downstream" (stable
-        placement, without `methods`, checkpoints and `cluster`; `trials` are test scenes there, ten queries
-        and one chain each); what the studies' own is cannot be given then: supports, objects, attempts,
-        rules, repeats and changes.
+        placement, perception and a robot, without `methods`, checkpoints and `cluster`; `trials` are test
+        scenes there, ten queries and one chain each, or views, or episodes); what the studies' own is cannot
+        be given then: supports, objects, attempts, rules, repeats and changes.
       only: names of studies of the suite; all of them if not given.
       quick: a few trials a row: the whole paper suite in minutes.
       seeds: training seeds where a table asks for several, 3 if not given, 1 if quick; those without a
@@ -165,10 +165,14 @@ def evaluate_suite(
     Raises:
       ConfigError: a setting is outside its range, or there is no such suite, study or method.
       PoolError: there is no such pool.
+      MissingExtraError: a study needs an extra that is not installed.
     """
+    from cluttergen_jax.api.perception import perception_data, perception_eval
     from cluttergen_jax.api.placer import placer_data
+    from cluttergen_jax.api.rearrange import rearrange
+    from cluttergen_jax.api.robot import robot_place
     from cluttergen_jax.cluster import cluster_of
-    from cluttergen_jax.downstream.placer.studies import study as studies
+    from cluttergen_jax.downstream.studies import study as studies
     from cluttergen_jax.downstream.suite import NAME, run_downstream
     from cluttergen_jax.evaluation.comparison import open_runner
     from cluttergen_jax.evaluation.running import imported_pools, run_suite, suite_folder
@@ -187,7 +191,8 @@ def evaluate_suite(
     if suite == NAME:
         by_hand = None if bank is None else Path(bank)
         asked = studies.Scale(quick, trials, num_pairs, seeds, tuple(heads), tuple(pools), by_hand, seed)
-        return run_downstream(placer_data, folder, only, asked, num_threads, fresh, show)
+        calls = studies.ApiCalls(placer_data, perception_data, perception_eval, robot_place, rearrange)
+        return run_downstream(calls, folder, only, asked, num_threads, fresh, show)
     scale = Scale(quick, trials, seeds, tuple(pools), tuple(methods), seed, imported_pools())
     planned = find_suite(suite, scale, only)
     rows = [trial for each in planned if each.study is not TIME for trial in each.trials]

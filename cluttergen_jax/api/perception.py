@@ -66,8 +66,8 @@ def perception_data(
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.assets.pool import find_pool
     from cluttergen_jax.downstream.perception.views.maker import ViewConfig, write_views
-    from cluttergen_jax.downstream.perception.views.stored import SPLITS
     from cluttergen_jax.downstream.robot.model import panda_folder
+    from cluttergen_jax.downstream.splits import SPLITS
     from cluttergen_jax.placement.setup import check_range
 
     check_workers("num_threads", num_threads)

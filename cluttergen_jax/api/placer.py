@@ -62,7 +62,7 @@ def placer_data(
     """
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
-    from cluttergen_jax.downstream.placer.pairs.stored import SPLITS
+    from cluttergen_jax.downstream.splits import SPLITS
     from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
 

@@ -29,6 +29,7 @@ def robot_grasps(
     num_threads: int = 0,
     fresh: bool = False,
     out: str | Path | None = None,
+    picture: str | Path | None = None,
 ) -> GraspSets:
     """Finds grasps of a pool's objects for the hand of a Franka Panda (`cluttergen robot grasps`).
 
@@ -43,6 +44,7 @@ def robot_grasps(
       num_threads: 0 takes every core.
       fresh: make again what is kept.
       out: write all of them to this Parquet file too.
+      picture: draw each object with some of its grasps, into this PNG file.
 
     Returns:
       The grasps of each object; printed, a table that names objects with too few.
@@ -51,6 +53,7 @@ def robot_grasps(
       ConfigError: a number is out of range.
       PoolError: there is no such pool or object, or a file of grasps is damaged.
       MissingExtraError: the extra `robot` is not installed.
+      RendererError: a picture is wanted, and nothing here can draw.
     """
     from cluttergen_jax.assets.pool import find_pool
     from cluttergen_jax.downstream.robot.grasp_sets import grasp_sets
@@ -65,6 +68,11 @@ def robot_grasps(
     sets = grasp_sets(chosen, num_grasps, seed, num_threads, fresh)
     if out is not None:
         write_grasps(Path(out), sets.sets)
+    if picture is not None:
+        from cluttergen_jax.downstream.robot.grasp_picture import grasp_sheet
+        from cluttergen_jax.rendering.sheet import save_png
+
+        save_png(grasp_sheet(chosen, sets), picture)
     return sets
 
 

@@ -20,6 +20,8 @@ class Inspect:
       objects: only these.
       exclude: all but these.
       columns: objects in a row of the sheet.
+      grasps: draw grasps of the Panda's hand about each object instead (extra `robot`); those that are not
+        kept are found first, as `cluttergen robot grasps` does.
     """
 
     pool: tyro.conf.Positional[str]
@@ -27,6 +29,7 @@ class Inspect:
     objects: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
     columns: int = 4
+    grasps: bool = False
 
     def run(self) -> int:
         """Runs the command; the exit status."""
@@ -37,9 +40,20 @@ class Inspect:
         objects = tuple(pool[name] for name in self.objects) or pool.objects
         print(f"pool {pool.name}, licence: {pool.licence or 'not stated'}, content {pool.hash[:12]}")
         print(pool_table(objects))
+        if self.grasps:
+            from cluttergen_jax.api.robot import robot_grasps
+
+            print(sets := robot_grasps(self.pool, [asset.name for asset in objects]))
         if self.out is not None:
-            from cluttergen_jax.rendering.assets import object_sheet
             from cluttergen_jax.rendering.sheet import save_png
 
-            print(save_png(object_sheet(objects, self.columns), self.out))
+            if self.grasps:
+                from cluttergen_jax.downstream.robot.grasp_picture import grasp_sheet
+
+                image = grasp_sheet(objects, sets, self.columns)
+            else:
+                from cluttergen_jax.rendering.assets import object_sheet
+
+                image = object_sheet(objects, self.columns)
+            print(save_png(image, self.out))
         return 0

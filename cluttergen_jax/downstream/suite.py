@@ -8,22 +8,27 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from cluttergen_jax.downstream.placer.studies.cameras import CAMERAS
-from cluttergen_jax.downstream.placer.studies.noise import NOISE
-from cluttergen_jax.downstream.placer.studies.placement import PLACEMENT
-from cluttergen_jax.downstream.placer.studies.pretrained import PRETRAINED
-from cluttergen_jax.downstream.placer.studies.protocol import PROTOCOL
-from cluttergen_jax.downstream.placer.studies.set_size import SET_SIZE
-from cluttergen_jax.downstream.placer.studies.source import SOURCE
-from cluttergen_jax.downstream.placer.studies.study import (
+from cluttergen_jax.downstream.perception.pose.free import need_gicp
+from cluttergen_jax.downstream.robot.model import panda_folder
+from cluttergen_jax.downstream.studies.cameras import CAMERAS
+from cluttergen_jax.downstream.studies.noise import NOISE
+from cluttergen_jax.downstream.studies.perception import PERCEPTION
+from cluttergen_jax.downstream.studies.placement import PLACEMENT
+from cluttergen_jax.downstream.studies.pretrained import PRETRAINED
+from cluttergen_jax.downstream.studies.protocol import PROTOCOL
+from cluttergen_jax.downstream.studies.rearrangement import REARRANGEMENT, REARRANGEMENT_ABLATIONS
+from cluttergen_jax.downstream.studies.robot import ROBOT
+from cluttergen_jax.downstream.studies.set_size import SET_SIZE
+from cluttergen_jax.downstream.studies.source import SOURCE
+from cluttergen_jax.downstream.studies.study import (
     SETS,
+    ApiCalls,
+    DownstreamStudy,
     Found,
-    MakeData,
-    PlacerStudy,
     Scale,
     SuiteFolder,
 )
-from cluttergen_jax.downstream.placer.studies.training_seeds import TRAINING_SEEDS
+from cluttergen_jax.downstream.studies.training_seeds import TRAINING_SEEDS
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.machine import machine
 from cluttergen_jax.evaluation.report import Result, document, write_report
@@ -42,13 +47,17 @@ STUDIES = {
         TRAINING_SEEDS,
         PRETRAINED,
         PROTOCOL,
+        PERCEPTION,
+        ROBOT,
+        REARRANGEMENT,
+        REARRANGEMENT_ABLATIONS,
     )
 }
 """By name, in the order of the page."""
 
 
 def run_downstream(
-    make_data: MakeData,
+    calls: ApiCalls,
     folder: Path,
     only: Sequence[str],
     scale: Scale,
@@ -59,10 +68,11 @@ def run_downstream(
     """The studies of the suite, each written as it is done; see `cluttergen_jax.evaluate_suite`.
 
     Args:
-      make_data: `cluttergen_jax.placer_data`.
+      calls: functions of the Python API.
 
     Raises:
       ConfigError: there is no such study, or no set of the scale's pools.
+      MissingExtraError: a study of the robot or of perception is asked for without their extras.
     """
     for name in only:
         if name not in STUDIES:
@@ -73,7 +83,10 @@ def run_downstream(
         raise ConfigError(
             f"pools = {', '.join(scale.pools)!r} with suite {NAME!r}", ", ".join(s.pool for s in SETS)
         )
-    suite, results = SuiteFolder(folder, make_data, scale, num_threads, fresh), []
+    if any(STUDIES[name].needs_robot for name in only or STUDIES):
+        panda_folder()
+        need_gicp()
+    suite, results = SuiteFolder(folder, calls, scale, num_threads, fresh), []
     for name in only or STUDIES:
         found = STUDIES[name].run(suite)
         result = result_of(STUDIES[name], found, command_of(name, scale), scale.quick)
@@ -103,7 +116,7 @@ def command_of(study: str, scale: Scale) -> str:
     return shlex.join(words)
 
 
-def result_of(study: PlacerStudy, found: Found, command: str, quick: bool) -> Result:
+def result_of(study: DownstreamStudy, found: Found, command: str, quick: bool) -> Result:
     """A study as the page of results has it, its tables made already."""
     return {
         "format": FORMAT,
@@ -125,5 +138,6 @@ def result_of(study: PlacerStudy, found: Found, command: str, quick: bool) -> Re
 
 
 def _size(row: dict) -> int:
-    """Queries of a row, or chains."""
-    return row["trial"].get("chains") or row["trial"]["queries"]
+    """Trials of a row: queries, chains of them, episodes, or moments."""
+    trial = row["trial"]
+    return next(trial[name] for name in ("chains", "queries", "episodes", "moments") if name in trial)

@@ -32,7 +32,7 @@ def machine() -> dict[str, Any]:
 
 def sentence(facts: dict[str, Any]) -> str:
     """The same for people."""
-    parts = [f"{facts['cores']} cores of {facts['cpu']}"]
+    parts = [f"{facts['cores']} {'core' if facts['cores'] == 1 else 'cores'} of {facts['cpu']}"]
     parts += [facts["accelerator"]] if facts["accelerator"] else []
     parts += [f"Python {facts['python']}", *(f"{name} {v}" for name, v in facts["versions"].items())]
     return ", ".join(parts)

@@ -35,9 +35,10 @@ def _table(told: dict[str, Any]) -> Table:
 
 
 def _title(result: Result, title: str) -> str:
-    if min(result["trials"]) >= result["size"]:
+    made = sorted({number for each in (result, *result.get("earlier", ())) for number in each["trials"]})
+    if min(made) >= result["size"]:
         return title
-    trials = " or ".join(str(each) for each in result["trials"])
+    trials = " or ".join(map(str, made))
     return (
         f"{title} ({'quick: ' if result['quick'] else ''}{trials} trials a row instead of {result['size']})"
     )
@@ -45,10 +46,32 @@ def _title(result: Result, title: str) -> str:
 
 def provenance(result: Result) -> str:
     """How the figures came about, in one paragraph."""
+    told = [_made(each) for each in (result, *result.get("earlier", ()))]
+    return " Rows that it did not make again: ".join(told)
+
+
+def _made(result: Result) -> str:
     trials = " or ".join(f"{each:,}" for each in result["trials"])
     return (
         f"`{result['command']}`, {trials} trials a row, {result['date']}, on {sentence(result['machine'])}."
     )
+
+
+def with_earlier_rows(result: Result, earlier: Result) -> Result:
+    """A study with the rows of an earlier result of it that it has not made again, pool by pool."""
+    made = [row for row in result["records"] if "figures" in row]
+    before = [row for row in earlier["records"] if "figures" in row]
+    # An earlier version may have named fewer of a trial's settings.
+    names = sorted(set.intersection(*(set(row["trial"]) for row in (*before, *made))))
+    rows = {json.dumps([row["trial"][name] for name in names]): row for row in (*before, *made)}
+    if len(rows) == len(made):
+        return result
+    pools = list(dict.fromkeys(row["trial"].get("pool") for row in rows.values()))
+    told = {name: earlier[name] for name in ("command", "trials", "date", "machine")}
+    return result | {
+        "records": sorted(rows.values(), key=lambda row: pools.index(row["trial"].get("pool"))),
+        "earlier": [told, *earlier.get("earlier", ())],
+    }
 
 
 def markdown(result: Result, level: int = 2, link: str = "") -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -25,6 +26,7 @@ from cluttergen_jax.rendering.camera import axes
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.lighting import add_lighting
 from cluttergen_jax.rendering.picture import distinct_colour, render_model
+from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.sheet import contact_sheet
 
 
@@ -50,23 +52,38 @@ def _add_surface(spec: mujoco.MjSpec, name: str, piece: Piece, offset: np.ndarra
 
 
 def render_object(
-    asset: ObjectAsset, *, width: int = 480, height: int = 240, samples: int = 16
+    asset: ObjectAsset,
+    *,
+    width: int = 480,
+    height: int = 240,
+    samples: int = 16,
+    trails: Sequence[Trail] | None = None,
 ) -> np.ndarray:
-    """uint8[height, width, 3]: the object's surfaces, and right of them its parts in distinct colours."""
+    """uint8[height, width, 3]: the object's surfaces, and right of them its parts in distinct colours.
+
+    Args:
+      trails: lines in the object's frame, metres, drawn about the surfaces; the parts are left out then,
+        but of an object without surfaces.
+    """
     spec = new_spec(StabilityConfig().timestep, ContactConfig())
     half = asset.half_extents
     view = CameraView(azimuth=115.0, elevation=-24.0, field_of_view=18.0)
     right = axes(view.azimuth, view.elevation)[0]
     # Half the object's width as it is seen, and a little room.
-    shift = right * 1.12 * float(np.abs(right) @ half)
+    shift = right * (1.12 * float(np.abs(right) @ half) if trails is None else 0.0)
     lift = np.array([0.0, 0.0, half[2]])
     for index, piece in enumerate(asset.pieces):
         _add_surface(spec, f"piece-{index}", piece, lift - shift)
-    for index, part in enumerate(asset.parts):
+    for index, part in enumerate(asset.parts if trails is None or not asset.pieces else ()):
         hull = Piece(Mesh.points(part.vertices), distinct_colour(index))
         _add_surface(spec, f"part-{index}", hull, lift + shift)
     return render_model(
-        add_lighting(spec).compile(), camera=view, width=width, height=height, samples=samples
+        add_lighting(spec).compile(),
+        camera=view,
+        width=width,
+        height=height,
+        samples=samples,
+        trails=[replace(trail, points=trail.points + lift) for trail in trails or ()],
     )
 
 

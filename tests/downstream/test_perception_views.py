@@ -17,7 +17,7 @@ from cluttergen_jax.downstream.perception.views import stored
 from cluttergen_jax.downstream.perception.views.appearance import NUM_TEXTURES, exposed, table_texture
 from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE, wrist_camera
 from cluttergen_jax.downstream.perception.views.maker import ViewConfig, write_views
-from cluttergen_jax.downstream.perception.views.stored import BLOCK_SIZE, INDEX, read_views, row_of
+from cluttergen_jax.downstream.perception.views.stored import VIEWS, read_views, row_of
 from cluttergen_jax.downstream.robot.frames import made
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.rendering.gl import renderer_status
@@ -29,7 +29,7 @@ needs_gl = pytest.mark.skipif(not renderer_status()[0], reason="nothing here can
 
 
 def rows_of(path):
-    return stored.block_path(path, "train", 0).read_bytes()
+    return VIEWS.block_path(path, "train", 0).read_bytes()
 
 
 @pytest.fixture(scope="module")
@@ -131,8 +131,8 @@ def test_the_same_settings_make_the_same_views_and_more_goes_on(views, bank, tmp
     assert np.array_equal(short[1].view.rgb, list(more.views("train"))[1].view.rgb)
     with pytest.raises(BankError, match="another seed"):
         write_views(more.path, {"made": bank}, "train", 4, ViewConfig(seed=6, arm=0.0))
-    record = json.loads((more.path / INDEX).read_text())
-    (more.path / INDEX).write_text(json.dumps(record | {"names": ["a"]}))
+    record = json.loads((more.path / VIEWS.index).read_text())
+    (more.path / VIEWS.index).write_text(json.dumps(record | {"names": ["a"]}))
     with pytest.raises(BankError, match="other objects"):
         write_views(more.path, {"made": bank}, "train", 4, CONFIG)
 
@@ -141,7 +141,7 @@ def test_the_same_settings_make_the_same_views_and_more_goes_on(views, bank, tmp
 def test_a_damaged_block_is_named_and_made_again(views, bank, tmp_path):
     made_ = write_views(tmp_path / "views", {"made": bank}, "train", 2, CONFIG)
     whole = rows_of(made_.path)
-    stored.block_path(made_.path, "train", 0).write_bytes(whole[: len(whole) // 2])
+    VIEWS.block_path(made_.path, "train", 0).write_bytes(whole[: len(whole) // 2])
     with pytest.raises(BankError, match="missing or damaged"):
         list(made_.views("train"))
     write_views(tmp_path / "views", {"made": bank}, "train", 2, CONFIG)
@@ -179,10 +179,10 @@ def test_frames_are_read_as_they_were_written_and_damaged_ones_are_refused(tmp_p
 def test_what_is_no_folder_of_views_is_said(tmp_path):
     with pytest.raises(BankError, match="holds no views"):
         read_views(tmp_path)
-    (tmp_path / INDEX).write_text("{")
+    (tmp_path / VIEWS.index).write_text("{")
     with pytest.raises(BankError, match="cannot be read"):
         read_views(tmp_path)
-    (tmp_path / INDEX).write_text('{"kind": "pairs", "format": 1}')
+    (tmp_path / VIEWS.index).write_text('{"kind": "pairs", "format": 1}')
     with pytest.raises(BankError, match="not the record of views"):
         read_views(tmp_path)
 
@@ -215,10 +215,10 @@ write_views(sys.argv[1], {"made": read_bank(sys.argv[2])}, "train", int(sys.argv
 @needs_gl
 @pytest.mark.slow
 def test_what_a_killed_process_left_is_taken_up_again(bank, tmp_path):
-    number = 3 * BLOCK_SIZE
+    number = 3 * VIEWS.block_size
     command = [sys.executable, "-c", KILLED, str(tmp_path / "killed"), str(bank.path), str(number)]
     process = subprocess.Popen(command, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
-    first = stored.block_path(tmp_path / "killed", "train", 0)
+    first = VIEWS.block_path(tmp_path / "killed", "train", 0)
     for _ in range(1200):
         if first.exists() or process.poll() is not None:
             break
@@ -226,10 +226,10 @@ def test_what_a_killed_process_left_is_taken_up_again(bank, tmp_path):
     process.send_signal(signal.SIGKILL)
     process.wait()
     before = first.stat().st_mtime_ns
-    assert not stored.block_path(tmp_path / "killed", "train", 2).exists()
+    assert not VIEWS.block_path(tmp_path / "killed", "train", 2).exists()
     killed = write_views(tmp_path / "killed", {"made": bank}, "train", number, CONFIG)
     whole = write_views(tmp_path / "whole", {"made": bank}, "train", number, CONFIG)
     assert first.stat().st_mtime_ns == before
     for block in range(3):
-        one, other = (stored.block_path(each.path, "train", block) for each in (killed, whole))
+        one, other = (VIEWS.block_path(each.path, "train", block) for each in (killed, whole))
         assert one.read_bytes() == other.read_bytes()

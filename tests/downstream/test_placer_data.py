@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -18,7 +19,6 @@ from cluttergen_jax.downstream.placer.evaluation.bench import Bench
 from cluttergen_jax.downstream.placer.pairs import maker as data
 from cluttergen_jax.downstream.placer.pairs import stored as pairs
 from cluttergen_jax.downstream.placer.pairs.stored import (
-    SPLITS,
     labels_of,
     load_queries,
     of_tenths,
@@ -26,6 +26,7 @@ from cluttergen_jax.downstream.placer.pairs.stored import (
 )
 from cluttergen_jax.downstream.placer.query import Proposals
 from cluttergen_jax.downstream.placer.training.examples import TESTING, ExampleSource
+from cluttergen_jax.downstream.splits import SPLITS
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
@@ -41,7 +42,7 @@ WIDTH = 8
 def small_blocks():
     with pytest.MonkeyPatch.context() as patch:
         for module in (data, pairs):
-            patch.setattr(module, "BLOCK_SIZE", WIDTH)
+            patch.setattr(module, "PAIRS", replace(pairs.PAIRS, block_size=WIDTH))
         yield
 
 

@@ -1,6 +1,7 @@
 """Placers side by side: figures are counted from verdicts, rows are kept, tables tell them."""
 
 import json
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -18,12 +19,13 @@ from cluttergen_jax.downstream.placer.evaluation.chain import Chains
 from cluttergen_jax.downstream.placer.evaluation.figures import figures_of
 from cluttergen_jax.downstream.placer.pairs import maker as data
 from cluttergen_jax.downstream.placer.pairs import stored as pairs
-from cluttergen_jax.downstream.placer.pairs.stored import SPLITS, images_of, load_queries
+from cluttergen_jax.downstream.placer.pairs.stored import images_of, load_queries
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import GeometryPlacer
 from cluttergen_jax.downstream.placer.query import Proposals, without_scores
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras
 from cluttergen_jax.downstream.placer.sight import QueryMaker
+from cluttergen_jax.downstream.splits import SPLITS
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
 from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig
@@ -38,7 +40,7 @@ from tests.helpers.placing import write_bank
 def made(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for module in (data, pairs):
-            patch.setattr(module, "BLOCK_SIZE", 8)
+            patch.setattr(module, "PAIRS", replace(pairs.PAIRS, block_size=8))
         patch.setattr(bench_module, "_AT_ONCE", 8)
         folder = tmp_path_factory.mktemp("placer")
         found = write_bank(folder / "bank", seed=SPLITS["test"])

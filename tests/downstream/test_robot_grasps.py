@@ -16,6 +16,7 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.robot import model as robot_model
 from cluttergen_jax.downstream.robot.frames import inverse, made, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasp_candidates import Candidates, HandCheck, candidates_of, spread
+from cluttergen_jax.downstream.robot.grasp_picture import grasp_sheet, grasp_trails
 from cluttergen_jax.downstream.robot.grasp_sets import GraspSets
 from cluttergen_jax.downstream.robot.grasps import (
     Grasps,
@@ -28,6 +29,7 @@ from cluttergen_jax.downstream.robot.grasps import (
 from cluttergen_jax.downstream.robot.grip_test import MAX_LOAD, MAX_SLIP, grip_test
 from cluttergen_jax.downstream.robot.model import Panda, base_pose, home_pose, with_panda
 from cluttergen_jax.errors import MissingExtraError, PoolError
+from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.scene import Scene
 from tests.helpers.worlds import box
 
@@ -209,3 +211,34 @@ def test_candidates_repeat_exactly():
     mug = find_pool("dining")["mug"]
     one, two = (candidates_of(mug, 8, 600, np.random.default_rng(1)) for _ in range(2))
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
+
+
+def some_grasps(number):
+    """Made-up ones from above, 3 cm wide; the first holds nothing more than its own weight."""
+    poses = np.tile(pose_of(made(DOWN, (0.0, 0.0, 0.04))), (number, 1))
+    zeros, margin = np.zeros(number), np.linspace(1, MAX_LOAD, number)
+    return Grasps(
+        "cube", "0", poses, zeros + 0.03, zeros, zeros, zeros, margin, np.ones(number, bool), number
+    )
+
+
+def test_a_drawn_grasp_has_its_tips_where_the_fingers_touch():
+    trails = grasp_trails(some_grasps(40), most=3)
+    assert len(trails) == 2 * 3
+    tips = trails[0].points[[0, -1]]
+    assert np.allclose(tips, [[0, 0.015, 0.04], [0, -0.015, 0.04]])
+    assert (trails[0].points[1:3, 2] > 0.04).all(), "the palm is above"
+    weak, strong = trails[0].rgb, trails[-1].rgb
+    assert weak[0] > weak[1]
+    assert strong[1] > strong[0]
+    assert grasp_trails(some_grasps(0)) == []
+
+
+def test_a_sheet_shows_grasps_about_the_object():
+    if not renderer_status()[0]:
+        pytest.skip("no OpenGL here")
+    cube = box("cube", (0.02, 0.03, 0.04))
+    bare, held = (grasp_sheet([cube], [some_grasps(n)], columns=1, samples=1) for n in (0, 5))
+    green = (held[..., 1] > 1.3 * held[..., 0].astype(int)) & (held[..., 1] > 60)
+    assert green.sum() > 50
+    assert not ((bare[..., 1] > 1.3 * bare[..., 0].astype(int)) & (bare[..., 1] > 60)).any()

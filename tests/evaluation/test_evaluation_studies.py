@@ -12,7 +12,7 @@ from cluttergen_jax.downstream.suite import STUDIES as DOWNSTREAM
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.episodes import WITHIN
 from cluttergen_jax.evaluation.measures.survival import PEERS
-from cluttergen_jax.evaluation.report import document, read_results, tables_of
+from cluttergen_jax.evaluation.report import document, provenance, read_results, tables_of, with_earlier_rows
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.running import run_study
 from cluttergen_jax.evaluation.store import Store
@@ -314,3 +314,25 @@ def test_survival_asks_the_engines_that_are_installed(runner, tmp_path):
     assert [row["engine"] for row in result["rows"]] == installed
     assert len(result["notes"]) == len(PEERS) - len(installed)
     assert all("cluttergen_jax[peers]" in note for note in result["notes"])
+
+
+def test_rows_that_were_not_made_again_stay_with_where_they_come_from():
+    (earlier,) = (each for each in read_results(DOCS / "results") if each["name"] == "table1")
+    first, *others = (row for row in earlier["records"] if "figures" in row)
+    again = first | {
+        "trial": first["trial"] | {"order": None},
+        "figures": first["figures"] | {"success": 0.5},
+    }
+    fresh = first | {"trial": again["trial"] | {"method": "guided"}}
+    made = earlier | {"records": [again, fresh], "command": "cluttergen again", "date": "2026-12-01"}
+    made.pop("earlier", None)
+    merged = with_earlier_rows(made, earlier)
+    assert len(merged["records"]) == len(others) + 2
+    assert sum(row["figures"]["success"] == 0.5 for row in merged["records"]) == 1
+    pools = [row["trial"]["pool"] for row in merged["records"]]
+    assert pools == sorted(pools, key=pools.index), "the rows of a pool stand together"
+    told = provenance(merged)
+    assert told.startswith("`cluttergen again`")
+    assert f"did not make again: `{earlier['command']}`" in told
+    assert tables_of(merged)
+    assert with_earlier_rows(earlier, made | {"records": [first]}) is earlier

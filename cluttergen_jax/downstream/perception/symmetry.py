@@ -10,8 +10,9 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.downstream.robot.frames import angle_between
 
-TOLERANCE = 0.004
-"""Metres that a symmetric object's surface may lie off itself once it is turned; points lie 2 mm apart."""
+TOLERANCE = 0.005
+"""Metres that a symmetric object's surface may lie off itself once it is turned; points lie 2 mm apart. It
+is the error below which a pose counts as right: depth cameras do not tell such turns apart."""
 ROUND = 24
 """An object of so many equal turns counts as round: any turn about z is as good as another."""
 _ORDERS = (ROUND, 8, 6, 5, 4, 3, 2)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import json
-import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -13,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from cluttergen_jax.downstream.perception.views.appearance import (
     HELD_OUT_TEXTURES,
@@ -24,20 +20,15 @@ from cluttergen_jax.downstream.perception.views.appearance import (
 from cluttergen_jax.downstream.perception.views.cameras import SIZE, Kind, draw_camera
 from cluttergen_jax.downstream.perception.views.stage import Stage, open_stage
 from cluttergen_jax.downstream.perception.views.stored import (
-    BLOCK_SIZE,
-    FORMAT,
-    INDEX,
-    KIND,
     SCHEMA,
+    VIEWS,
     StoredView,
     ViewSet,
-    block_path,
-    read_block,
-    read_views,
     row_of,
 )
+from cluttergen_jax.downstream.splits import store_assets
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.files import folder_whole, remove_partial, write_atomically, writing
+from cluttergen_jax.files import remove_partial, writing
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.lock import BankLock
@@ -174,7 +165,7 @@ def write_views(
     made = {
         "seed": config.seed,
         "arm": config.arm,
-        "block_size": BLOCK_SIZE,
+        "block_size": VIEWS.block_size,
         "size": list(SIZE),
         "recipes": [bank.record["recipe"] for bank in banks.values()],
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco")},
@@ -185,11 +176,10 @@ def write_views(
     try:
         with writing(path):
             remove_partial(path)
-            record = _begun(path, first, names, split, made, num_views, overwrite)
-            if not (path / "assets").is_dir():
-                with folder_whole(path / "assets", is_only_writer=True) as fresh:
-                    shutil.copytree(first.path / "assets", fresh)
-            write_atomically(path / INDEX, (json.dumps(record, indent=1) + "\n").encode(), is_durable=True)
+            shared = {"assets": first.record["assets"], "names": names}
+            record = VIEWS.with_split(path, shared, split, made, num_views, overwrite)
+            store_assets(path, first)
+            VIEWS.write_record(path, record)
             views = ViewSet(path, record)
             _write_blocks(views, scenes, split, num_views, config)
     finally:
@@ -201,10 +191,8 @@ def _write_blocks(
     views: ViewSet, scenes: Sequence[StandingScenes], split: str, num_views: int, config: ViewConfig
 ) -> None:
     """Renders every block that is missing, damaged or shorter."""
-    sizes = {
-        block: min(BLOCK_SIZE, num_views - block * BLOCK_SIZE) for block in range(-(-num_views // BLOCK_SIZE))
-    }
-    missing = [block for block in sizes if read_block(views.path, split, block, sizes[block]) is None]
+    sizes = VIEWS.sizes(num_views)
+    missing = [block for block in sizes if VIEWS.read_block(views.path, split, block, sizes[block]) is None]
     kept = num_views - sum(sizes[block] for block in missing)
     if not missing:
         return
@@ -215,53 +203,13 @@ def _write_blocks(
         maker = ViewMaker(scenes, stage, materials, config, views.support, len(views.objects))
         for block in missing:
             rows = list(_rows(maker, block, sizes[block], progress.update))
-            buffer = io.BytesIO()
             table = pa.Table.from_pylist(rows, schema=SCHEMA)
-            pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
-            write_atomically(block_path(views.path, split, block), buffer.getvalue(), is_durable=True)
+            VIEWS.write_block(views.path, split, block, table)
 
 
 def _rows(
     maker: ViewMaker, block: int, number: int, on_row: Callable[[int], None]
 ) -> Iterator[dict[str, Any]]:
-    for view in range(block * BLOCK_SIZE, block * BLOCK_SIZE + number):
+    for view in range(block * VIEWS.block_size, block * VIEWS.block_size + number):
         yield maker.view(view)
         on_row(1)
-
-
-def _begun(
-    path: Path,
-    bank: Bank,
-    names: list[str],
-    split: str,
-    made: dict[str, Any],
-    num_views: int,
-    overwrite: bool,
-) -> dict[str, Any]:
-    """The folder's record with this split in it."""
-    made, assets = json.loads(json.dumps(made)), bank.record["assets"]
-    record: dict[str, Any] = {"format": FORMAT, "kind": KIND, "assets": assets, "names": names, "splits": {}}
-    if (path / INDEX).exists():
-        record = read_views(path).record
-    if (record["assets"], record["names"]) != (assets, names):
-        raise BankError(
-            f"{path} holds views of other objects or of another support",
-            "one pool and one support in a folder",
-            "another `out`",
-        )
-    known = record["splits"].get(split)
-    if known is not None and overwrite:
-        known = None
-        for file in path.glob(f"{split}-*.parquet"):
-            file.unlink()
-    if known is not None:
-        changed = sorted(name for name in made if known.get(name) != made[name])
-        if changed:
-            raise BankError(
-                f"{path} holds views of {split!r} made with another {', '.join(changed)}",
-                "the same settings, which continue it",
-                "another `out`, or `overwrite` to begin that split anew",
-            )
-        num_views = max(num_views, known["num_views"])
-    record["splits"][split] = {"num_views": num_views, **made}
-    return record

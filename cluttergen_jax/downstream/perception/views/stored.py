@@ -1,11 +1,7 @@
 """Views on disk: what cameras saw of scenes, with labels and true poses.
 
-    views.json              how each split was made, digests of its assets
-    assets/                 the objects and the support, as a bank has them
-    train-000000.parquet    block 0 of a split: views 0 to 63, a row each
-    bank-train-clear/       the banks behind a split, where they were made along with it
-
-A block is written as a whole or not at all (`maker.write_views`).
+A folder as `downstream.splits` has it, with the banks behind a split in `bank-train-clear/` and so on, where
+they were made along with it (`maker.write_views`).
 """
 
 from __future__ import annotations
@@ -20,24 +16,17 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.perception.views.stage import View
-from cluttergen_jax.errors import BankError, ConfigError, closest
+from cluttergen_jax.downstream.splits import SplitFormat
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.sensing.camera import Camera
 
-FORMAT = 1
-KIND = "views"
-INDEX = "views.json"
-BLOCK_SIZE = 64
-SPLITS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
-"""The first seed of the banks of each split: scenes of different splits have different keys."""
 TENTHS_A_METRE = 10_000
-AGAIN = "the same `cluttergen perception data` again, which makes what is missing"
 
 SCHEMA = pa.schema(
     [
@@ -60,6 +49,7 @@ SCHEMA = pa.schema(
 """`objects` are those that stand, by their number in the pool, at `poses`, T_world_object, metres and wxyz.
 Depth is u16 in tenths of a millimetre along the optical axis, little-endian, row by row, 0 where nothing is
 or beyond 6.5 m; labels are u8 (`classes`); rgb is u8. Neither exposure nor noise is in them."""
+VIEWS = SplitFormat("views", "view", "cluttergen perception data", SCHEMA, 64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,15 +88,7 @@ class ViewSet:
         Raises:
           ConfigError: there is none of that name, or it holds no views.
         """
-        if name not in SPLITS:
-            raise ConfigError(f"split = {name!r}", ", ".join(SPLITS), meant=closest(name, SPLITS))
-        if name not in self.record["splits"]:
-            raise ConfigError(
-                f"{self.path} holds no views of the split {name!r}",
-                f"{', '.join(self.splits) or 'none'} in that folder",
-                f"cluttergen perception data --split {name} --out {self.path}",
-            )
-        return self.record["splits"][name]
+        return VIEWS.split(self.path, self.record, name)
 
     @cached_property
     def objects(self) -> tuple[ObjectAsset, ...]:
@@ -149,11 +131,7 @@ class ViewSet:
         if number is not None and not 1 <= number <= total:
             raise ConfigError(f"num_views = {number}", f"1 to {total}, the views of {split!r} in {self.path}")
         total = number or total
-        for block in range(-(-total // BLOCK_SIZE)):
-            rows = min(BLOCK_SIZE, total - block * BLOCK_SIZE)
-            table = read_block(self.path, split, block, rows)
-            if table is None:
-                raise BankError(f"{block_path(self.path, split, block)} is missing or damaged", hint=AGAIN)
+        for table in VIEWS.tables(self.path, split, total):
             for row in table.to_pylist():
                 yield _stored(row)
 
@@ -164,42 +142,7 @@ def read_views(path: str | Path) -> ViewSet:
     Raises:
       BankError: it is none, or damaged.
     """
-    path = Path(path)
-    try:
-        record = json.loads((path / INDEX).read_bytes())
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise BankError(
-            f"{path} holds no views: it has no {INDEX}", "a folder that `cluttergen perception data` made"
-        ) from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise BankError(f"{path / INDEX} cannot be read ({error})", hint=AGAIN) from error
-    if not isinstance(record, dict) or (record.get("kind"), record.get("format")) != (KIND, FORMAT):
-        raise BankError(f"{path / INDEX} is not the record of views of format {FORMAT}", hint=AGAIN)
-    return ViewSet(path, record)
-
-
-def block_path(path: Path, split: str, block: int) -> Path:
-    """Where a block of a split is stored."""
-    return path / f"{split}-{block:06d}.parquet"
-
-
-def read_block(path: Path, split: str, block: int, num_rows: int) -> pa.Table | None:
-    """The first rows of a block; None if it is missing, damaged or shorter."""
-    try:
-        table = pq.read_table(
-            block_path(path, split, block),
-            schema=SCHEMA,
-            page_checksum_verification=True,
-            partitioning=None,
-        )
-        table.validate(full=True)
-    except (FileNotFoundError, pa.ArrowException, OSError, ValueError):
-        return None
-    first = block * BLOCK_SIZE
-    numbers = np.arange(first, first + table.num_rows)
-    if table.num_rows < num_rows or not np.array_equal(table["view"], numbers):
-        return None
-    return table.slice(0, num_rows)
+    return ViewSet(Path(path), VIEWS.read_record(Path(path)))
 
 
 def row_of(stored: StoredView, scene: int, texture: int) -> dict[str, Any]:

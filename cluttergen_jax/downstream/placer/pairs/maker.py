@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import io
-import json
 import os
-import shutil
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
@@ -14,31 +11,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from cluttergen_jax.downstream.placer.judge import Judge
 from cluttergen_jax.downstream.placer.pairs.candidate_draw import SOURCES, CandidateDraw
 from cluttergen_jax.downstream.placer.pairs.card import write_card
 from cluttergen_jax.downstream.placer.pairs.stored import (
-    BLOCK_SIZE,
-    FORMAT,
-    INDEX,
-    KIND,
+    PAIRS,
     SCHEMA,
-    SPLITS,
     PairSet,
-    block_path,
     changed_frame,
-    read_block,
-    read_pairs,
     stacked,
 )
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, depth_bytes, depth_of
 from cluttergen_jax.downstream.placer.sight import QueryMaker
+from cluttergen_jax.downstream.splits import SPLITS, store_assets
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.files import folder_whole, remove_partial, write_atomically, writing
+from cluttergen_jax.files import remove_partial, writing
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.progress import COMPILING, Progress
 from cluttergen_jax.scene.bank.bank import Bank
@@ -46,8 +36,6 @@ from cluttergen_jax.scene.bank.lock import LOCK, BankLock
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
 from cluttergen_jax.sensing.rays import FIRST_OBJECT, SUPPORT
-
-_METADATA = b"cluttergen"
 
 
 class SensedPair(NamedTuple):
@@ -91,10 +79,10 @@ class PairMaker:
         self, block: int, num_rows: int, on_rows: Callable[[int], None] = lambda number: None
     ) -> pa.Table:
         """The first rows of a block; told of each pair that is sensed."""
-        pairs = block * BLOCK_SIZE + np.arange(num_rows)
+        pairs = block * PAIRS.block_size + np.arange(num_rows)
         places = self.places(pairs)
         # Programs are made for whole blocks.
-        whole = places[np.minimum(np.arange(BLOCK_SIZE), num_rows - 1)]
+        whole = places[np.minimum(np.arange(PAIRS.block_size), num_rows - 1)]
         episodes = self.scenes.episodes(whole)
         looks = []
         state = (np.asarray(episodes.poses), np.asarray(episodes.is_placed))
@@ -102,7 +90,7 @@ class PairMaker:
             looks.append(look)
             on_rows(1)
         queries = [look.query for look in looks]
-        queries += [queries[-1]] * (BLOCK_SIZE - num_rows)
+        queries += [queries[-1]] * (PAIRS.block_size - num_rows)
         candidates = self._candidates(block, episodes, stacked(queries))[:num_rows]
         scene = np.repeat(np.arange(num_rows), candidates.shape[1])
         judged = self._judge.settle(episodes, scene, candidates.reshape(-1, 4))
@@ -113,7 +101,7 @@ class PairMaker:
 
     def _candidates(self, block: int, episodes: Episode, queries: PlacementQuery) -> np.ndarray:
         rng = np.random.default_rng((self.seed, block, 1))
-        return self._draw(rng.integers(2**32, size=BLOCK_SIZE, dtype=np.uint32), episodes, queries)
+        return self._draw(rng.integers(2**32, size=PAIRS.block_size, dtype=np.uint32), episodes, queries)
 
     def _look(self, pair: int, place: np.ndarray, poses: np.ndarray, is_placed: np.ndarray) -> SensedPair:
         """What the pair's camera sees."""
@@ -182,7 +170,7 @@ def write_pairs(
     made = {
         "seed": seed,
         "camera": camera,
-        "block_size": BLOCK_SIZE,
+        "block_size": PAIRS.block_size,
         "num_scenes": len(scenes.number),
         "recipe": bank.record["recipe"],
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax")},
@@ -194,9 +182,11 @@ def write_pairs(
     try:
         with writing(path):
             remove_partial(path)
-            record = _begun(path, bank, split, made, num_pairs, overwrite)
-            _store_assets(path, bank)
-            write_atomically(path / INDEX, (json.dumps(record, indent=1) + "\n").encode(), is_durable=True)
+            record = PAIRS.with_split(
+                path, {"assets": bank.record.get("assets")}, split, made, num_pairs, overwrite
+            )
+            store_assets(path, bank)
+            PAIRS.write_record(path, record)
             _write_blocks(path, maker, split, num_pairs)
             pairs = PairSet(path, record)
             write_card(pairs)
@@ -207,71 +197,25 @@ def write_pairs(
 
 def _write_blocks(path: Path, maker: PairMaker, split: str, num_pairs: int) -> None:
     """Makes every block that is missing, damaged or shorter."""
-    blocks = range(-(-num_pairs // BLOCK_SIZE))
-    rows = {block: min(BLOCK_SIZE, num_pairs - block * BLOCK_SIZE) for block in blocks}
-    missing = [block for block in blocks if read_block(path, split, block, rows[block]) is None]
+    rows = PAIRS.sizes(num_pairs)
+    missing = [block for block in rows if PAIRS.read_block(path, split, block, rows[block]) is None]
     kept = num_pairs - sum(rows[block] for block in missing)
     with Progress(f"pairs of {split}", num_pairs, "pair", kept) as progress:
         if missing:
             progress.say(COMPILING)
         for block in missing:
             table = maker.block(block, rows[block], progress.update)
-            buffer = io.BytesIO()
-            pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
-            write_atomically(block_path(path, split, block), buffer.getvalue(), is_durable=True)
+            PAIRS.write_block(path, split, block, table)
         progress.update(0, f"{progress.rate():.1f} pairs/s")
-
-
-def _begun(
-    path: Path, bank: Bank, split: str, made: dict[str, Any], num_pairs: int, overwrite: bool
-) -> dict[str, Any]:
-    """The folder's record with this split in it."""
-    made = json.loads(json.dumps(made))
-    assets = bank.record.get("assets")
-    record = (
-        read_pairs(path).record
-        if (path / INDEX).exists()
-        else {"format": FORMAT, "kind": KIND, "assets": assets, "splits": {}}
-    )
-    if record["assets"] != assets:
-        raise BankError(
-            f"{path} holds pairs of other objects or of another support",
-            "one set of objects and one support in a folder",
-            "another `out`",
-        )
-    known = record["splits"].get(split)
-    if known is not None and overwrite:
-        known = None
-        for file in path.glob(f"{split}-*.parquet"):
-            file.unlink()
-    if known is not None:
-        changed = sorted(name for name in made if known.get(name) != made[name])
-        if changed:
-            raise BankError(
-                f"{path} holds pairs of {split!r} made with another {', '.join(changed)}",
-                "the same settings and the same bank, which continue it",
-                "another `out`, or `overwrite` to begin that split anew",
-            )
-        num_pairs = max(num_pairs, known["num_pairs"])
-    record["splits"][split] = {"num_pairs": num_pairs, **made}
-    return record
 
 
 def _check_place(path: Path) -> None:
     """Refuses a folder that holds something else."""
-    if not path.exists() or (path / INDEX).exists():
+    if not path.exists() or (path / PAIRS.index).exists():
         return
-    ours = (LOCK, f".{INDEX}.partial", *(f"bank-{split}" for split in SPLITS), "assets")
+    ours = (LOCK, f".{PAIRS.index}.partial", *(f"bank-{split}" for split in SPLITS), "assets")
     if not path.is_dir() or any(each.name not in ours for each in path.iterdir()):
         raise BankError(f"{path} exists and holds no pairs", "a new or empty folder", "another `out`")
-
-
-def _store_assets(path: Path, bank: Bank) -> None:
-    """The bank's own copies of the objects and the support."""
-    if (path / "assets").is_dir():
-        return
-    with folder_whole(path / "assets", is_only_writer=True) as fresh:
-        shutil.copytree(bank.path / "assets", fresh)
 
 
 def split_of(bank: Bank, asked: str | None) -> str:

@@ -1,11 +1,7 @@
 """Pairs on disk: what a camera saw of a partial scene, where its next object stood, and judged candidates.
 
-    pairs.json              how each split was made, digests of its assets; README.md, the card
-    assets/                 the objects and the support, as a bank has them
-    train-000000.parquet    block 0 of a split: pairs 0 to 255, a row each
-    bank-train/             the bank behind a split, where it was made along with it
-
-A block is written as a whole or not at all (`data.write_pairs`).
+A folder as `downstream.splits` has it, with README.md, the card, and the bank behind a split in `bank-train/`
+and so on, where it was made along with it (`maker.write_pairs`).
 """
 
 from __future__ import annotations
@@ -22,13 +18,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from cluttergen_jax.config import check_workers
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, View, check_cameras, depth_of
 from cluttergen_jax.downstream.placer.sight import QueryMaker, SceneMaps
-from cluttergen_jax.errors import BankError, ConfigError, closest
+from cluttergen_jax.downstream.splits import SplitFormat
+from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.geometry import product, rotation_matrix
 from cluttergen_jax.placement.problem import Problem
@@ -37,14 +33,6 @@ from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import NOISE_OFF, NoiseConfig
-
-FORMAT = 1
-KIND = "pairs"
-INDEX = "pairs.json"
-BLOCK_SIZE = 256
-SPLITS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
-"""The first seed of a bank of each split: scenes of different splits have different keys."""
-AGAIN = "the same `cluttergen placer data` again, which makes what is missing"
 
 SCHEMA = pa.schema(
     [
@@ -71,6 +59,7 @@ SCHEMA = pa.schema(
 """Poses are T_region_object, position in metres and quaternion wxyz; candidates x, y, z in metres and yaw in
 radians. Matrices stand row by row. Depth is u16 in millimetres along the optical axis, little-endian, row by
 row, 0 where nothing is; labels are u8: 0 the floor, 1 the support, 2 + k the k-th standing object."""
+PAIRS = SplitFormat("pairs", "pair", "cluttergen placer data", SCHEMA, 256)
 
 
 class PairLabels(NamedTuple):
@@ -119,15 +108,7 @@ class PairSet:
         Raises:
           ConfigError: there is none of that name, or it holds no pairs.
         """
-        if name not in SPLITS:
-            raise ConfigError(f"split = {name!r}", ", ".join(SPLITS), meant=closest(name, SPLITS))
-        if name not in self.record["splits"]:
-            raise ConfigError(
-                f"{self.path} holds no pairs of the split {name!r}",
-                f"{', '.join(self.splits) or 'none'} in that folder",
-                f"cluttergen placer data --split {name} --out {self.path}",
-            )
-        return self.record["splits"][name]
+        return PAIRS.split(self.path, self.record, name)
 
     def tables(self, split: str) -> Iterator[pa.Table]:
         """The rows of a split, block by block.
@@ -135,13 +116,7 @@ class PairSet:
         Raises:
           ConfigError: there is no such split; BankError: a block is missing or damaged.
         """
-        num_pairs = int(self.split(split)["num_pairs"])
-        for block in range(-(-num_pairs // BLOCK_SIZE)):
-            rows = min(BLOCK_SIZE, num_pairs - block * BLOCK_SIZE)
-            table = read_block(self.path, split, block, rows)
-            if table is None:
-                raise BankError(f"{block_path(self.path, split, block)} is missing or damaged", hint=AGAIN)
-            yield table
+        return PAIRS.tables(self.path, split, int(self.split(split)["num_pairs"]))
 
     def setup(self, split: str) -> Setup:
         """The world of a split, natively judged.
@@ -166,39 +141,7 @@ def read_pairs(path: str | Path) -> PairSet:
     Raises:
       BankError: it is none, or damaged.
     """
-    path = Path(path)
-    try:
-        record = json.loads((path / INDEX).read_bytes())
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise BankError(
-            f"{path} holds no pairs: it has no {INDEX}", "a folder that `cluttergen placer data` made"
-        ) from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise BankError(f"{path / INDEX} cannot be read ({error})", hint=AGAIN) from error
-    if not isinstance(record, dict) or (record.get("kind"), record.get("format")) != (KIND, FORMAT):
-        raise BankError(f"{path / INDEX} is not the record of pairs of format {FORMAT}", hint=AGAIN)
-    return PairSet(path, record)
-
-
-def block_path(path: Path, split: str, block: int) -> Path:
-    """Where a block of a split is stored."""
-    return path / f"{split}-{block:06d}.parquet"
-
-
-def read_block(path: Path, split: str, block: int, num_rows: int) -> pa.Table | None:
-    """The first rows of a block; None if it is missing, damaged or shorter."""
-    file = block_path(path, split, block)
-    try:
-        table = pq.read_table(file, schema=SCHEMA, page_checksum_verification=True, partitioning=None)
-        table.validate(full=True)
-    except (FileNotFoundError, pa.ArrowException, OSError, ValueError):
-        return None
-    first = block * BLOCK_SIZE
-    if table.num_rows < num_rows or not np.array_equal(
-        table["pair"], np.arange(first, first + table.num_rows)
-    ):
-        return None
-    return table.slice(0, num_rows)
+    return PairSet(Path(path), PAIRS.read_record(Path(path)))
 
 
 Wanted = Callable[[pa.Table], np.ndarray]
@@ -336,7 +279,9 @@ def labels_of(table: pa.Table, names: dict[str, int], num_slots: int) -> PairLab
             if standing:
                 poses[row, : len(standing)] = at
     except (KeyError, ValueError) as error:
-        raise BankError(f"a pair names objects that its record does not ({error})", hint=AGAIN) from error
+        raise BankError(
+            f"a pair names objects that its record does not ({error})", hint=PAIRS.again
+        ) from error
     num_standing = np.array(table["num_standing"], np.int32)
 
     def numbers(name: str, kind: type) -> np.ndarray:

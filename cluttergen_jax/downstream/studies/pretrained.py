@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig
-from cluttergen_jax.downstream.placer.studies.study import Found, PlacerStudy, SuiteFolder
-from cluttergen_jax.downstream.placer.studies.trained import Variant, rows_of, table_of
+from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
+from cluttergen_jax.downstream.studies.trained import Variant, rows_of, table_of
 from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretraining, small
 
 _QUICK: dict[str, Any] = {"num_shapes": 1, "num_held_out": 1, "num_epochs": 1}
@@ -55,4 +55,4 @@ def _encoder(suite: SuiteFolder) -> Path:
     return folder
 
 
-PRETRAINED = PlacerStudy("pretrained", "The paper's network with encoders that know shapes", run)
+PRETRAINED = DownstreamStudy("pretrained", "The paper's network with encoders that know shapes", run)

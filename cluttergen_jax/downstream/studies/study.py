@@ -1,4 +1,4 @@
-"""A study of stable placement: what it asks, and the folder in which its data, placers and rows are kept."""
+"""A study of the suite `downstream`: what it asks, and the folder in which its data and rows are kept."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 from cluttergen_jax.config import PlacerHead, PlacerNoise
+from cluttergen_jax.downstream.perception.evaluation.evaluate import PerceptionResult
+from cluttergen_jax.downstream.perception.views.stored import ViewSet
 from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials
 from cluttergen_jax.downstream.placer.evaluation.tables import Row
 from cluttergen_jax.downstream.placer.pairs.stored import PairSet
 from cluttergen_jax.downstream.placer.training.examples import ExampleSource
 from cluttergen_jax.downstream.placer.training.presets import preset
 from cluttergen_jax.downstream.placer.training.run import PlacerTraining
+from cluttergen_jax.downstream.rearrange.trials import Rearrangements
+from cluttergen_jax.downstream.robot.trials import RobotTrials
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.placement.setup import check_range
@@ -29,7 +33,16 @@ _SEEDS = 3
 MOST_SEED = 999_999
 """Of pairs, whose splits' banks have seeds in ranges of their own."""
 
-MakeData = Callable[..., PairSet]
+
+@dataclass(frozen=True)
+class ApiCalls:
+    """Functions of the Python API, which lies above this package: what studies do as a user would."""
+
+    placer_data: Callable[..., PairSet]
+    perception_data: Callable[..., ViewSet]
+    perception_eval: Callable[..., PerceptionResult]
+    robot_place: Callable[..., RobotTrials]
+    rearrange: Callable[..., Rearrangements]
 
 
 @dataclass(frozen=True)
@@ -58,7 +71,8 @@ class Scale:
 
     Attributes:
       quick: a look at everything within minutes; its figures say nothing.
-      num_scenes: of each test set, ten queries and one chain each; the study's own number if None.
+      num_scenes: of each test set, ten queries and one chain each, or episodes of a robot, or moments that
+        perception sees; the study's own number if None.
       num_pairs: the most that a placer learns from; what each study asks for if None.
       seeds: training seeds; 3 if None, 1 if quick.
       heads: that are trained where a study asks for some; its own if empty.
@@ -116,13 +130,14 @@ class SuiteFolder:
     """Where a suite's data, trained placers and rows are kept; what is there is not made again.
 
     Attributes:
-      folder: `data/` (pairs and their banks), `runs/` (trained placers), `results/` (rows).
-      make_data: `cluttergen_jax.placer_data`.
+      folder: `data/` (pairs, views, and their banks), `runs/` (trained placers), `results/` (rows of
+        placers), `episodes/` (of the robot), `moments/` (of perception).
+      calls: functions of the Python API.
       scale: how much is to be done; num_threads: 0 takes every core; fresh: make rows again.
     """
 
     folder: Path
-    make_data: MakeData
+    calls: ApiCalls
     scale: Scale = field(default_factory=Scale)
     num_threads: int = 0
     fresh: bool = False
@@ -175,13 +190,13 @@ class SuiteFolder:
     def hand_set(self, bank: Path, num_pairs: int) -> PairSet:
         """Pairs of a bank that is there."""
         place = self.folder / "data" / f"bank-{bank.name}-{self.scale.seed}"
-        return self.make_data(
+        return self.calls.placer_data(
             place, bank, num_pairs=num_pairs, seed=self.scale.seed, num_threads=self.num_threads
         )
 
     def _pairs(self, name: str, **settings: Any) -> PairSet:
         place, seed = self.folder / "data" / f"{name}-{self.scale.seed}", self.scale.seed
-        return self.make_data(place, seed=seed, num_threads=self.num_threads, **settings)
+        return self.calls.placer_data(place, seed=seed, num_threads=self.num_threads, **settings)
 
     def trained(
         self,
@@ -222,14 +237,16 @@ class Found(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PlacerStudy:
-    """One question about placers.
+class DownstreamStudy:
+    """One question.
 
     Attributes:
       name: for `only` and files; title: for people.
       run: makes its rows and tables, or takes them from disk.
+      needs_robot: the extras `robot` and `perception` must be there.
     """
 
     name: str
     title: str
     run: Callable[[SuiteFolder], Found]
+    needs_robot: bool = False

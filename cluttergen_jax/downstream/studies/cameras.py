@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from cluttergen_jax.downstream.placer.evaluation.tables import cell
-from cluttergen_jax.downstream.placer.studies.study import NOISES, Found, PlacerStudy, SuiteFolder
-from cluttergen_jax.downstream.placer.studies.trained import Variant, grouped, rows_of, table_of
+from cluttergen_jax.downstream.studies.study import NOISES, DownstreamStudy, Found, SuiteFolder
+from cluttergen_jax.downstream.studies.trained import Variant, grouped, rows_of, table_of
 from cluttergen_jax.tables import Table
 
 PLACERS = ("geometry", "geometry-occupied", "scored")
@@ -36,4 +36,4 @@ def _unseen(rows: list) -> Table:
     return Table("Share of the region unseen, mean", ("cameras", "noise", "unseen"), cells)
 
 
-CAMERAS = PlacerStudy("cameras", "Stable placement seen by several cameras", run)
+CAMERAS = DownstreamStudy("cameras", "Stable placement seen by several cameras", run)

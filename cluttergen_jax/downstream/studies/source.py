@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from cluttergen_jax.downstream.placer.pairs.stored import PairSet
-from cluttergen_jax.downstream.placer.studies.study import Found, PlacerStudy, SuiteFolder
-from cluttergen_jax.downstream.placer.studies.trained import Variant, rows_of, table_of
+from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
+from cluttergen_jax.downstream.studies.trained import Variant, rows_of, table_of
 
 SCENES = {"guided": 105, "clear": 105, "random": 180}
 """Of which about 100 stand: `random` fails more often."""
@@ -45,4 +45,4 @@ def _variant(suite: SuiteFolder, head: str, source: str, size: int, pairs: PairS
     return Variant(labels, runs)
 
 
-SOURCE = PlacerStudy("source", "Placers by the scenes that they learned from", run)
+SOURCE = DownstreamStudy("source", "Placers by the scenes that they learned from", run)

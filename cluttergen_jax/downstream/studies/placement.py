@@ -6,7 +6,7 @@ from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerCompariso
 from cluttergen_jax.downstream.placer.evaluation.tables import tables_of
 from cluttergen_jax.downstream.placer.heads.trained import embedded_placers
 from cluttergen_jax.downstream.placer.proposers import BASELINES, FULL_STATE
-from cluttergen_jax.downstream.placer.studies.study import NOISES, SETS, Found, PlacerStudy, SuiteFolder
+from cluttergen_jax.downstream.studies.study import NOISES, SETS, DownstreamStudy, Found, SuiteFolder
 
 
 def run(suite: SuiteFolder) -> Found:
@@ -33,4 +33,4 @@ def _compared(trials: Trials, quick: bool) -> PlacerComparison:
     return PlacerComparison(rows, tables_of(rows))
 
 
-PLACEMENT = PlacerStudy("placement", "Stable placement from one camera's view", run)
+PLACEMENT = DownstreamStudy("placement", "Stable placement from one camera's view", run)

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
-from cluttergen_jax.downstream.placer.studies.study import Found, PlacerStudy, SuiteFolder
-from cluttergen_jax.downstream.placer.studies.trained import Variant, grouped, pooled, rows_of
 from cluttergen_jax.downstream.placer.training.examples import TESTING
+from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
+from cluttergen_jax.downstream.studies.trained import Variant, grouped, pooled, rows_of
 from cluttergen_jax.tables import Table
 
 _NOTES = (
@@ -69,4 +69,4 @@ def _told(rows: list[Row], name: str) -> str:
     return with_interval(pooled(shares, rows[0]["trial"]["queries"]))
 
 
-PROTOCOL = PlacerStudy("protocol", "The paper's own protocol, and what it hides", run)
+PROTOCOL = DownstreamStudy("protocol", "The paper's own protocol, and what it hides", run)

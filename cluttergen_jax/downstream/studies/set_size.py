@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from cluttergen_jax.downstream.placer.pairs.stored import PairSet
-from cluttergen_jax.downstream.placer.studies.study import VALIDATING, Found, PlacerStudy, SuiteFolder
-from cluttergen_jax.downstream.placer.studies.trained import Variant, rows_of, table_of
+from cluttergen_jax.downstream.studies.study import VALIDATING, DownstreamStudy, Found, SuiteFolder
+from cluttergen_jax.downstream.studies.trained import Variant, rows_of, table_of
 
 SIZES = (200, 1000, 5000, 20_000)
 _FEW_SCENES = 5000
@@ -38,4 +38,4 @@ def _pairs(suite: SuiteFolder, size: int) -> PairSet:
     return suite.training_set("household", 2000, size, VALIDATING)
 
 
-SET_SIZE = PlacerStudy("set-size", "Placers by how many pairs they learned from", run)
+SET_SIZE = DownstreamStudy("set-size", "Placers by how many pairs they learned from", run)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cluttergen_jax.downstream.placer.evaluation.evaluate import compare_placers
 from cluttergen_jax.downstream.placer.evaluation.tables import chain_table
-from cluttergen_jax.downstream.placer.studies.study import NOISES, Found, PlacerStudy, SuiteFolder
+from cluttergen_jax.downstream.studies.study import NOISES, DownstreamStudy, Found, SuiteFolder
 
 PLACERS = ("geometry-occupied", "scored")
 LADDER = (0.0, 0.5, 1.0, 2.0, 4.0)
@@ -25,4 +25,4 @@ def run(suite: SuiteFolder) -> Found:
     return Found(found.rows + [{"trial": row["trial"], "figures": row} for row in chains], tables)
 
 
-NOISE = PlacerStudy("noise", "Stable placement by how noisy the camera is", run)
+NOISE = DownstreamStudy("noise", "Stable placement by how noisy the camera is", run)

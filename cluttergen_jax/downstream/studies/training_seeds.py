@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from cluttergen_jax.downstream.placer.studies.study import (
+from cluttergen_jax.downstream.studies.study import (
     NUM_OBJECTS,
     SETS,
+    DownstreamStudy,
     Found,
-    PlacerStudy,
     SuiteFolder,
 )
-from cluttergen_jax.downstream.placer.studies.trained import Variant, rows_of, table_of
+from cluttergen_jax.downstream.studies.trained import Variant, rows_of, table_of
 
 PAIRS, EPOCHS = 2560, 10
 """Of each of the two sets, and times that they are seen: as the placer's card has it."""
@@ -36,4 +36,4 @@ def run(suite: SuiteFolder) -> Found:
     return Found(rows, [table_of(title, rows, _NOTES)])
 
 
-TRAINING_SEEDS = PlacerStudy("training-seeds", "The trained placer by training seed", run)
+TRAINING_SEEDS = DownstreamStudy("training-seeds", "The trained placer by training seed", run)

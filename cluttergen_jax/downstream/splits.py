@@ -1,0 +1,201 @@
+"""Data sets on disk: splits of rows in blocks of Parquet files, and a record of how each split was made.
+
+    KIND.json               how each split was made, digests of its assets
+    assets/                 the objects and the support, as a bank has them
+    train-000000.parquet    block 0 of a split, a row for each of its first samples
+
+A block is written as a whole or not at all.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cluttergen_jax.errors import BankError, ConfigError, closest
+from cluttergen_jax.files import folder_whole, write_atomically
+from cluttergen_jax.scene.bank.bank import Bank
+
+FORMAT = 1
+SPLITS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
+"""The first seed of the banks of each split: scenes of different splits have different keys."""
+
+
+@dataclass(frozen=True)
+class SplitFormat:
+    """A kind of data set.
+
+    Attributes:
+      kind: its plural, "views" or "pairs"; column: that numbers the rows of a split.
+      command: that makes it, for messages.
+      schema: of its rows; block_size: rows of a block.
+    """
+
+    kind: str
+    column: str
+    command: str
+    schema: pa.Schema
+    block_size: int
+
+    @property
+    def index(self) -> str:
+        """The file's name of the record."""
+        return f"{self.kind}.json"
+
+    @property
+    def again(self) -> str:
+        """What mends a damaged folder."""
+        return f"the same `{self.command}` again, which makes what is missing"
+
+    @property
+    def number(self) -> str:
+        """The record's name for how many rows a split has."""
+        return f"num_{self.kind}"
+
+    def read_record(self, path: Path) -> dict[str, Any]:
+        """The record of a folder.
+
+        Raises:
+          BankError: there is none, or it is damaged.
+        """
+        file = path / self.index
+        try:
+            record = json.loads(file.read_bytes())
+        except (FileNotFoundError, NotADirectoryError) as error:
+            raise BankError(
+                f"{path} holds no {self.kind}: it has no {self.index}",
+                f"a folder that `{self.command}` made",
+            ) from error
+        except (OSError, ValueError, RecursionError) as error:
+            raise BankError(f"{file} cannot be read ({error})", hint=self.again) from error
+        if not isinstance(record, dict) or (record.get("kind"), record.get("format")) != (self.kind, FORMAT):
+            raise BankError(f"{file} is not the record of {self.kind} of format {FORMAT}", hint=self.again)
+        return record
+
+    def write_record(self, path: Path, record: dict[str, Any]) -> None:
+        """Stores it."""
+        text = json.dumps(record, indent=1) + "\n"
+        write_atomically(path / self.index, text.encode(), is_durable=True)
+
+    def split(self, path: Path, record: dict[str, Any], name: str) -> dict[str, Any]:
+        """How a split was made.
+
+        Raises:
+          ConfigError: there is none of that name, or it holds nothing.
+        """
+        if name not in SPLITS:
+            raise ConfigError(f"split = {name!r}", ", ".join(SPLITS), meant=closest(name, SPLITS))
+        if name not in record["splits"]:
+            raise ConfigError(
+                f"{path} holds no {self.kind} of the split {name!r}",
+                f"{', '.join(record['splits']) or 'none'} in that folder",
+                f"{self.command} --split {name} --out {path}",
+            )
+        return record["splits"][name]
+
+    def with_split(
+        self,
+        path: Path,
+        shared: dict[str, Any],
+        split: str,
+        made: dict[str, Any],
+        number: int,
+        overwrite: bool = False,
+    ) -> dict[str, Any]:
+        """The folder's record with a split in it, begun or continued; blocks of another go if asked.
+
+        Args:
+          shared: what all splits of a folder have in common; made: how this one is made.
+
+        Raises:
+          BankError: the folder holds something else, or that split made otherwise.
+        """
+        made = json.loads(json.dumps(made))
+        record: dict[str, Any] = {"format": FORMAT, "kind": self.kind, **shared, "splits": {}}
+        if (path / self.index).exists():
+            record = self.read_record(path)
+        if any(record.get(name) != value for name, value in shared.items()):
+            raise BankError(
+                f"{path} holds {self.kind} of other objects or of another support",
+                "one set of objects and one support in a folder",
+                "another `out`",
+            )
+        known = record["splits"].get(split)
+        if known is not None and overwrite:
+            known = None
+            for file in path.glob(f"{split}-*.parquet"):
+                file.unlink()
+        if known is not None:
+            changed = sorted(name for name in made if known.get(name) != made[name])
+            if changed:
+                raise BankError(
+                    f"{path} holds {self.kind} of {split!r} made with another {', '.join(changed)}",
+                    "the same settings and the same scenes, which continue it",
+                    "another `out`, or `overwrite` to begin that split anew",
+                )
+            number = max(number, known[self.number])
+        record["splits"][split] = {self.number: number, **made}
+        return record
+
+    # Blocks
+
+    def block_path(self, path: Path, split: str, block: int) -> Path:
+        """Where a block of a split is stored."""
+        return path / f"{split}-{block:06d}.parquet"
+
+    def sizes(self, number: int) -> dict[int, int]:
+        """Rows of each block of so many in all."""
+        size = self.block_size
+        return {block: min(size, number - block * size) for block in range(-(-number // size))}
+
+    def read_block(self, path: Path, split: str, block: int, num_rows: int) -> pa.Table | None:
+        """The first rows of a block; None if it is missing, damaged or shorter."""
+        file = self.block_path(path, split, block)
+        try:
+            table = pq.read_table(
+                file, schema=self.schema, page_checksum_verification=True, partitioning=None
+            )
+            table.validate(full=True)
+        except (FileNotFoundError, pa.ArrowException, OSError, ValueError):
+            return None
+        first = block * self.block_size
+        numbers = np.arange(first, first + table.num_rows)
+        if table.num_rows < num_rows or not np.array_equal(table[self.column], numbers):
+            return None
+        return table.slice(0, num_rows)
+
+    def write_block(self, path: Path, split: str, block: int, table: pa.Table) -> None:
+        """Stores a block."""
+        buffer = io.BytesIO()
+        pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
+        write_atomically(self.block_path(path, split, block), buffer.getvalue(), is_durable=True)
+
+    def tables(self, path: Path, split: str, number: int) -> Iterator[pa.Table]:
+        """The first rows of a split, block by block.
+
+        Raises:
+          BankError: a block is missing or damaged.
+        """
+        for block, rows in self.sizes(number).items():
+            table = self.read_block(path, split, block, rows)
+            if table is None:
+                raise BankError(
+                    f"{self.block_path(path, split, block)} is missing or damaged", hint=self.again
+                )
+            yield table
+
+
+def store_assets(path: Path, bank: Bank) -> None:
+    """A bank's own copies of the objects and the support, once."""
+    if not (path / "assets").is_dir():
+        with folder_whole(path / "assets", is_only_writer=True) as fresh:
+            shutil.copytree(bank.path / "assets", fresh)
