@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import LayoutRule, PickOrder, Rearrangement, RobotObserver, check_workers
+from cluttergen_jax.config import (
+    FilmFormat,
+    LayoutRule,
+    PickOrder,
+    Rearrangement,
+    RobotObserver,
+    check_workers,
+)
 from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
+    from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
     from cluttergen_jax.downstream.rearrange.trials import Rearrangements
 
 _MOST_SEED = 999_999
@@ -31,8 +41,16 @@ def rearrange(
     one_grasp: bool = False,
     observer: RobotObserver = "true",
     segmenter: str | Path | None = None,
+    pick: bool = False,
+    show_layouts: bool = False,
+    films: bool = False,
+    film: FilmFormat = "gif",
     seed: int = 0,
     num_threads: int = 0,
+    host: str = "localhost",
+    port: int = 8080,
+    browser: bool = True,
+    show: Callable[[str], None] = print,
 ) -> Rearrangements:
     """Lets a simulated Franka Panda rearrange the objects of scenes (`cluttergen rearrange`).
 
@@ -59,23 +77,37 @@ def rearrange(
         noise (extra `perception`).
       segmenter: of `perception`: a folder of `perception train`, or a pool's name where one comes with the
         package; the pool's own if not given.
+      pick: in each episode a person looks at the layouts in a browser, in the order of the rule, and takes
+        one (extra `viewer`); it is the only one that is tried.
+      show_layouts: draw each episode's layouts over the scene as it stands, on a sheet layouts-NUMBER.png
+        beside the rows, the chosen one framed.
+      films: draw films of the first success and of the first failure of each kind, in the folder films beside
+        the rows; those episodes are run again for it.
+      film: "gif", or "mp4" (extra video).
       seed: of all that is drawn.
       num_threads: 0 takes every core.
+      host: with `pick`, the address to listen on; 0.0.0.0 lets other machines in.
+      port: of it; 0 takes any free one.
+      browser: open a browser for it.
+      show: is given the line that tells where it is.
 
     Returns:
       The episodes; printed, the share of successes, failures by cause, and what an episode costs.
 
     Raises:
-      ConfigError: a setting is unknown or out of range, or the pool has too few objects.
-      BankError: the folder holds other episodes, or a damaged file.
+      ConfigError: a setting is unknown or out of range, the pool has too few objects, or the port is taken.
+      BankError: the folder holds other episodes or a damaged file, or an episode that is filmed does not end
+        as it did.
       PoolError: there is no such pool or segmenter.
-      MissingExtraError: the extra `robot`, or `perception` where it is asked for, is not installed.
+      MissingExtraError: the extra `robot`, or `perception` or `viewer` where it is needed, is not installed.
+      RendererError: pictures are asked for, and nothing here can draw.
     """
     import os
     from typing import get_args
 
     from cluttergen_jax.downstream.rearrange.settings import SETTINGS, RearrangeOptions
     from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
+    from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.placement.setup import check_range
 
@@ -96,20 +128,50 @@ def rearrange(
             raise ConfigError(f"{name} = {value!r}", ", ".join(get_args(known)))
     if segmenter is not None and observer == "true":
         raise ConfigError("`segmenter` with the observer 'true'", "observer='perception'", "leaving it out")
+    if pick and layout is not None:
+        raise ConfigError(
+            f"`pick` together with layout = {layout}", "one or the other", "leaving out `layout`"
+        )
     panda_folder()
+    if films or show_layouts:
+        check_films(film)
     told = None if observer == "true" else _looking(pool, segmenter, seed)
     options = RearrangeOptions(choose, layout, num_layouts, relook, order, one_grasp)
     threads = num_threads or os.cpu_count() or 1
-    return run_rearrangements(
-        SETTINGS[setting],
-        options,
-        num_episodes,
-        seed,
-        Path(out) / setting,
-        pool=str(pool),
-        observer=told,
-        num_threads=threads,
-    )
+    with _person(choose, host, port, browser, show) if pick else nullcontext() as person:
+        return run_rearrangements(
+            SETTINGS[setting],
+            options,
+            num_episodes,
+            seed,
+            Path(out) / setting,
+            pool=str(pool),
+            observer=told,
+            num_threads=threads,
+            ask=person,
+            films=film if films else None,
+            sheets=show_layouts,
+        )
+
+
+@contextmanager
+def _person(
+    rule: LayoutRule, host: str, port: int, browser: bool, show: Callable[[str], None]
+) -> Iterator[LayoutPanel]:
+    """A panel in a browser in which layouts are chosen."""
+    from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
+    from cluttergen_jax.rendering.viewer.viewer import announce, open_server
+
+    server = open_server(host, port, "cluttergen: which layout")
+    try:
+        panel = LayoutPanel(server, rule)
+        announce(server, host, browser, show)
+        try:
+            yield panel
+        finally:
+            panel.close()
+    finally:
+        server.stop()
 
 
 def _looking(pool: str | Path, segmenter: str | Path | None, seed: int) -> PerceptionObserver:

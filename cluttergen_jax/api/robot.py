@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import Method, RobotPlacer, RobotTask, check_workers
+from cluttergen_jax.config import FilmFormat, Method, RobotPlacer, RobotTask, check_workers
 from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -88,6 +88,8 @@ def robot_place(
     support: str | Path | None = None,
     num_objects: int | None = None,
     region: str | None = None,
+    films: bool = False,
+    film: FilmFormat = "gif",
     seed: int = 0,
     num_threads: int = 0,
 ) -> RobotTrials:
@@ -106,6 +108,9 @@ def robot_place(
       num_episodes: how many; scenes are taken again where the bank has fewer.
       pool, method, support, num_objects, region: of a bank that is made along, as `generate` takes them;
         household, guided, the usual table, 8 and 0.5x0.5 if not given.
+      films: draw films of the first success and of the first failure of each kind, in the folder films beside
+        the rows; those episodes are run again for it.
+      film: "gif", or "mp4" (extra video).
       seed: of all that is drawn.
       num_threads: 0 takes every core.
 
@@ -114,18 +119,22 @@ def robot_place(
 
     Raises:
       ConfigError: a setting is out of range, or contradicts the bank.
-      BankError: the bank cannot be read or holds no scene that stands, or the folder holds other episodes.
+      BankError: the bank cannot be read or holds no scene that stands, the folder holds other episodes, or an
+        episode that is filmed does not end as it did.
       PoolError: there is no such pool or support.
       MissingExtraError: the extra `robot` is not installed.
+      RendererError: films are asked for, and nothing here can draw.
     """
     import hashlib
     import json
     import os
     from dataclasses import replace
+    from functools import partial
     from typing import Any, get_args
 
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.assets.support import Rectangle
+    from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.downstream.robot.places import SearchPlaces
     from cluttergen_jax.downstream.robot.trials import run_trials
@@ -140,6 +149,8 @@ def robot_place(
         if value not in get_args(known):
             raise ConfigError(f"{name} = {value!r}", ", ".join(get_args(known)))
     panda_folder()
+    if films:
+        check_films(film)
     asked = {"pool": pool, "method": method, "support": support, "num_objects": num_objects, "region": region}
     given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     if bank is None:
@@ -164,7 +175,8 @@ def robot_place(
     rows = {"task": task, "placer": placer, "seed": seed, "pool": recipe["pool"], "bank": made}
     threads = num_threads or os.cpu_count() or 1
     folder = Path(out) / task
+    run = partial(run_trials, num_threads=threads, films=film if films else None)
     if task == "lift" or placer == "none":
-        return run_trials(scenes, task, num_episodes, seed, folder, rows, num_threads=threads)
+        return run(scenes, task, num_episodes, seed, folder, rows)
     places = SearchPlaces(found, placer, seed, threads)
-    return run_trials(scenes, task, num_episodes, seed, folder, rows, num_threads=threads, places=places)
+    return run(scenes, task, num_episodes, seed, folder, rows, places=places)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from cluttergen_jax.api.rearrange import rearrange
 from cluttergen_jax.cli.options import Options, options_from
 
@@ -15,5 +17,6 @@ class Rearrange(Options):
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        print(self.call(rearrange))
+        # Whoever reads the address from a pipe waits for it.
+        print(self.call(rearrange, show=partial(print, flush=True)))
         return 0

@@ -106,6 +106,15 @@ def with_caption(image: np.ndarray, text: str, rgb: tuple[float, float, float] |
     return np.asarray(picture.convert("RGB"))
 
 
+def with_frame(image: np.ndarray, rgb: tuple[float, float, float], width: int = 5) -> np.ndarray:
+    """uint8[H, W, 3]: the picture with a frame over its edge, so many pixels wide."""
+    framed = np.empty_like(image)
+    framed[:] = _bytes(rgb)
+    inside = (slice(width, -width), slice(width, -width))
+    framed[inside] = image[inside]
+    return framed
+
+
 def _bytes(rgb: tuple[float, float, float]) -> tuple[int, int, int]:
     red, green, blue = (round(255 * value) for value in rgb)
     return red, green, blue

@@ -15,10 +15,9 @@ pytest.importorskip("ompl")
 pytest.importorskip("toppra")
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
-from cluttergen_jax.downstream.rearrange.episode import RearrangeResult, RearrangeTask, rearrange_episode
+from cluttergen_jax.downstream.rearrange.episode import draw_layouts, rearrange_episode
 from cluttergen_jax.downstream.rearrange.judge import Judge
 from cluttergen_jax.downstream.rearrange.observe import (
     Cause,
@@ -28,61 +27,17 @@ from cluttergen_jax.downstream.rearrange.observe import (
     TrueObserver,
 )
 from cluttergen_jax.downstream.rearrange.settings import SETTINGS, RearrangeOptions, RearrangeSetting
+from cluttergen_jax.downstream.rearrange.task import RearrangeResult
 from cluttergen_jax.downstream.rearrange.trials import Rearrangements, is_stacked, run_rearrangements
 from cluttergen_jax.downstream.robot.execute import Execution, Phase
-from cluttergen_jax.downstream.robot.frames import inverse, made, matrix_of, pose_of
-from cluttergen_jax.downstream.robot.grasps import Grasps
+from cluttergen_jax.downstream.robot.frames import inverse, matrix_of
 from cluttergen_jax.downstream.robot.mover import Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.trials import EPISODES
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.rendering.gl import RendererError
-from cluttergen_jax.scene import Scene
 from cluttergen_jax.sensing.camera import Camera
-from tests.helpers.placing import with_surface
-from tests.helpers.worlds import box
-
-TABLE = cuboid_table()
-TOP = TABLE.top
-HALF = (0.02, 0.03, 0.03)
-BOXES = (with_surface(box("red", HALF)), with_surface(box("blue", (0.02, 0.025, 0.04))))
-PLACES = np.array([[0.05, -0.08], [0.05, 0.08]])
-
-
-def standing(xy):
-    """f64[2, 7]: the two boxes at f[2, 2]."""
-    z = [TOP + asset.half_extents[2] for asset in BOXES]
-    return np.array([[*place, height, 1, 0, 0, 0] for place, height in zip(xy, z, strict=True)])
-
-
-SCENE = Scene(("red", "blue"), BOXES, standing(PLACES), TABLE)
-
-
-def grasps_of_box(name):
-    """From above, by the narrow sides; nothing was tested."""
-    pose = made(np.diag([1.0, -1, -1]), np.array([0.0, 0.0, 0.01]))[None]
-    pose[0, :3, :3] = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]
-    nothing = np.zeros(1)
-    return Grasps(
-        name, "", pose_of(pose), np.array([0.04]), nothing, nothing, nothing, nothing + 4, nothing > -1, 1
-    )
-
-
-def draws(goals):
-    """In place of the generator: one layout, and for an object that must wait the far side of the table."""
-
-    def draw(seed, chosen, region, standing=(), poses=None, number=64):
-        if len(chosen) == 2:
-            return goals[None]
-        return np.array([[[-0.1, 0.0, TOP + BOXES[chosen[0]].half_extents[2], 1, 0, 0, 0]]], float)
-
-    return draw
-
-
-def task_of(goals, scene=SCENE, draw=None):
-    setting = RearrangeSetting("two", num_objects=2, target=Rectangle((0.0, 0.0), (0.2, 0.2)))
-    grasps = tuple(grasps_of_box(name) for name in scene.names)
-    return RearrangeTask(setting, scene, (0, 1), grasps, (2, 2), draw or draws(goals), 3)
+from tests.helpers.arm import BOXES, HALF, PLACES, SCENE, TOP, grasps_of_box, standing, task_of
 
 
 def test_two_boxes_change_places_by_way_of_a_third_and_the_truth_is_read_by_two_alone(monkeypatch):
@@ -276,11 +231,33 @@ def test_a_heap_counts_if_the_arm_gets_at_what_lies_on_top():
     assert not is_stacked(SCENE, grasps, 1)
 
 
+def test_the_row_tells_which_layout_was_taken_and_by_whom():
+    near, far = standing([[0.05, -0.08], [0.05, 0.16]]), standing(PLACES)
+    task = task_of(far, draw=lambda *told: np.stack([near, far]))
+    asked = []
+
+    def person(given, poses, layouts):
+        asked.append((given, poses, len(layouts)))
+        return 1
+
+    # Nothing has to be moved to where all stands.
+    result = rearrange_episode(task, RearrangeOptions(), TrueObserver(), ask=person)
+    assert (result.outcome, result.layout, result.chosen_by, result.picks) == ("success", 1, "person", 0)
+    ((given, poses, number),) = asked
+    assert (given, number) == (task, 2)
+    assert np.allclose(poses, SCENE.poses)
+    again = rearrange_episode(task, RearrangeOptions(layout=1), TrueObserver())
+    assert (again.layout, again.chosen_by) == (1, "number")
+    by_rule = rearrange_episode(task, RearrangeOptions("similar"), TrueObserver())
+    assert (by_rule.layout, by_rule.chosen_by) == (1, "similar")
+    assert np.array_equal(draw_layouts(task, RearrangeOptions(), TrueObserver()).poses, [near, far])
+
+
 def test_without_a_layout_it_is_said():
     result = rearrange_episode(
         task_of(standing(PLACES), draw=lambda *told: np.zeros((0, 2, 7))), RearrangeOptions(), TrueObserver()
     )
-    assert result.outcome == Cause.NO_LAYOUT
+    assert (result.outcome, result.layout, result.layouts) == (Cause.NO_LAYOUT, -1, 0)
 
 
 GOOD = RearrangeResult(
@@ -293,7 +270,7 @@ def made_rows(monkeypatch):
     """How many episodes were run; every third fails."""
     numbers = []
 
-    def episode(seed, options, observer):
+    def episode(seed, options, observer, ask=None):
         numbers.append(seed)
         bad = replace(GOOD, outcome="slip", right=[True, False], error=np.nan)
         return bad if len(numbers) % 3 == 0 else GOOD
@@ -313,6 +290,8 @@ def test_interrupted_trials_go_on_and_rows_of_other_settings_are_refused(made_ro
         run(SETTINGS["paper"], RearrangeOptions(order="lowest"), 4, 0, tmp_path)
     with pytest.raises(BankError, match="made otherwise"):
         run(SETTINGS["paper"], RearrangeOptions(), 4, 0, tmp_path, observer=Shifted([0, 0, 0]))
+    with pytest.raises(BankError, match="made otherwise"):
+        run(SETTINGS["paper"], RearrangeOptions(), 4, 0, tmp_path, ask=lambda *told: 0)
     (tmp_path / EPISODES).write_text("{}\n[1, 2")
     with pytest.raises(BankError, match="damaged"):
         run(SETTINGS["paper"], RearrangeOptions(), 4, 0, tmp_path)
@@ -336,6 +315,8 @@ def test_the_table_names_the_observer_counts_causes_and_objects():
         ({"order": "random"}, "lowest"),
         ({"num_episodes": 0}, "num_episodes"),
         ({"layout": 10}, "layout"),
+        ({"layout": 1, "pick": True}, "one or the other"),
+        ({"films": True, "film": "avi"}, "gif, mp4"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(given, told, tmp_path):

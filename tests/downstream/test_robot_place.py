@@ -52,7 +52,7 @@ def made(monkeypatch):
     """The numbers of the episodes that were run, which end well but for each third."""
     numbers = []
 
-    def episode(scene, task, grasps, places, index, seed):
+    def episode(scene, task, grasps, places, index, seed, trace):
         numbers.append(index)
         return (
             failed(Outcome.NO_PATH, scene.objects[-1].name)
@@ -123,6 +123,7 @@ def test_places_are_where_the_object_stands_among_the_others(bank):
         ({"task": "throw"}, "lift, place"),
         ({"placer": "magic"}, "drop"),
         ({"num_episodes": 0}, "num_episodes"),
+        ({"films": True, "film": "avi"}, "gif, mp4"),
         ({"bank": "bank", "pool": "dining"}, "one or the other"),
     ],
 )

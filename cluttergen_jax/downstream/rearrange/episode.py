@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
 from cluttergen_jax.downstream.perception.symmetry import equal_places, offset
 from cluttergen_jax.downstream.rearrange.judge import Judge
-from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, reach_of, unlike
+from cluttergen_jax.downstream.rearrange.layouts import Layouts, clearance_of, reach_of, unlike
 from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, ObjectTracker, Observer
 from cluttergen_jax.downstream.rearrange.order import Meetings, lowest_first, ready, smallest_waiting
-from cluttergen_jax.downstream.rearrange.settings import AREA, RearrangeOptions, RearrangeSetting
+from cluttergen_jax.downstream.rearrange.settings import AREA, RearrangeOptions
+from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeResult, RearrangeTask
 from cluttergen_jax.downstream.robot.collision import PlanningWorld
-from cluttergen_jax.downstream.robot.execute import Execution
+from cluttergen_jax.downstream.robot.execute import Execution, Trace
 from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
 from cluttergen_jax.downstream.robot.ik import ArmKinematics
@@ -23,7 +25,6 @@ from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.mover import Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.plan import PickPlan
-from cluttergen_jax.scene import Scene
 
 NEAR_GOAL, NEAR_GOAL_TURN = 0.01, float(np.radians(10))
 """Metres and radians from its place within which an object counts as brought there."""
@@ -38,75 +39,16 @@ _IN_HAND = 0.06
 """Metres that an object may have slipped and still be carried on."""
 
 
-@dataclass(frozen=True, eq=False)
-class RearrangeTask:
-    """What is to be rearranged.
-
-    Attributes:
-      setting: of what kind.
-      scene: N objects as they stand; the first `setting.num_objects` are to be moved.
-      numbers: i[N], of these in the pool that `draw` knows.
-      grasps: of each of the N. symmetry: of each (`symmetry.turn_symmetry`).
-      draw: draws layouts and places to wait.
-      seed: of all that is drawn.
-    """
-
-    setting: RearrangeSetting
-    scene: Scene
-    numbers: tuple[int, ...]
-    grasps: tuple[Grasps, ...]
-    symmetry: tuple[int, ...]
-    draw: SceneDraw
-    seed: int
-
-
-@dataclass(frozen=True)
-class RearrangeResult:
-    """What became of an episode.
-
-    Attributes:
-      outcome: "success", an `Outcome` or a `Cause`, as text; detail: of what, in words.
-      setting: its name. objects: that were to be moved; right: which of them are where they should be.
-      picks: how often an object was picked up; fewest: the fewest that could do.
-      waits: how often one was put down elsewhere; retries: picked up again because something went wrong.
-      looks: how often all objects were looked for. layouts: how many were tried.
-      error, turn_error: the largest of metres and radians from the layout among those that are right; nan if
-        none is.
-      path: metres that the tool moved. seconds: simulated time. cpu: seconds of this process.
-    """
-
-    outcome: str
-    detail: str
-    setting: str
-    objects: list[str]
-    right: list[bool]
-    picks: int
-    fewest: int
-    waits: int
-    retries: int
-    looks: int
-    layouts: int
-    error: float
-    turn_error: float
-    path: float
-    seconds: float
-    cpu: float
-
-    @property
-    def is_success(self) -> bool:
-        """Nothing went wrong."""
-        return self.outcome == Outcome.SUCCESS
-
-
 class Rearranger:
     """Brings objects into a layout, by what is seen of them and the arm's motors alone.
 
     Args:
       task: what; options: how.
       execution: the simulation; sight: what is known of it; judge: is told before and after each move.
+      ask: chooses in place of the rule.
 
     Attributes:
-      picks, fewest, waits, retries, layouts: of `RearrangeResult`.
+      picks, fewest, waits, retries, layouts, layout: of `RearrangeResult`.
       goals: f64[N, 7], the layout that was tried last.
     """
 
@@ -117,8 +59,9 @@ class Rearranger:
         execution: Execution,
         sight: ObjectTracker,
         judge: Judge,
+        ask: Chooser | None = None,
     ) -> None:
-        self._task, self._options, self._scene = task, options, task.scene
+        self._task, self._options, self._scene, self._ask = task, options, task.scene, ask
         self._execution, self._sight, self._judge = execution, sight, judge
         self._symmetry = task.symmetry
         self._base = base_pose(task.scene.support)
@@ -129,7 +72,7 @@ class Rearranger:
         self.picks = self.fewest = self.waits = self.retries = self.layouts = 0
         self._times = np.zeros((2, len(task.scene.names)), int)
         self._why = Failed(Cause.NO_ORDER)
-        self.goals = task.scene.poses
+        self.goals, self.layout = task.scene.poses, -1
 
     def run(self) -> None:
         """Until all objects are in one of the layouts.
@@ -137,22 +80,22 @@ class Rearranger:
         Raises:
           Failed: no layout could be reached, or something went wrong.
         """
-        self._sight()
         found = self.find_layouts()
         for number in self._chosen(found)[:MAX_LAYOUTS]:
             self.layouts += 1
             self._times[:] = 0
-            self.goals = found.poses[number]
+            self.goals, self.layout = found.poses[number], number
             if self._reach_layout(self.goals):
                 return
         raise self._why
 
     def find_layouts(self) -> Layouts:
-        """Unlike layouts around the objects that stay, as they are seen.
+        """Looks, and draws unlike layouts around the objects that stay, as they are seen.
 
         Raises:
-          Failed: none stands.
+          Failed: none stands, or an object was never seen.
         """
+        self._sight()
         task, num_moved, poses = self._task, self._num_moved, self._sight.poses
         moved, stay = task.numbers[:num_moved], task.numbers[num_moved:]
         drawn = task.draw(task.seed, moved, task.setting.target, stay, poses[num_moved:])
@@ -173,6 +116,8 @@ class Rearranger:
         )
 
     def _chosen(self, found: Layouts) -> list[int]:
+        if self._ask is not None:
+            return [self._ask(self._task, self._sight.poses, found)]
         if self._options.layout is not None:
             return [self._options.layout % len(found)]
         return found.ranked(self._options.choose).tolist()
@@ -332,21 +277,48 @@ def first_grasp(grasps: Grasps) -> Grasps:
     return replace(grasps, **{name: getattr(grasps, name)[best] for name in columns})
 
 
+@contextmanager
+def _opened(
+    task: RearrangeTask,
+    options: RearrangeOptions,
+    observer: Observer,
+    trace: Trace | None = None,
+    ask: Chooser | None = None,
+) -> Iterator[tuple[Rearranger, Execution, Judge, ObjectTracker]]:
+    """An episode before its first look."""
+    execution = Execution(task.scene, 0, trace=trace, sleeps=True)
+    judge = Judge(execution, task.scene, task.setting.num_objects, task.symmetry)
+    with EpisodeView(execution, task.scene.names) as view:
+        sight = ObjectTracker(observer, view, options.relook)
+        yield Rearranger(task, options, execution, sight, judge, ask), execution, judge, sight
+
+
+def draw_layouts(task: RearrangeTask, options: RearrangeOptions, observer: Observer) -> Layouts:
+    """The layouts among which an episode has to choose; nothing is moved.
+
+    Raises:
+      Failed: none stands, or an object was never seen.
+    """
+    with _opened(task, options, observer) as (worker, *_):
+        return worker.find_layouts()
+
+
 def rearrange_episode(
-    task: RearrangeTask, options: RearrangeOptions, observer: Observer, every: int = 0
+    task: RearrangeTask,
+    options: RearrangeOptions,
+    observer: Observer,
+    trace: Trace | None = None,
+    ask: Chooser | None = None,
 ) -> RearrangeResult:
     """One rearrangement, judged.
 
     Args:
       observer: tells where things are.
-      every: see `robot.execute.Execution`.
+      trace: see `robot.execute.Execution`.
+      ask: a person, who chooses in place of the rule; what is chosen is the only layout that is tried.
     """
-    begun, scene, num_moved = time.process_time(), task.scene, task.setting.num_objects
-    execution = Execution(scene, 0, every=every, sleeps=True)
-    judge = Judge(execution, scene, num_moved, task.symmetry)
-    with EpisodeView(execution, scene.names) as view:
-        sight = ObjectTracker(observer, view, options.relook)
-        worker = Rearranger(task, options, execution, sight, judge)
+    begun, num_moved = time.process_time(), task.setting.num_objects
+    with _opened(task, options, observer, trace, ask) as (worker, execution, judge, sight):
         outcome, detail = str(Outcome.SUCCESS), ""
         try:
             worker.run()
@@ -360,7 +332,7 @@ def rearrange_episode(
         outcome=outcome,
         detail=detail,
         setting=task.setting.name,
-        objects=[asset.name for asset in scene.objects[:num_moved]],
+        objects=[asset.name for asset in task.scene.objects[:num_moved]],
         right=right.tolist(),
         picks=worker.picks,
         fewest=worker.fewest,
@@ -373,4 +345,6 @@ def rearrange_episode(
         path=execution.travel,
         seconds=execution.num_steps * execution.step_time,
         cpu=time.process_time() - begun,
+        layout=worker.layout,
+        chosen_by="person" if ask else options.choose if options.layout is None else "number",
     )

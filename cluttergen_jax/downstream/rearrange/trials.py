@@ -5,18 +5,24 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.perception.symmetry import turn_symmetry
-from cluttergen_jax.downstream.rearrange.episode import RearrangeResult, RearrangeTask, rearrange_episode
+from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
 from cluttergen_jax.downstream.rearrange.layouts import SceneDraw, reach_of
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
 from cluttergen_jax.downstream.rearrange.order import Meetings
 from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions, RearrangeSetting
+from cluttergen_jax.downstream.rearrange.sheet import save_sheets
+from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeResult, RearrangeTask
+from cluttergen_jax.downstream.robot.execute import Trace
+from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
 from cluttergen_jax.downstream.robot.grasps import Grasps, grasps_of
 from cluttergen_jax.downstream.robot.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.model import base_pose
@@ -36,26 +42,32 @@ class Starts:
     Args:
       setting: the setting. pool: a pool's name.
       num_threads: of the simulation and the tests of grasps; 0 takes every core.
-
-    Raises:
-      ConfigError: the pool has too few objects.
     """
 
     def __init__(self, setting: RearrangeSetting, pool: str, num_threads: int) -> None:
-        self.setting = setting
-        self._place = SceneDraw(pool, "clear", setting.num_slots, num_threads)
-        self._start = self._place
-        if setting.method != "clear":
-            self._start = SceneDraw(pool, setting.method, setting.num_slots, num_threads)
+        self.setting, self._pool = setting, pool
         self._num_threads = num_threads or os.cpu_count() or 1
         self._grasps: dict[str, Grasps] = {}
         self._symmetry: dict[str, int] = {}
+
+    # Compiled when the first scene is asked for.
+
+    @cached_property
+    def _place(self) -> SceneDraw:
+        return SceneDraw(self._pool, "clear", self.setting.num_slots, self._num_threads)
+
+    @cached_property
+    def _start(self) -> SceneDraw:
+        method = self.setting.method
+        if method == "clear":
+            return self._place
+        return SceneDraw(self._pool, method, self.setting.num_slots, self._num_threads)
 
     def __call__(self, seed: int) -> RearrangeTask:
         """What is to be rearranged.
 
         Raises:
-          ConfigError: no starting scene was found.
+          ConfigError: the pool has too few objects, or no starting scene was found.
         """
         setting, place = self.setting, self._place
         rng = np.random.default_rng(seed)
@@ -187,6 +199,9 @@ def run_rearrangements(
     pool: str = "household",
     observer: Observer | None = None,
     num_threads: int = 1,
+    ask: Chooser | None = None,
+    films: FilmFormat | None = None,
+    sheets: bool = False,
 ) -> Rearrangements:
     """Runs episodes of a setting.
 
@@ -194,23 +209,41 @@ def run_rearrangements(
       out: the folder in which rows are kept, each as soon as it is made; None keeps none.
       observer: tells where things are; the true poses if not given.
       num_threads: of the simulation of layouts and the tests of grasps; 0 takes every core.
+      ask: a person, who chooses the layouts.
+      films: film the first episode of each outcome in the folder `films` of `out` (`film_firsts`).
+      sheets: draw the layouts of each episode as `out`/layouts-NUMBER.png (`layout_sheet`).
 
     Raises:
-      BankError: the folder holds rows of other settings, or a damaged file.
+      BankError: the folder holds rows of other settings, a damaged file, or a film shows another end.
       ConfigError: the pool has too few objects.
+      RendererError: pictures are asked for, and nothing here can draw.
     """
     observer = observer or TrueObserver()
     told = getattr(observer, "name", type(observer).__name__)
     recipe = {"setting": setting.name, "pool": pool, "seed": seed, "observer": told, **asdict(options)}
+    if ask is not None:
+        recipe["choose"] = "person"
     file = RowFile(None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange")
     rows = file.read()[:number]
+    starts = Starts(setting, pool, num_threads)
+
+    def task_of(index: int) -> RearrangeTask:
+        return starts(episode_seed(seed, index))
+
+    def again(index: int, trace: Trace) -> RearrangeResult:
+        # What a person chose is not asked for again.
+        given = options if ask is None else replace(options, layout=rows[index].layout)
+        return rearrange_episode(task_of(index), given, observer, trace)
+
     with Progress(setting.name, number, "episode", kept=len(rows)) as progress:
-        starts = Starts(setting, pool, num_threads) if len(rows) < number else None
         for index in range(len(rows), number):
-            assert starts is not None
-            row = rearrange_episode(starts(episode_seed(seed, index)), options, observer)
+            row = rearrange_episode(task_of(index), options, observer, ask=ask)
             rows.append(row)
             file.write(rows)
             good = sum(each.is_success for each in rows)
             progress.update(note=f"{good} of {len(rows)} good, the last: {row.outcome}")
+    if out is not None and sheets:
+        save_sheets(rows, task_of, options, observer, out)
+    if out is not None and films is not None:
+        film_firsts(rows, again, out / FILMS, films, setting.name)
     return Rearrangements(setting.name, told, tuple(rows))

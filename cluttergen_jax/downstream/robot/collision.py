@@ -8,7 +8,7 @@ from enum import IntEnum
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import add_part, populated_spec
+from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_part, populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
@@ -207,6 +207,7 @@ def add_stand(spec: mujoco.MjSpec, box: Box, name: str) -> None:
         quat=yaw_quaternion(box.yaw),
         size=box.half_extents,
         rgba=box.rgba,
+        group=VISUAL_GROUP,
     )
 
 

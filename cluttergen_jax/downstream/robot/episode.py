@@ -11,7 +11,7 @@ import numpy as np
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.downstream.robot.collision import PlanningWorld
-from cluttergen_jax.downstream.robot.execute import Execution, Phase
+from cluttergen_jax.downstream.robot.execute import Execution, Phase, Trace
 from cluttergen_jax.downstream.robot.frames import angle_between, matrix_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
 from cluttergen_jax.downstream.robot.ik import ArmKinematics
@@ -86,7 +86,7 @@ class EpisodeWorld:
       target: the number of the one that is to be moved.
       stands: more boxes that objects can stand on.
       seed: of what is drawn.
-      every: see `Execution`.
+      trace: see `Execution`.
     """
 
     def __init__(
@@ -96,11 +96,11 @@ class EpisodeWorld:
         stands: tuple[Box, ...],
         seed: int,
         config: PandaConfig | None = None,
-        every: int = 0,
+        trace: Trace | None = None,
     ) -> None:
         self.scene, self.target = scene, target
         base = base_pose(scene.support, config)
-        self.execution = Execution(scene, target, stands, config, every)
+        self.execution = Execution(scene, target, stands, config, trace)
         planning = PlanningWorld(scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
         self.mover = Mover(self.execution, planning, ArmKinematics(base), target, seed)
         self._others = [k for k in range(len(scene.names)) if k != target]
@@ -137,9 +137,11 @@ class EpisodeWorld:
             self.check_others()
 
 
-def lift_episode(scene: Scene, target: int, grasps: Grasps, seed: int, every: int = 0) -> EpisodeResult:
+def lift_episode(
+    scene: Scene, target: int, grasps: Grasps, seed: int, trace: Trace | None = None
+) -> EpisodeResult:
     """One object is lifted by `mover.LIFT` out of those that stand around it."""
-    episode_lab = EpisodeWorld(scene, target, (), seed, every=every)
+    episode_lab = EpisodeWorld(scene, target, (), seed, trace=trace)
 
     def run(world: EpisodeWorld) -> int:
         height = world.execution.pose(target)[2, 3]
@@ -153,7 +155,7 @@ def lift_episode(scene: Scene, target: int, grasps: Grasps, seed: int, every: in
 
 
 def place_episode(
-    scene: Scene, target: int, grasps: Grasps, places: np.ndarray, seed: int, every: int = 0
+    scene: Scene, target: int, grasps: Grasps, places: np.ndarray, seed: int, trace: Trace | None = None
 ) -> EpisodeResult:
     """One object is picked from a stand beside the table and put among the others.
 
@@ -170,7 +172,7 @@ def place_episode(
     start = np.array([*stand.center[:2], scene.support.top + asset.resting[0].height, *quaternion])
     poses = scene.poses.copy()
     poses[target] = start
-    episode_lab = EpisodeWorld(replace(scene, poses=poses), target, (stand,), seed, every=every)
+    episode_lab = EpisodeWorld(replace(scene, poses=poses), target, (stand,), seed, trace=trace)
     wanted = matrix_of(places)
 
     def run(world: EpisodeWorld) -> int:

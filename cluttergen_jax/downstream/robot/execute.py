@@ -7,6 +7,7 @@ poses that a perfect camera would see come out.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import mujoco
@@ -58,17 +59,35 @@ def _unplanned() -> np.ndarray:
 _UNPLANNED = _unplanned()
 
 
+@dataclass(eq=False)
+class Trace:
+    """What is kept of an episode so that it can be drawn: its state at every so manieth step.
+
+    Attributes:
+      every: steps from one state to the next.
+      states: f64[nq] each.
+      held: the number of the object that the hand is closed on at each of them, -1 if it is open.
+      scene: at the start. spec, data: of the simulation; its state stays the last one.
+    """
+
+    every: int
+    states: list[np.ndarray] = field(default_factory=list)
+    held: list[int] = field(default_factory=list)
+    scene: Scene = field(init=False)
+    spec: mujoco.MjSpec = field(init=False)
+    data: mujoco.MjData = field(init=False)
+
+
 class Execution:
     """A scene with the arm before it, simulated.
 
     Args:
       scene: what stands there at the start. target: the number of the object that is to be moved first.
       stands: more boxes that objects can stand on.
-      every: keep the state of every so manieth step for films; 0 keeps none.
+      trace: is filled, where one is given.
       sleeps: what rests sleeps until something touches it, which saves most of the time of many objects.
 
     Attributes:
-      trace: f64[nq] each, the states that were kept.
       travel: metres that the tool has moved.
     """
 
@@ -78,7 +97,7 @@ class Execution:
         target: int,
         stands: Sequence[Box] = (),
         config: PandaConfig | None = None,
-        every: int = 0,
+        trace: Trace | None = None,
         sleeps: bool = False,
     ) -> None:
         self.config = config or PandaConfig()
@@ -93,8 +112,9 @@ class Execution:
         self.step_time = float(self.model.opt.timestep)
         self._bodies = [self.model.body(name).id for name in scene.names]
         self.aim_at(target)
-        self._every, self.num_steps = every, 0
-        self.trace: list[np.ndarray] = []
+        self._trace, self.num_steps = trace, 0
+        if trace is not None:
+            trace.scene, trace.spec, trace.data = scene, spec, self.data
         self.travel = 0.0
         self._start(scene)
 
@@ -109,7 +129,7 @@ class Execution:
         kind[self._bodies[target]] = Kind.TARGET
         kind[self.panda.is_arm] = Kind.ARM
         kind[[self.panda.hand, *self.panda.finger_bodies]] = Kind.HAND
-        self._kind = kind[self.model.geom_bodyid]
+        self._kind, self._target = kind[self.model.geom_bodyid], target
 
     def _start(self, scene: Scene) -> None:
         for name, pose in zip(scene.names, scene.poses, strict=True):
@@ -189,8 +209,9 @@ class Execution:
     def _step(self, phase: Phase) -> None:
         mujoco.mj_step(self.model, self.data)
         self.num_steps += 1
-        if self._every and self.num_steps % self._every == 0:
-            self.trace.append(self.data.qpos.copy())
+        if self._trace is not None and self.num_steps % self._trace.every == 0:
+            self._trace.states.append(self.data.qpos.copy())
+            self._trace.held.append(self._target if self.is_closed else -1)
         if self.num_steps % _MEASURED == 0:
             now = self.data.site_xpos[self.panda.site].copy()
             self.travel += float(np.linalg.norm(now - self._last_tool))

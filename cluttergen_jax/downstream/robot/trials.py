@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.config import RobotTask
+from cluttergen_jax.config import FilmFormat, RobotTask
 from cluttergen_jax.downstream.robot.episode import EpisodeResult, lift_episode, place_episode
+from cluttergen_jax.downstream.robot.execute import Trace
+from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
 from cluttergen_jax.downstream.robot.grasps import Grasps, grasps_of
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.rows import RowFile, share_of
@@ -95,6 +97,7 @@ def run_trials(
     *,
     num_threads: int = 1,
     places: Places = own_place,
+    films: FilmFormat | None = None,
 ) -> RobotTrials:
     """Runs episodes: the last object of a scene, upon which nothing lies, is the one that is moved.
 
@@ -104,9 +107,11 @@ def run_trials(
       recipe: what makes rows comparable; rows of another recipe are not taken up again.
       num_threads: of the tests of grasps.
       places: what a placer would answer.
+      films: film the first episode of each outcome in the folder `films` of `out` (`film_firsts`).
 
     Raises:
-      BankError: there is no scene, or the folder holds rows of another recipe.
+      BankError: there is no scene, the folder holds rows of another recipe, or a film shows another end.
+      RendererError: films are asked for, and nothing here can draw.
     """
     if not scenes:
         raise BankError("no scene stands", "one or more", "more scenes")
@@ -115,22 +120,30 @@ def run_trials(
     assets = {scene.objects[-1].name: scene.objects[-1] for scene in islice(cycle(scenes), number)}
     found = grasps_of(list(assets.values()), num_threads=num_threads)
     grasps: dict[str, Grasps] = dict(zip(assets, found, strict=True))
+
+    def run(index: int, trace: Trace | None = None) -> EpisodeResult:
+        scene = scenes[index % len(scenes)]
+        return _episode(scene, task, grasps[scene.objects[-1].name], places, index, seed, trace)
+
     with Progress(task, number, "episode", kept=len(rows)) as progress:
         for index in range(len(rows), number):
-            scene = scenes[index % len(scenes)]
-            row = _episode(scene, task, grasps[scene.objects[-1].name], places, index, seed)
+            row = run(index)
             rows.append(row)
             file.write(rows)
             good = sum(each.is_success for each in rows)
             progress.update(note=f"{good} of {len(rows)} good, {row.object}: {row.outcome}")
+    if out is not None and films is not None:
+        film_firsts(rows, run, out / FILMS, films, task)
     return RobotTrials(task, tuple(rows))
 
 
-def _episode(scene: Scene, task: str, grasps: Grasps, places: Places, index: int, seed: int) -> EpisodeResult:
+def _episode(
+    scene: Scene, task: str, grasps: Grasps, places: Places, index: int, seed: int, trace: Trace | None
+) -> EpisodeResult:
     target, own = len(scene.names) - 1, episode_seed(seed, index)
     if task == "lift":
-        return lift_episode(scene, target, grasps, own)
-    return place_episode(scene, target, grasps, places(index, scene), own)
+        return lift_episode(scene, target, grasps, own, trace)
+    return place_episode(scene, target, grasps, places(index, scene), own, trace)
 
 
 def episode_seed(seed: int, index: int) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import webbrowser
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -23,7 +22,7 @@ from cluttergen_jax.rendering.lighting import FLOOR
 from cluttergen_jax.rendering.viewer.native import check_display, show_native
 from cluttergen_jax.rendering.viewer.placing import PlacingPanel
 from cluttergen_jax.rendering.viewer.source import SceneSource
-from cluttergen_jax.rendering.viewer.viewer import Viewer, free_port, open_server
+from cluttergen_jax.rendering.viewer.viewer import Viewer, announce, free_port, open_server
 
 if TYPE_CHECKING:
     import viser
@@ -88,14 +87,9 @@ def _serve(
     server: viser.ViserServer, host: str, browser: bool, show: Callable[[str], None], notice: str = ""
 ) -> None:
     """Says where the server is, opens a browser if wanted, and returns at Ctrl-C."""
-    url = f"http://{'localhost' if host == '0.0.0.0' else host}:{server.get_port()}"
     # As soon as the address is known, Ctrl-C may come.
     with suppress(KeyboardInterrupt):
-        show(f"viewer     {url} (Ctrl-C ends it)")
-        if notice:
-            show(f"first      {notice}")
-        if browser:
-            webbrowser.open(url)
+        announce(server, host, browser, show, notice)
         threading.Event().wait()
     show("\nviewer     ended")
 

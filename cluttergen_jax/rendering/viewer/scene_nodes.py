@@ -244,9 +244,7 @@ class FailedAttempt:
     def __init__(self, server: viser.ViserServer, number: int, asset: ObjectAsset, attempt: Attempt) -> None:
         root = f"/failed/{number}"
         self.attempt = attempt
-        self.frame = server.scene.add_frame(root, show_axes=False)
-        whole = joined([piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts])
-        _surface(server, f"{root}/visual", Piece(whole, _GHOST))
+        self.frame = add_ghost(server, root, asset, _GHOST)
         points = attempt.trajectory[:, :3].astype(np.float32)
         segments = np.stack([points[:-1], points[1:]], axis=1)
         self.trail = server.scene.add_line_segments(f"/trail/{number}", segments, RED, thickness=0.003)
@@ -261,6 +259,16 @@ class FailedAttempt:
         """Takes the object and its path out of the scene."""
         self.frame.remove()
         self.trail.remove()
+
+
+def add_ghost(
+    server: viser.ViserServer, root: str, asset: ObjectAsset, rgba: tuple[float, float, float, float]
+) -> Any:
+    """A frame `root`, which may be moved, with an object in one colour, each channel in [0, 1]."""
+    frame = server.scene.add_frame(root, show_axes=False)
+    whole = joined([piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts])
+    _surface(server, f"{root}/visual", Piece(whole, rgba))
+    return frame
 
 
 def _pose_at(attempt: Attempt, progress: float) -> np.ndarray:

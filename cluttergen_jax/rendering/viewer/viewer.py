@@ -6,6 +6,8 @@ import contextlib
 import io
 import socket
 import threading
+import webbrowser
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -57,6 +59,18 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     server.gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
     return server
+
+
+def announce(
+    server: viser.ViserServer, host: str, browser: bool, show: Callable[[str], None], notice: str = ""
+) -> None:
+    """Says where a server is, and opens a browser if wanted."""
+    url = f"http://{'localhost' if host == '0.0.0.0' else host}:{server.get_port()}"
+    show(f"viewer     {url} (Ctrl-C ends it)")
+    if notice:
+        show(f"first      {notice}")
+    if browser:
+        webbrowser.open(url)
 
 
 class Viewer:

