@@ -12,6 +12,7 @@ from enum import IntEnum
 import mujoco
 import numpy as np
 
+from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.assets.support import Box
 from cluttergen_jax.downstream.robot.collision import Kind, add_stand
 from cluttergen_jax.downstream.robot.frames import matrix_of
@@ -19,11 +20,15 @@ from cluttergen_jax.downstream.robot.model import MAX_OPENING, Panda, PandaConfi
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.timing import Trajectory
 from cluttergen_jax.scene import Scene
+from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing.rays import cast_rays
 
 MAX_FORCE = 2.0
 """N; an unplanned contact that presses harder ends an episode."""
 CLOSING = 0.5
 """Seconds in which the fingers close."""
+_DRAWN = np.isin(np.arange(mujoco.mjNGROUP), (0, VISUAL_GROUP)).astype(np.uint8)
+"""Groups of geoms that a camera sees: surfaces, and boxes such as stands."""
 _REST = 0.15
 _MEASURED = 16
 
@@ -154,6 +159,11 @@ class Execution:
     def pose(self, number: int) -> np.ndarray:
         """f64[4, 4]: T_world_object of one."""
         return matrix_of(self.poses()[number])
+
+    def depth(self, camera: Camera) -> np.ndarray:
+        """f32[H, W]: what a depth camera sees now, the arm included; metres along its axis, inf for nothing."""
+        mujoco.mj_kinematics(self.model, self.data)
+        return cast_rays(self.model, self.data, camera, _DRAWN)[0]
 
     def follow(self, motion: Trajectory, phase: Phase) -> None:
         """Runs along a motion.

@@ -68,6 +68,10 @@ class Mover:
         self._T_tool_object = self._grasped = np.eye(4)
         self._known: tuple[int, np.ndarray] | None = None
 
+    def plan_in(self, world: PlanningWorld) -> None:
+        """From now on this is what is known of the world; the object's number in it is the same."""
+        self.world = self.planner.world = world
+
     # Picking up
 
     def find_pick(self, grasps: Grasps, places: np.ndarray | None = None) -> PickPlan:

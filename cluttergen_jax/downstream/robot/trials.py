@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,13 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.config import RobotTask
-from cluttergen_jax.downstream.robot.episode import EpisodeResult, lift_episode, place_episode
+from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
+from cluttergen_jax.downstream.robot.episode import (
+    EpisodeResult,
+    lift_episode,
+    place_episode,
+    sensed_place_episode,
+)
 from cluttergen_jax.downstream.robot.grasps import Grasps, grasps_of
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.rows import RowFile, share_of
@@ -94,7 +100,7 @@ def run_trials(
     recipe: dict[str, Any],
     *,
     num_threads: int = 1,
-    places: Places = own_place,
+    places: Places | CameraPlacer = own_place,
 ) -> RobotTrials:
     """Runs episodes: the last object of a scene, upon which nothing lies, is the one that is moved.
 
@@ -103,7 +109,8 @@ def run_trials(
       out: the folder in which rows are kept, each as soon as it is made; None keeps none.
       recipe: what makes rows comparable; rows of another recipe are not taken up again.
       num_threads: of the tests of grasps.
-      places: what a placer would answer.
+      places: where the object may go, for an arm that is told where everything is; or a placer, for one that
+        looks.
 
     Raises:
       BankError: there is no scene, or the folder holds rows of another recipe.
@@ -126,11 +133,16 @@ def run_trials(
     return RobotTrials(task, tuple(rows))
 
 
-def _episode(scene: Scene, task: str, grasps: Grasps, places: Places, index: int, seed: int) -> EpisodeResult:
+def _episode(
+    scene: Scene, task: str, grasps: Grasps, places: Places | CameraPlacer, index: int, seed: int
+) -> EpisodeResult:
     target, own = len(scene.names) - 1, episode_seed(seed, index)
     if task == "lift":
         return lift_episode(scene, target, grasps, own)
-    return place_episode(scene, target, grasps, places(index, scene), own)
+    if isinstance(places, CameraPlacer):
+        return sensed_place_episode(scene, target, grasps, places, own)
+    row = place_episode(scene, target, grasps, places(index, scene), own)
+    return replace(row, placer=getattr(places, "name", row.placer))
 
 
 def episode_seed(seed: int, index: int) -> int:
