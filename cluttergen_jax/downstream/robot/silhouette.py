@@ -9,13 +9,13 @@ from scipy.ndimage import binary_dilation
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_part
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.downstream.robot.model import PREFIX, Panda, panda_spec
+from cluttergen_jax.downstream.robot.model import Panda, panda_spec
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.rays import cast_rays
 
 _GROWN = 3
 """Pixels around it that are left out, too: what is in front grows in a noisy picture."""
-_BROUGHT = "brought"
+_ROOT, _BROUGHT = "link0", "brought"
 _DRAWN = np.isin(np.arange(mujoco.mjNGROUP), VISUAL_GROUP).astype(np.uint8)
 
 
@@ -27,14 +27,14 @@ class ArmSilhouette:
     """
 
     def __init__(self, asset: ObjectAsset, base: np.ndarray) -> None:
-        spec = mujoco.MjSpec()
+        spec = panda_spec(ContactConfig())
+        root = spec.body(_ROOT)
+        root.pos, root.quat = base[:3], base[3:]
         brought = spec.worldbody.add_body(name=_BROUGHT)
         for index, part in enumerate(asset.parts):
             add_part(spec, brought, f"{_BROUGHT}/part-{index}", part.vertices).group = VISUAL_GROUP
-        frame = spec.worldbody.add_frame(pos=base[:3], quat=base[3:])
-        spec.attach(panda_spec(ContactConfig()), prefix=PREFIX, frame=frame)
         self._model = spec.compile()
-        self._data, self._arm = mujoco.MjData(self._model), Panda.of(self._model)
+        self._data, self._arm = mujoco.MjData(self._model), Panda.of(self._model, prefix="")
         self._brought = self._model.body(_BROUGHT).id
 
     def __call__(self, camera: Camera, joints: np.ndarray, opening: float, pose: np.ndarray) -> np.ndarray:
