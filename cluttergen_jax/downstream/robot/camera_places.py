@@ -16,6 +16,7 @@ from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer
 from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.downstream.robot.cameras import above
 from cluttergen_jax.downstream.robot.columns import CELL, Columns, columns_of
+from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.placement.search.fit import Candidates, lower_onto
 from cluttergen_jax.scene.bank.bank import Bank
@@ -50,7 +51,8 @@ class CameraPlacer:
         half_x, half_y = np.abs(self._maker.grid.corner).tolist()
         seen = Rectangle(region.center, (half_x, half_y), region.yaw)
         self.overhead = above(replace(support, region=seen))
-        self._ask: Any = jax.jit(lambda key, query: _lowered(placer(key, query).pose, query))
+        self._ask: Any = jax.jit(lambda key, query: placer(key, query).pose)
+        self._lower: Any = jax.jit(_lowered)
         self._world: Any = jax.jit(jax.vmap(world_pose, in_axes=(None, 0)))
         self._region = problem.rules.region
 
@@ -67,17 +69,31 @@ class CameraPlacer:
         """What the arm has to avoid."""
         return columns_of(merged([self._maker.partial(*view, self._noise, self._grid) for view in views]))
 
-    def propose(self, views: Sequence[View], name: str, seed: int) -> np.ndarray:
-        """f64[M, 7]: T_world_object, best first, in the region, each lowered onto what was seen.
+    def propose(
+        self, views: Sequence[View], name: str, seed: int, last: np.ndarray | None = None
+    ) -> np.ndarray:
+        """f32[M, 4]: x, y, z and yaw of T_region_object, best first, each lowered onto what was seen.
+
+        Those with their middle outside the region are left out.
 
         Args:
           name: the object's.
+          last: f32[4], a proposal of before that takes the place of the last one.
         """
         sight = self._maker.fused(views, self._noise, np.random.default_rng(seed))
         query = self._maker.query(sight, self._names.index(name))
-        pose = np.asarray(self._ask(jax.random.key(seed), query))
+        pose = np.array(self._ask(jax.random.key(seed), query))
+        if last is not None:
+            pose[-1] = last
+        pose = np.asarray(self._lower(pose, query))
         is_inside = (np.abs(pose[:, :2]) <= np.asarray(query.region_half_extents)).all(1)
-        return np.asarray(self._world(self._region, pose), np.float64)[is_inside & np.isfinite(pose).all(1)]
+        return pose[is_inside & np.isfinite(pose).all(1)]
+
+    def in_world(self, pose: np.ndarray) -> np.ndarray:
+        """f64[M, 4, 4]: T_world_object of proposals f32[M, 4]."""
+        if not len(pose):
+            return np.zeros((0, 4, 4))
+        return matrix_of(np.asarray(self._world(self._region, pose)))
 
 
 def _lowered(pose: Array, query: PlacementQuery) -> Array:

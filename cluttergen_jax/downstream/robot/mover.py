@@ -72,6 +72,11 @@ class Mover:
         """From now on this is what is known of the world; the object's number in it is the same."""
         self.world = self.planner.world = world
 
+    @property
+    def fitting(self) -> int | None:
+        """The number of the place that the last grasp of `find_pick` was found to fit."""
+        return None if self._known is None else self._known[0]
+
     # Picking up
 
     def find_pick(self, grasps: Grasps, places: np.ndarray | None = None) -> PickPlan:

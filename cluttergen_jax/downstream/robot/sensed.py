@@ -89,6 +89,7 @@ class SeeingArm:
         self._silhouette = ArmSilhouette(asset, self._base)
         self._object = HeldPose(execution, start)
         self._views: list[View] = []
+        self._fitting: np.ndarray | None = None
         self.looks = 0
 
     @property
@@ -121,7 +122,7 @@ class SeeingArm:
         """
         self._look(self._placer.overhead)
         mover.plan_in(self._world())
-        places = matrix_of(self._proposed())
+        places = self._placer.in_world(self._proposed(self._fitting))
         if not len(places):
             raise Failed(Outcome.NO_PLACE)
         number = mover.place(places)
@@ -154,14 +155,17 @@ class SeeingArm:
             self._placer.columns(self._views),
         )
 
-    def _proposed(self) -> np.ndarray:
-        return self._placer.propose(self._views, self._name, self._seed)
+    def _proposed(self, last: np.ndarray | None = None) -> np.ndarray:
+        return self._placer.propose(self._views, self._name, self._seed, last)
 
     def _find_pick(self, mover: Mover, grasps: Grasps) -> PickPlan:
-        places = matrix_of(self._proposed())
-        if len(places):
+        """A grasp that fits one of the places that are proposed so far, if there is one."""
+        proposed = self._proposed()
+        if len(proposed):
             try:
-                return mover.find_pick(grasps, places)
+                found = mover.find_pick(grasps, self._placer.in_world(proposed))
+                self._fitting = proposed[mover.fitting]
+                return found
             except Failed:
                 # With more to be seen, other places may be proposed.
                 pass
