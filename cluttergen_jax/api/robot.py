@@ -88,8 +88,8 @@ def robot_place(
 ) -> RobotTrials:
     """Lets a simulated Franka Panda move the last object of scenes (`cluttergen robot place`).
 
-    In `place` it picks the object from a stand beside the table, puts it down among the others, and leaves; in
-    `lift` it lifts it out of them. With `drop`, `guided` or `none` the true state is known to it. Any other
+    In `place` it picks the object from a stand beside the table, puts it down among the others, and leaves;
+    in `lift` it lifts it out of them. With `drop`, `guided` or `none` the true state is known to it. Any other
     placer looks: then the arm, too, knows of the other objects only what its depth cameras see. The same call
     continues an interrupted one, and each episode is made again by its seed.
 
@@ -97,9 +97,9 @@ def robot_place(
       out: the folder; rows are kept there.
       bank: whose scenes; if not given, one is made in the folder.
       task: place or lift.
-      placer: of `place`: none, where the generator put the object; drop or guided, which know the whole scene and
-        propose more places where that is not reached; or one that looks, and is asked for all places: geometry,
-        geometry-occupied, random, scored, or the folder of a trained one.
+      placer: of `place`: none, where the generator put the object; drop or guided, which know the whole scene
+        and propose more places where that is not reached; or one that looks, which proposes all of them:
+        geometry, geometry-occupied, random, scored, or the folder of a trained one.
       noise: of the depth cameras of a placer that looks, so many times that of a usual one; 1 if not given, 0
         for none.
       num_episodes: how many; scenes are taken again where the bank has fewer.

@@ -56,7 +56,9 @@ class CameraPlacer:
         self._world: Any = jax.jit(jax.vmap(world_pose, in_axes=(None, 0)))
         self._region = problem.rules.region
 
-    def measured(self, depth: np.ndarray, camera: Camera, is_own: np.ndarray, rng: np.random.Generator) -> View:
+    def measured(
+        self, depth: np.ndarray, camera: Camera, is_own: np.ndarray, rng: np.random.Generator
+    ) -> View:
         """A picture with noise, its stated pose corrected by the table's top.
 
         Args:

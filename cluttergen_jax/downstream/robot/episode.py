@@ -148,14 +148,20 @@ class Referee:
         if (np.abs(place) > np.asarray(region.half_extents)).any():
             raise Failed(Outcome.OUTSIDE, self.scene.names[self.target])
 
+    def errors(self, place: np.ndarray) -> tuple[float, float, float]:
+        """Metres in plan, radians and metres in height of the object from a pose f64[4, 4]."""
+        now = self.execution.pose(self.target)
+        off = now[:3, 3] - place[:3, 3]
+        return float(np.linalg.norm(off[:2])), float(angle_between(now, place)), float(off[2])
+
     def check_near(self, place: np.ndarray, outcome: Outcome) -> None:
         """The object is where the arm believes it, f64[4, 4], as far as it may slip in a hand.
 
         Raises:
           Failed: it is not.
         """
-        now = self.execution.pose(self.target)
-        shift, turn = np.linalg.norm(now[:3, 3] - place[:3, 3]), float(angle_between(now, place))
+        shift, turn, height = self.errors(place)
+        shift = float(np.hypot(shift, height))
         if shift > MAX_SLIP or turn > MAX_TURN:
             raise Failed(outcome, f"{1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg")
 
@@ -238,7 +244,11 @@ def sensed_place_episode(
       seed: of the object's turn on the stand, of the motions, noise and proposals.
     """
     scene, stand = _on_stand(scene, target, seed)
-    world, asset, start = Referee(scene, target, (stand,), every=every), scene.objects[target], scene.poses[target]
+    world, asset, start = (
+        Referee(scene, target, (stand,), every=every),
+        scene.objects[target],
+        scene.poses[target],
+    )
     arm = SeeingArm(world.execution, asset, start, scene.support, stand, placer, scene.names[target], seed)
 
     def run() -> Put:
@@ -272,12 +282,7 @@ def _ended(world: Referee, run: Callable[[], Put | None]) -> EpisodeResult:
         outcome, detail = str(Outcome.SUCCESS), ""
     except Failed as failure:
         outcome, detail = str(failure.outcome), failure.detail
-    error = turn_error = z_error = float("nan")
-    if put is not None:
-        pose = world.execution.pose(world.target)
-        error = float(np.linalg.norm(pose[:2, 3] - put.place[:2, 3]))
-        z_error = float(pose[2, 3] - put.place[2, 3])
-        turn_error = float(angle_between(pose, put.place))
+    error, turn_error, z_error = (float("nan"),) * 3 if put is None else world.errors(put.place)
     return EpisodeResult(
         outcome=outcome,
         detail=detail,
