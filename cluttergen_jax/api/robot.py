@@ -89,9 +89,9 @@ def robot_place(
     """Lets a simulated Franka Panda move the last object of scenes (`cluttergen robot place`).
 
     In `place` it picks the object from a stand beside the table, puts it down among the others, and leaves;
-    in `lift` it lifts it out of them. With `drop`, `guided` or `none` the true state is known to it. Any other
-    placer looks: then the arm, too, knows of the other objects only what its depth cameras see. The same call
-    continues an interrupted one, and each episode is made again by its seed.
+    in `lift` it lifts it out of them. With `drop`, `guided` or `none` the true state is known to it. Any
+    other placer looks: then the arm, too, knows of the other objects only what its depth cameras see. The
+    same call continues an interrupted one, and each episode is made again by its seed.
 
     Args:
       out: the folder; rows are kept there.

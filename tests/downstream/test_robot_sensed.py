@@ -156,19 +156,19 @@ def test_a_hand_that_closes_further_has_lost_what_it_held():
     hand.is_closed = True
     held()
     hand.tool = made(np.eye(3), np.array([0.0, 0.0, 0.1]))
-    assert np.allclose(held()[0, :3], start[:3] + [0, 0, 0.1])
+    assert np.allclose(held()[0, :3], start[:3] + np.array([0, 0, 0.1]))
     hand.opening = 0.02
     with pytest.raises(Failed) as told:
         held()
     assert told.value.outcome == Outcome.SLIP
     # What was let go stays where it is.
     hand.is_closed, hand.tool = False, np.eye(4)
-    assert np.allclose(held()[0, :3], start[:3] + [0, 0, 0.1])
+    assert np.allclose(held()[0, :3], start[:3] + np.array([0, 0, 0.1]))
 
 
 @pytest.fixture
 def withheld(monkeypatch):
-    """Where objects truly are is known to the referee alone, and planning is told of no object but the box."""
+    """Where objects truly are the referee alone knows; the names that planning is told of are kept."""
     judging, poses, told = [], Execution.poses, []
 
     def asked(self):

@@ -62,7 +62,8 @@ class CameraPlacer:
         """A picture with noise, its stated pose corrected by the table's top.
 
         Args:
-          depth: f32[H, W], exact; is_own: bool[H, W], pixels of the arm and what it brings, which are left out.
+          depth: f32[H, W], exact.
+          is_own: bool[H, W], pixels of the arm and what it brings, which are left out.
         """
         depth, camera = self._maker.measured(depth, camera, self._noise, rng)
         return np.where(is_own, np.float32(np.nan), depth), camera

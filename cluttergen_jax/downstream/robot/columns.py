@@ -39,7 +39,7 @@ def columns_of(found: PartialMap) -> Columns:
 
 
 def _boxes(height: np.ndarray, found: PartialMap) -> Iterator[Box]:
-    """Boxes that cover heights f[W, H] above 0: runs of cells alike, joined with equal runs of the next row."""
+    """Boxes that cover heights f[W, H] above 0: runs of like cells, joined with those of the next row."""
     open_runs: dict[tuple[int, int], tuple[int, float, float]] = {}
     for row in range(len(height) + 1):
         runs = _runs(height[row]) if row < len(height) else {}

@@ -107,7 +107,8 @@ class SeeingArm:
         self._swing_aside()
         self._look(self._placer.overhead)
         kinematics = ArmKinematics(self._base)
-        mover = Mover(self._execution, self._world(), kinematics, 0, self._seed, see=self._object)
+        world, see = self._world(), self._object
+        mover = Mover(self._execution, world, kinematics, 0, self._seed, see=see, feels=True)
         mover.pick(self._find_pick(mover, grasps))
         return mover
 
