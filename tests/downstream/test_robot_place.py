@@ -174,7 +174,7 @@ def test_a_placer_that_looks_is_asked_and_rows_tell_of_its_noise(bank, home, tmp
     assert (row["placer"], row["num_others"]) == ("scored", 2)
     assert row["looks"] in (2, 3)
     # Without noise they would be other rows.
-    assert main([*words, "--out", str(tmp_path), "--noise", "0"]) == 1
+    assert main([*words, "--out", str(tmp_path), "--noise", "0"]) == 2
     assert "made otherwise" in capsys.readouterr().err
 
 

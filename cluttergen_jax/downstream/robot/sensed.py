@@ -23,8 +23,8 @@ from cluttergen_jax.sensing.camera import Camera
 
 _ASIDE = -1.3
 """Radians of the first joint, from home, at which the arm is out of the overhead camera's sight."""
-_LOST = 0.003
-"""Metres by which a closed hand may close further before what it held counts as lost."""
+_LOST = 0.5
+"""Share of its opening as it took the object below which a closed hand has lost it."""
 
 
 class HeldPose:
@@ -43,7 +43,7 @@ class HeldPose:
         """f64[1, 7]: T_world_object (`mover.See`).
 
         Raises:
-          Failed: the hand has closed further since it took the object: it is lost.
+          Failed: the hand has closed since it took the object: it is lost.
         """
         run = self._execution
         if not run.is_closed:
@@ -52,7 +52,7 @@ class HeldPose:
             self._T_tool_object, self._opening = inverse(run.tool) @ self._pose, run.opening
         else:
             self._pose = run.tool @ self._T_tool_object
-            if run.opening < self._opening - _LOST:
+            if run.opening < _LOST * self._opening:
                 raise Failed(Outcome.SLIP, "the hand has closed")
         return pose_of(self._pose)[None]
 
