@@ -121,7 +121,7 @@ def test_the_arm_keeps_its_distance_from_columns_but_may_lower_what_it_holds_bes
 
     assert world.blocker(joints(0.02, 0.1), 0.04) is None
     near = joints(0.002, 0.1)
-    assert world.blocker(near, 0.04) == ("seen", "panda/held")
+    assert world.blocker(near, 0.04) == ("columns/seen", "panda/held")
     # How near its neighbours it goes, the placer decides.
     assert world.blocker(near, 0.04, Mode.CARRY) is None
     assert world.blocker(joints(-0.03, 0.1), 0.04, Mode.CARRY) is not None

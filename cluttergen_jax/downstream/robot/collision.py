@@ -235,7 +235,7 @@ def _add_box(body: mujoco.MjsBody, box: Box) -> mujoco.MjsGeom:
 
 def _name_of(kind: Kind) -> str:
     """Of the body of columns."""
-    return kind.name.lower()
+    return f"columns/{kind.name.lower()}"
 
 
 def _without_drawings(arm: mujoco.MjSpec) -> None:
