@@ -6,16 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import FilmFormat, Method, RobotPlacer, RobotTask, check_workers
+from cluttergen_jax.config import FilmFormat, Method, RobotTask, check_workers
 from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
+    from cluttergen_jax.downstream.placer.query import Placer
     from cluttergen_jax.downstream.robot.grasp_sets import GraspSets
     from cluttergen_jax.downstream.robot.trials import RobotTrials
 
 _MOST_GRASPS = 4096
 _MOST_SEED = 999_999
 _MOST_EPISODES = 1_000_000
+_MOST_NOISE = 10.0
 _REGION = "0.5x0.5"
 _NUM_OBJECTS = 8
 
@@ -81,7 +83,8 @@ def robot_place(
     bank: str | Path | None = None,
     *,
     task: RobotTask = "place",
-    placer: RobotPlacer = "drop",
+    placer: str | Path = "drop",
+    noise: float | None = None,
     num_episodes: int = 40,
     pool: str | Path | None = None,
     method: Method | None = None,
@@ -95,16 +98,20 @@ def robot_place(
 ) -> RobotTrials:
     """Lets a simulated Franka Panda move the last object of scenes (`cluttergen robot place`).
 
-    In `place` it picks the object from a stand beside the table, puts it where the generator put it, or at
-    another place that a search finds, and leaves; in `lift` it lifts it out of the others. The true state is
-    known to it. The same call continues an interrupted one, and each episode is made again by its seed.
+    In `place` it picks the object from a stand beside the table, puts it down among the others, and leaves;
+    in `lift` it lifts it out of them. With `drop`, `guided` or `none` the true state is known to it. Any
+    other placer looks: then the arm, too, knows of the other objects only what its depth cameras see. The
+    same call continues an interrupted one, and each episode is made again by its seed.
 
     Args:
       out: the folder; rows are kept there.
       bank: whose scenes; if not given, one is made in the folder.
       task: place or lift.
-      placer: what proposes more places, where the scene's own is not reached: drop or guided, which know the
-        whole scene; or none.
+      placer: of `place`: none, where the generator put the object; drop or guided, which know the whole scene
+        and propose more places where that is not reached; or one that looks, which proposes all of them:
+        geometry, geometry-occupied, random, scored, or the folder of a trained one.
+      noise: of the depth cameras of a placer that looks, so many times that of a usual one; 1 if not given, 0
+        for none.
       num_episodes: how many; scenes are taken again where the bank has fewer.
       pool, method, support, num_objects, region: of a bank that is made along, as `generate` takes them;
         household, guided, the usual table, 8 and 0.5x0.5 if not given.
@@ -129,15 +136,16 @@ def robot_place(
     import json
     import os
     from dataclasses import replace
-    from functools import partial
     from typing import Any, get_args
 
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.assets.support import Rectangle
+    from cluttergen_jax.downstream.placer.heads.trained import folder_hash, placer_folder
+    from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.downstream.robot.places import SearchPlaces
-    from cluttergen_jax.downstream.robot.trials import run_trials
+    from cluttergen_jax.downstream.robot.trials import own_place, run_trials
     from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
     from cluttergen_jax.scene.bank.scene import read_scenes
@@ -145,9 +153,10 @@ def robot_place(
     check_workers("num_threads", num_threads)
     check_range("num_episodes", num_episodes, 1, _MOST_EPISODES, 40)
     check_range("seed", seed, 0, _MOST_SEED, 0)
-    for name, value, known in (("task", task, RobotTask), ("placer", placer, RobotPlacer)):
-        if value not in get_args(known):
-            raise ConfigError(f"{name} = {value!r}", ", ".join(get_args(known)))
+    if task not in get_args(RobotTask):
+        raise ConfigError(f"task = {task!r}", ", ".join(get_args(RobotTask)))
+    looking = _looking(placer)
+    factor = _factor(noise, looking is not None and task == "place")
     panda_folder()
     if films:
         check_films(film)
@@ -172,11 +181,51 @@ def robot_place(
     scenes = [replace(scene, support=replace(scene.support, region=queried)) for scene in read_scenes(found)]
     # Of another bank's scenes the rows would not be comparable.
     made = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
-    rows = {"task": task, "placer": placer, "seed": seed, "pool": recipe["pool"], "bank": made}
+    rows = {"task": task, "placer": str(placer), "seed": seed, "pool": recipe["pool"], "bank": made}
     threads = num_threads or os.cpu_count() or 1
-    folder = Path(out) / task
-    run = partial(run_trials, num_threads=threads, films=film if films else None)
-    if task == "lift" or placer == "none":
-        return run(scenes, task, num_episodes, seed, folder, rows)
-    places = SearchPlaces(found, placer, seed, threads)
-    return run(scenes, task, num_episodes, seed, folder, rows, places=places)
+    places: Any = own_place
+    if task == "place" and looking is not None:
+        places = CameraPlacer(found, looking, placer, factor)
+        trained = placer_folder(placer)
+        rows |= {"noise": factor, "weights": trained and folder_hash(trained)}
+    elif task == "place" and placer != "none":
+        places = SearchPlaces(found, str(placer), seed, threads)
+    return run_trials(
+        scenes,
+        task,
+        num_episodes,
+        seed,
+        Path(out) / task,
+        rows,
+        num_threads=threads,
+        places=places,
+        films=film if films else None,
+    )
+
+
+def _looking(placer: str | Path) -> Placer | None:
+    """The placer that looks, None of what knows the true state.
+
+    Raises:
+      ConfigError: there is none of that name.
+      PoolError: the folder holds no placer, or a damaged one.
+    """
+    from cluttergen_jax.downstream.placer.proposers import FullState, find_placer
+
+    if placer == "none":
+        return None
+    found = find_placer(placer)
+    return None if isinstance(found, FullState) else found
+
+
+def _factor(noise: float | None, is_looking: bool) -> float:
+    """So many times the usual noise.
+
+    Raises:
+      ConfigError: it is out of range, or nothing looks.
+    """
+    if noise is not None and not is_looking:
+        raise ConfigError(f"noise = {noise!r} where nothing looks", "a placer that looks", "placer='scored'")
+    if noise is not None and not 0 <= noise <= _MOST_NOISE:
+        raise ConfigError(f"noise = {noise!r}", f"0 to {_MOST_NOISE:g}", "noise=1")
+    return 1.0 if noise is None else float(noise)

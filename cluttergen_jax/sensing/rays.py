@@ -90,31 +90,45 @@ class RaySensor:
 
     def sense(self, data: mujoco.MjData, camera: Camera) -> DepthImage:
         """What a camera sees of the scene in `data`, whose kinematics are up to date (`pose`)."""
-        shape = (camera.height, camera.width)
-        # A direction is 1 m long along the optical axis, so that its multiples are depths.
-        directions = camera.directions.reshape(-1, 3)
-        lengths = np.linalg.norm(directions, axis=1)
-        geom, distance = np.empty(len(directions), np.int32), np.empty(len(directions))
-        mujoco.mj_multiRay(
-            self.model,
-            data,
-            camera.eye,
-            (directions / lengths[:, None]).ravel(),
-            self._groups,
-            True,
-            -1,
-            geom,
-            distance,
-            None,
-            len(directions),
-            FARTHEST * lengths.max(),
-        )
-        depth = distance / lengths
-        is_hit = (geom >= 0) & (depth <= FARTHEST)
-        geom = np.where(is_hit, geom, -1)
-        label = np.where(is_hit, self._label[geom], FLOOR)
-        depth = np.where(is_hit, depth, np.inf).astype(np.float32)
-        return DepthImage(depth.reshape(shape), geom.reshape(shape), label.astype(np.int32).reshape(shape))
+        depth, geom = cast_rays(self.model, data, camera, self._groups)
+        label = np.where(geom >= 0, self._label[geom], FLOOR)
+        return DepthImage(depth, geom, label.astype(np.int32))
+
+
+def cast_rays(
+    model: mujoco.MjModel, data: mujoco.MjData, camera: Camera, groups: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a camera sees of any model, whose kinematics are up to date.
+
+    Args:
+      groups: u8[mjNGROUP], 1 for groups of geoms that are seen.
+
+    Returns:
+      f32[H, W], metres along the optical axis, inf where nothing is; i32[H, W], the geom, -1 for none.
+    """
+    shape = (camera.height, camera.width)
+    # A direction is 1 m long along the optical axis, so that its multiples are depths.
+    directions = camera.directions.reshape(-1, 3)
+    lengths = np.linalg.norm(directions, axis=1)
+    geom, distance = np.empty(len(directions), np.int32), np.empty(len(directions))
+    mujoco.mj_multiRay(
+        model,
+        data,
+        camera.eye,
+        (directions / lengths[:, None]).ravel(),
+        groups,
+        True,
+        -1,
+        geom,
+        distance,
+        None,
+        len(directions),
+        FARTHEST * lengths.max(),
+    )
+    depth = distance / lengths
+    is_hit = (geom >= 0) & (depth <= FARTHEST)
+    depth = np.where(is_hit, depth, np.inf).astype(np.float32)
+    return depth.reshape(shape), np.where(is_hit, geom, -1).reshape(shape)
 
 
 def labels_of(model: mujoco.MjModel) -> np.ndarray:

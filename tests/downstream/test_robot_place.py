@@ -1,5 +1,6 @@
 """`robot place`: rows are kept and taken up again, causes are counted, and places are what a search finds."""
 
+import json
 import math
 import os
 import signal
@@ -122,6 +123,10 @@ def test_places_are_where_the_object_stands_among_the_others(bank):
     [
         ({"task": "throw"}, "lift, place"),
         ({"placer": "magic"}, "drop"),
+        ({"placer": "geometri"}, "geometry"),
+        ({"noise": 1.0}, "a placer that looks"),
+        ({"placer": "geometry", "task": "lift", "noise": 0.0}, "a placer that looks"),
+        ({"placer": "geometry", "noise": -1.0}, "0 to 10"),
         ({"num_episodes": 0}, "num_episodes"),
         ({"films": True, "film": "avi"}, "gif, mp4"),
         ({"bank": "bank", "pool": "dining"}, "one or the other"),
@@ -158,6 +163,20 @@ def test_the_command_moves_objects_and_says_how_it_went(bank, home, tmp_path, ca
     assert (tmp_path / "place" / EPISODES).is_file()
     assert main(words) == 0
     assert capsys.readouterr().out == told
+
+
+@pytest.mark.slow
+def test_a_placer_that_looks_is_asked_and_rows_tell_of_its_noise(bank, home, tmp_path, capsys):
+    words = ["robot", "place", str(bank.path), "--placer", "scored", "--num-episodes", "1", "--threads", "1"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    assert "of 1 of all episodes" in capsys.readouterr().out
+    recipe, row = map(json.loads, (tmp_path / "place" / EPISODES).read_text().splitlines())
+    assert (recipe["placer"], recipe["noise"], len(recipe["weights"])) == ("scored", 1.0, 64)
+    assert (row["placer"], row["num_others"]) == ("scored", 2)
+    assert row["looks"] in (2, 3)
+    # Without noise they would be other rows.
+    assert main([*words, "--out", str(tmp_path), "--noise", "0"]) == 2
+    assert "made otherwise" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -61,9 +61,14 @@ class QueryMaker:
                 "is_column",
             )
         }
-        radius = float(np.linalg.norm(self._geometry["half_extents"][:, :2], axis=1).max())
-        self.grid = Grid.of(problem.world.support, radius, problem.region, CELL)
+        self._support, self._region = problem.world.support, problem.region
+        self._radius = float(np.linalg.norm(self._geometry["half_extents"][:, :2], axis=1).max())
+        self.grid = self.grid_of(CELL)
         self._half = np.asarray(problem.region.half_extents, np.float32)
+
+    def grid_of(self, cell: float) -> Grid:
+        """The same part of the top in cells of another size, metres."""
+        return Grid.of(self._support, self._radius, self._region, cell)
 
     @property
     def T_world_region(self) -> np.ndarray:
@@ -87,18 +92,37 @@ class QueryMaker:
         `heights` is the highest that any of them saw, `ceilings` the lowest from which on one of them sees
         that all is empty (`sensing.partial.merged`); points are drawn from all of them.
         """
-        maps, points = [], []
-        for depth, camera in views:
-            if noise == NOISE_OFF:
-                found = PartialMap.of(depth, camera, self.grid)
-            else:
-                depth, camera = noisy(depth, camera, noise, rng)
-                camera = levelled(depth, camera, self.grid)
-                found = PartialMap.of(depth, camera, self.grid, median=_MEDIAN, least_pixels=_LEAST_PIXELS)
-            maps.append(found)
-            points.append(self._points(depth, camera))
-        found = merged(maps)
-        cloud = _drawn(np.concatenate(points), rng)
+        believed = [self.measured(depth, camera, noise, rng) for depth, camera in views]
+        return self.fused(believed, noise, rng)
+
+    def measured(
+        self, depth: np.ndarray, camera: Camera, noise: NoiseConfig, rng: np.random.Generator
+    ) -> tuple[np.ndarray, Camera]:
+        """What a camera gives with noise, and where it is believed to stand."""
+        if noise == NOISE_OFF:
+            return depth, camera
+        depth, camera = noisy(depth, camera, noise, rng)
+        return depth, levelled(depth, camera, self.grid)
+
+    def partial(
+        self, depth: np.ndarray, camera: Camera, noise: NoiseConfig, grid: Grid | None = None
+    ) -> PartialMap:
+        """The map of one image as it was measured.
+
+        Args:
+          grid: its cells; the queries' own if not given.
+        """
+        grid = grid or self.grid
+        if noise == NOISE_OFF:
+            return PartialMap.of(depth, camera, grid)
+        return PartialMap.of(depth, camera, grid, median=_MEDIAN, least_pixels=_LEAST_PIXELS)
+
+    def fused(
+        self, views: Sequence[tuple[np.ndarray, Camera]], noise: NoiseConfig, rng: np.random.Generator
+    ) -> SceneMaps:
+        """As `see_all`, of images as they were measured."""
+        found = merged([self.partial(depth, camera, noise) for depth, camera in views])
+        cloud = _drawn(np.concatenate([self._points(depth, camera) for depth, camera in views]), rng)
         return SceneMaps(found.height, found.ceiling, *cloud, self._unseen(found))
 
     def query(self, sight: SceneMaps, object_index: int) -> PlacementQuery:

@@ -12,6 +12,7 @@ from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_part, populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.downstream.robot.columns import Columns
 from cluttergen_jax.downstream.robot.frames import inverse, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.model import HAND, PREFIX, TOOL_DEPTH, Panda, home_pose, panda_spec
 from cluttergen_jax.geometry import yaw_quaternion
@@ -24,13 +25,15 @@ APART = 0.003
 """Metres that what is held keeps from neighbours where it is asked to."""
 _TOUCH = -0.001
 """Metres that a held object may overlap with what it is taken from or put on."""
+_BLUR = -0.005
+"""The same of columns that were seen, whose sides are known to a cell."""
 _AWAY = 100.0
 _HELD = "held"
 _GROUND = "ground"
 
 
 class Kind(IntEnum):
-    """What a geom belongs to."""
+    """What a geom belongs to; the last two are columns (`columns.Columns`)."""
 
     GROUND = 0
     OTHER = 1
@@ -38,6 +41,11 @@ class Kind(IntEnum):
     ARM = 3
     HAND = 4
     HELD = 5
+    SEEN = 6
+    HIDDEN = 7
+
+
+_COLUMN_KINDS = (Kind.SEEN, Kind.HIDDEN)
 
 
 class Mode(IntEnum):
@@ -72,6 +80,9 @@ def _thresholds() -> np.ndarray:
     for other in (Kind.GROUND, Kind.OTHER):
         limit[Mode.CARRY, Kind.HELD, other] = limit[Mode.CARRY, other, Kind.HELD] = _TOUCH
         limit[Mode.APART, Kind.HELD, other] = limit[Mode.APART, other, Kind.HELD] = APART
+    # Of columns the whole clearance is kept, but for what is lowered where a placer wants it.
+    for other, least in ((Kind.SEEN, _BLUR), (Kind.HIDDEN, -np.inf)):
+        limit[Mode.CARRY, Kind.HELD, other] = limit[Mode.CARRY, other, Kind.HELD] = least
     return limit
 
 
@@ -88,6 +99,7 @@ class PlanningWorld:
       target: the number of the object that is to be moved.
       base: f64[7], T_world_base.
       stands: more boxes that objects can stand on.
+      columns: boxes in place of objects of which no more is known than what was seen, and where it may hide.
     """
 
     def __init__(
@@ -99,6 +111,7 @@ class PlanningWorld:
         support: SupportAsset,
         base: np.ndarray,
         stands: Sequence[Box] = (),
+        columns: Columns | None = None,
     ) -> None:
         contact = ContactConfig()
         spec = populated_spec(names, objects, support, StabilityConfig().timestep, contact, poses=poses)
@@ -106,6 +119,10 @@ class PlanningWorld:
             spec.delete(joint)
         for number, box in enumerate(stands):
             add_stand(spec, box, f"{_GROUND}-{number}")
+        for kind, boxes in zip(_COLUMN_KINDS, columns or (), strict=False):
+            body = spec.worldbody.add_body(name=_name_of(kind))
+            for box in boxes:
+                _add_box(body, box)
         arm = panda_spec(contact)
         _without_drawings(arm)
         held = arm.body(HAND).add_body(name=_HELD)
@@ -140,6 +157,9 @@ class PlanningWorld:
         kind[self.panda.is_arm] = Kind.ARM
         kind[[self.panda.hand, *self.panda.finger_bodies]] = Kind.HAND
         kind[self._held] = Kind.HELD
+        for each in _COLUMN_KINDS:
+            if (body := mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, _name_of(each))) >= 0:
+                kind[body] = each
         return kind[self.model.geom_bodyid]
 
     def move(self, number: int, pose: np.ndarray) -> None:
@@ -200,8 +220,11 @@ class PlanningWorld:
 
 def add_stand(spec: mujoco.MjSpec, box: Box, name: str) -> None:
     """A box that objects can stand on."""
-    spec.worldbody.add_geom(
-        name=name,
+    _add_box(spec.worldbody, box).name = name
+
+
+def _add_box(body: mujoco.MjsBody, box: Box) -> mujoco.MjsGeom:
+    return body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=box.center,
         quat=yaw_quaternion(box.yaw),
@@ -209,6 +232,11 @@ def add_stand(spec: mujoco.MjSpec, box: Box, name: str) -> None:
         rgba=box.rgba,
         group=VISUAL_GROUP,
     )
+
+
+def _name_of(kind: Kind) -> str:
+    """Of the body of columns."""
+    return f"columns/{kind.name.lower()}"
 
 
 def _without_drawings(arm: mujoco.MjSpec) -> None:

@@ -5,19 +5,22 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
 from cluttergen_jax.downstream.robot.collision import PlanningWorld
 from cluttergen_jax.downstream.robot.execute import Execution, Phase, Trace
 from cluttergen_jax.downstream.robot.frames import angle_between, matrix_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
 from cluttergen_jax.downstream.robot.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.model import PandaConfig, base_pose
-from cluttergen_jax.downstream.robot.mover import LIFT, Mover
+from cluttergen_jax.downstream.robot.mover import LIFT, MAX_SLIP, MAX_TURN, Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.robot.sensed import SeeingArm
 from cluttergen_jax.geometry import product, turned, yaw_quaternion
 from cluttergen_jax.scene import Scene
 
@@ -40,6 +43,7 @@ class EpisodeResult:
       displaced: metres that another object moved at most.
       proposal: which of the proposed places was used, -1 if none was.
       seconds: of the simulated time. cpu: seconds of this process.
+      placer: what proposed the places. looks: pictures that the arm's cameras took.
     """
 
     outcome: str
@@ -53,6 +57,8 @@ class EpisodeResult:
     proposal: int
     seconds: float
     cpu: float
+    placer: str = "none"
+    looks: int = 0
 
     @property
     def is_success(self) -> bool:
@@ -78,14 +84,13 @@ def _low_side(box: Box, yaw: float, center: np.ndarray) -> float:
     return float(turned(corners, -yaw)[:, 1].min())
 
 
-class EpisodeWorld:
-    """An episode's world: the simulation and its copy for planning.
+class Referee:
+    """A simulated episode and its judge; besides an arm that is told the true state it alone reads that.
 
     Args:
       scene: all objects, where they stand at the start.
       target: the number of the one that is to be moved.
       stands: more boxes that objects can stand on.
-      seed: of what is drawn.
       trace: see `Execution`.
     """
 
@@ -94,15 +99,11 @@ class EpisodeWorld:
         scene: Scene,
         target: int,
         stands: tuple[Box, ...],
-        seed: int,
         config: PandaConfig | None = None,
         trace: Trace | None = None,
     ) -> None:
         self.scene, self.target = scene, target
-        base = base_pose(scene.support, config)
         self.execution = Execution(scene, target, stands, config, trace)
-        planning = PlanningWorld(scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
-        self.mover = Mover(self.execution, planning, ArmKinematics(base), target, seed)
         self._others = [k for k in range(len(scene.names)) if k != target]
         self.displaced = 0.0
 
@@ -136,80 +137,151 @@ class EpisodeWorld:
                 raise Failed(Outcome.UNSTABLE, f"{1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg")
             self.check_others()
 
+    def check_region(self) -> None:
+        """The middle of the object's box lies in the region, as scenes are judged by default.
+
+        Raises:
+          Failed: it does not.
+        """
+        region, pose = self.scene.support.region, self.execution.pose(self.target)
+        place = turned(pose[:2, 3] - np.asarray(region.center), -region.yaw)
+        if (np.abs(place) > np.asarray(region.half_extents)).any():
+            raise Failed(Outcome.OUTSIDE, self.scene.names[self.target])
+
+    def errors(self, place: np.ndarray) -> tuple[float, float, float]:
+        """Metres in plan, radians and metres in height of the object from a pose f64[4, 4]."""
+        now = self.execution.pose(self.target)
+        off = now[:3, 3] - place[:3, 3]
+        return float(np.linalg.norm(off[:2])), float(angle_between(now, place)), float(off[2])
+
+    def check_near(self, place: np.ndarray, outcome: Outcome) -> None:
+        """The object is where the arm believes it, f64[4, 4], as far as it may slip in a hand.
+
+        Raises:
+          Failed: it is not.
+        """
+        shift, turn, height = self.errors(place)
+        shift = float(np.hypot(shift, height))
+        if shift > MAX_SLIP or turn > MAX_TURN:
+            raise Failed(outcome, f"{1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg")
+
+
+class EpisodeWorld(Referee):
+    """An episode whose arm is told where everything is: the simulation and its copy for planning.
+
+    Args: as those of `Referee`; seed: of what is drawn.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        target: int,
+        stands: tuple[Box, ...],
+        seed: int,
+        config: PandaConfig | None = None,
+        trace: Trace | None = None,
+    ) -> None:
+        super().__init__(scene, target, stands, config, trace)
+        base = base_pose(scene.support, config)
+        planning = PlanningWorld(scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
+        self.mover = Mover(self.execution, planning, ArmKinematics(base), target, seed)
+
+
+class Put(NamedTuple):
+    """Where an object was put: the number of the proposal, and f64[4, 4], T_world_object."""
+
+    number: int
+    place: np.ndarray
+
 
 def lift_episode(
     scene: Scene, target: int, grasps: Grasps, seed: int, trace: Trace | None = None
 ) -> EpisodeResult:
     """One object is lifted by `mover.LIFT` out of those that stand around it."""
-    episode_lab = EpisodeWorld(scene, target, (), seed, trace=trace)
+    world = EpisodeWorld(scene, target, (), seed, trace=trace)
 
-    def run(world: EpisodeWorld) -> int:
+    def run() -> None:
         height = world.execution.pose(target)[2, 3]
         world.mover.pick(world.mover.find_pick(grasps))
         world.check_others()
         if world.execution.pose(target)[2, 3] < height + 0.8 * LIFT:
             raise Failed(Outcome.SLIP, "not lifted")
-        return 0
 
-    return _ended(episode_lab, run, None)
+    return _ended(world, run)
 
 
 def place_episode(
     scene: Scene, target: int, grasps: Grasps, places: np.ndarray, seed: int, trace: Trace | None = None
 ) -> EpisodeResult:
-    """One object is picked from a stand beside the table and put among the others.
+    """One object is picked from a stand beside the table and put among the others; the arm knows all.
 
     Args:
       scene: all objects; where the target stands in it does not count.
       places: f64[M, 7], T_world_object, settled poses that are proposed for it, best first.
       seed: of its turn on the stand, and of the motions.
     """
-    stand = stand_beside(scene.support)
-    rng = np.random.default_rng(seed)
-    asset = scene.objects[target]
-    yaw = rng.uniform(-np.pi, np.pi)
-    quaternion = product(np.array(yaw_quaternion(yaw)), np.asarray(asset.resting[0].quaternion, np.float64))
-    start = np.array([*stand.center[:2], scene.support.top + asset.resting[0].height, *quaternion])
-    poses = scene.poses.copy()
-    poses[target] = start
-    episode_lab = EpisodeWorld(replace(scene, poses=poses), target, (stand,), seed, trace=trace)
+    scene, stand = _on_stand(scene, target, seed)
+    world = EpisodeWorld(scene, target, (stand,), seed, trace=trace)
     wanted = matrix_of(places)
 
-    def run(world: EpisodeWorld) -> int:
+    def run() -> Put:
         world.mover.pick(world.mover.find_pick(grasps, wanted))
         world.check_others()
         used = world.mover.place(wanted)
         world.check_others()
         world.check_stands()
-        _check_region(scene, target, world.execution.pose(target))
-        return used
+        world.check_region()
+        return Put(used, wanted[used])
 
-    return _ended(episode_lab, run, wanted)
-
-
-def _check_region(scene: Scene, target: int, pose: np.ndarray) -> None:
-    """The middle of the object's box lies in the region, as scenes are judged by default."""
-    region = scene.support.region
-    place = turned(pose[:2, 3] - np.asarray(region.center), -region.yaw)
-    if (np.abs(place) > np.asarray(region.half_extents)).any():
-        raise Failed(Outcome.OUTSIDE, scene.names[target])
+    return _ended(world, run)
 
 
-def _ended(
-    world: EpisodeWorld, run: Callable[[EpisodeWorld], int], wanted: np.ndarray | None
+def sensed_place_episode(
+    scene: Scene, target: int, grasps: Grasps, placer: CameraPlacer, seed: int, trace: Trace | None = None
 ) -> EpisodeResult:
-    begun, proposal = time.process_time(), -1
+    """As `place_episode`, by an arm that sees the others and asks a placer where to put the object.
+
+    Args:
+      placer: made for the scene's bank.
+      seed: of the object's turn on the stand, of the motions, noise and proposals.
+    """
+    scene, stand = _on_stand(scene, target, seed)
+    world = Referee(scene, target, (stand,), trace=trace)
+    asset, start = scene.objects[target], scene.poses[target]
+    arm = SeeingArm(world.execution, asset, start, scene.support, stand, placer, scene.names[target], seed)
+
+    def run() -> Put:
+        mover = arm.pick(grasps)
+        world.check_others()
+        world.check_near(arm.believed, Outcome.SLIP)
+        put = Put(*arm.put(mover))
+        world.check_others()
+        world.check_near(put.place, Outcome.UNSTABLE)
+        world.check_stands()
+        world.check_region()
+        return put
+
+    return replace(_ended(world, run), placer=placer.name, looks=arm.looks)
+
+
+def _on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
+    """The scene with the target on a stand beside the table, somehow turned."""
+    stand, asset = stand_beside(scene.support), scene.objects[target]
+    yaw = np.random.default_rng(seed).uniform(-np.pi, np.pi)
+    quaternion = product(np.array(yaw_quaternion(yaw)), np.asarray(asset.resting[0].quaternion, np.float64))
+    poses = scene.poses.copy()
+    poses[target] = [*stand.center[:2], scene.support.top + asset.resting[0].height, *quaternion]
+    return replace(scene, poses=poses), stand
+
+
+def _ended(world: Referee, run: Callable[[], Put | None]) -> EpisodeResult:
+    begun, put = time.process_time(), None
     try:
-        proposal = run(world)
+        put = run()
         outcome, detail = str(Outcome.SUCCESS), ""
     except Failed as failure:
         outcome, detail = str(failure.outcome), failure.detail
-    error = turn_error = z_error = float("nan")
-    if wanted is not None and proposal >= 0:
-        pose, place = world.execution.pose(world.target), wanted[proposal]
-        error = float(np.linalg.norm(pose[:2, 3] - place[:2, 3]))
-        z_error = float(pose[2, 3] - place[2, 3])
-        turn_error = float(angle_between(pose, place))
+    error, turn_error, z_error = (float("nan"),) * 3 if put is None else world.errors(put.place)
     return EpisodeResult(
         outcome=outcome,
         detail=detail,
@@ -219,7 +291,7 @@ def _ended(
         turn_error=turn_error,
         z_error=z_error,
         displaced=world.displaced,
-        proposal=proposal,
+        proposal=-1 if put is None else put.number,
         seconds=world.execution.num_steps * world.execution.step_time,
         cpu=time.process_time() - begun,
     )

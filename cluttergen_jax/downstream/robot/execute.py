@@ -13,6 +13,7 @@ from enum import IntEnum
 import mujoco
 import numpy as np
 
+from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.assets.support import Box
 from cluttergen_jax.downstream.robot.collision import Kind, add_stand
 from cluttergen_jax.downstream.robot.frames import matrix_of
@@ -20,11 +21,15 @@ from cluttergen_jax.downstream.robot.model import MAX_OPENING, Panda, PandaConfi
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.timing import Trajectory
 from cluttergen_jax.scene import Scene
+from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing.rays import cast_rays
 
 MAX_FORCE = 2.0
 """N; an unplanned contact that presses harder ends an episode."""
 CLOSING = 0.5
 """Seconds in which the fingers close."""
+_DRAWN = np.isin(np.arange(mujoco.mjNGROUP), (0, VISUAL_GROUP)).astype(np.uint8)
+"""Groups of geoms that a camera sees: surfaces, and boxes such as stands."""
 _REST = 0.15
 _MEASURED = 16
 
@@ -57,6 +62,8 @@ def _unplanned() -> np.ndarray:
 
 
 _UNPLANNED = _unplanned()
+_TOUCHING = _UNPLANNED[Phase.CARRY] & ~_UNPLANNED[Phase.TOUCH]
+"""bool[kinds, kinds]: what is held and what it may be put on."""
 
 
 @dataclass(eq=False)
@@ -175,18 +182,31 @@ class Execution:
         """f64[4, 4]: T_world_object of one."""
         return matrix_of(self.poses()[number])
 
-    def follow(self, motion: Trajectory, phase: Phase) -> None:
+    def depth(self, camera: Camera) -> np.ndarray:
+        """f32[H, W]: what a depth camera sees now, the arm included; metres along its axis, inf: nothing."""
+        mujoco.mj_kinematics(self.model, self.data)
+        return cast_rays(self.model, self.data, camera, _DRAWN)[0]
+
+    def follow(self, motion: Trajectory, phase: Phase, until_touch: bool = False) -> None:
         """Runs along a motion.
+
+        Args:
+          until_touch: stops where the hand feels that what it holds presses on something harder than
+            `MAX_FORCE`, as a force sensor at the wrist would tell.
 
         Raises:
           Failed: an unplanned contact pressed harder than `MAX_FORCE`.
         """
         # A servo with damping trails behind a moving set-point by a known time.
         points = motion.joints + self.panda.lag * motion.speed
-        for joints in np.clip(points, self.panda.low, self.panda.high):
+        end = motion.joints[-1]
+        for number, joints in enumerate(np.clip(points, self.panda.low, self.panda.high)):
             self.data.ctrl[self.panda.ctrl] = joints
             self._step(phase)
-        self.data.ctrl[self.panda.ctrl] = motion.joints[-1]
+            if until_touch and self._pressing(_TOUCHING) is not None:
+                end = motion.joints[number]
+                break
+        self.data.ctrl[self.panda.ctrl] = end
 
     def wait(self, seconds: float, phase: Phase) -> None:
         """Lets time pass, the set-points as they are."""
@@ -219,16 +239,21 @@ class Execution:
         self._watch(phase)
 
     def _watch(self, phase: Phase) -> None:
+        contact = self._pressing(_UNPLANNED[phase])
+        if contact is not None:
+            bodies = self.model.geom_bodyid[self.data.contact.geom[contact]]
+            a, b = (self.model.body(body).name or "ground" for body in bodies)
+            raise Failed(Outcome.CONTACT, f"{a} and {b}, {phase.name.lower()}")
+
+    def _pressing(self, asked: np.ndarray) -> int | None:
+        """The first contact of kinds bool[kinds, kinds] that presses harder than `MAX_FORCE`."""
         data = self.data
         if not data.ncon:
-            return
-        geoms = data.contact.geom
-        kinds = self._kind[geoms]
+            return None
+        kinds = self._kind[data.contact.geom]
         force = np.zeros(6)
-        for contact in np.flatnonzero(_UNPLANNED[phase][kinds[:, 0], kinds[:, 1]]):
+        for contact in np.flatnonzero(asked[kinds[:, 0], kinds[:, 1]]):
             mujoco.mj_contactForce(self.model, data, int(contact), force)
             if np.linalg.norm(force[:3]) > MAX_FORCE:
-                a, b = (
-                    self.model.body(self.model.geom_bodyid[geom]).name or "ground" for geom in geoms[contact]
-                )
-                raise Failed(Outcome.CONTACT, f"{a} and {b}, {phase.name.lower()}")
+                return int(contact)
+        return None

@@ -24,6 +24,8 @@ RELEASE = 0.001
 """Metres over where it shall stand at which an object is let go."""
 TOUCH = 0.01
 """Metres of lifting and lowering in which an object may touch what it stands on."""
+FELT = 0.02
+"""The same of lowering where the arm does not see how the object lies in the hand, but feels the touch."""
 MAX_SLIP, MAX_TURN = 0.015, np.radians(20)
 """How far an object may slip in the hand from the closing of the fingers on."""
 CARRY_SHARE = 0.25
@@ -44,6 +46,7 @@ class Mover:
     Args:
       execution: the simulation; world: its copy for planning; target: the object's number.
       seed: of what is drawn; equal seeds do the same.
+      feels: lowers what is held until it touches something, wherever it is exactly in the hand.
       is_apart: what is held keeps `collision.APART` from all else once it is a centimetre above its place; it
         moves a little as the fingers close.
       see: tells where objects are, asked whenever something may have moved; the true poses if not given.
@@ -59,14 +62,24 @@ class Mover:
         seed: int,
         see: See | None = None,
         is_apart: bool = False,
+        feels: bool = False,
     ) -> None:
         self.execution, self.world, self.kinematics, self.target = execution, world, kinematics, target
         self._see: See = see or (lambda only: execution.poses())
         self.planner = Planner(world, kinematics)
         self._rng, self._seed = np.random.default_rng(seed), seed
-        self._opening, self._is_apart = 0.0, is_apart
+        self._opening, self._is_apart, self._feels = 0.0, is_apart, feels
         self._T_tool_object = self._grasped = np.eye(4)
         self._known: tuple[int, np.ndarray] | None = None
+
+    def plan_in(self, world: PlanningWorld) -> None:
+        """From now on this is what is known of the world; the object's number in it is the same."""
+        self.world = self.planner.world = world
+
+    @property
+    def fitting(self) -> int | None:
+        """The number of the place that the last grasp of `find_pick` was found to fit."""
+        return None if self._known is None else self._known[0]
 
     # Picking up
 
@@ -249,9 +262,9 @@ class Mover:
         before = self._T_tool_object
         self._carry(plan.path, before)
         lower = self._corrected(plan.lower, place)
-        upper, last = _split(lower, self.kinematics, TOUCH, from_end=True)
+        upper, last = _split(lower, self.kinematics, FELT if self._feels else TOUCH, from_end=True)
         self._carry(upper, self._T_tool_object, rest=0.0)
-        run.follow(timed(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH)
+        run.follow(timed(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH, self._feels)
         run.wait(0.2, Phase.TOUCH)
         self._in_hand()
         run.move_fingers(self._opening, Phase.TOUCH)

@@ -9,15 +9,16 @@ class Outcome(StrEnum):
     """The end of an episode; all but the first are failures, in the order in which they can come.
 
     NO_GRASP: no grasp of the object is free of contact. NO_IK: the arm does not reach. NO_PATH: no path was
-    found. CONTACT: the arm or what it held touched what it should not, by more than 2 N. SLIP: the object was
-    lost, or slipped in the hand. DISPLACED: another object moved. UNSTABLE: something did not stay.
-    OUTSIDE: the object does not stand where it should.
+    found. NO_PLACE: a placer proposed no place in the region. CONTACT: the arm or what it held touched what
+    it should not, by more than 2 N. SLIP: the object was lost, or slipped in the hand. DISPLACED: another
+    object moved. UNSTABLE: something did not stay. OUTSIDE: the object does not stand where it should.
     """
 
     SUCCESS = "success"
     NO_GRASP = "no grasp"
     NO_IK = "no ik"
     NO_PATH = "no path"
+    NO_PLACE = "no place"
     CONTACT = "contact"
     SLIP = "slip"
     DISPLACED = "displaced"

@@ -26,9 +26,13 @@ class SearchPlaces:
       method: "drop", "guided" or "policy".
       seed: of proposals.
       num_threads: simulation threads; 0 takes every core.
+
+    Attributes:
+      name: the method's.
     """
 
     def __init__(self, bank: Bank, method: str, seed: int, num_threads: int = 0) -> None:
+        self.name = method
         self._scenes = PartialScenes(bank, num_threads)
         self._judge = Judge(self._scenes.rules)
         rules, propose = FullState(method).in_world(self._scenes.problem)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,13 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.config import FilmFormat, RobotTask
-from cluttergen_jax.downstream.robot.episode import EpisodeResult, lift_episode, place_episode
+from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
+from cluttergen_jax.downstream.robot.episode import (
+    EpisodeResult,
+    lift_episode,
+    place_episode,
+    sensed_place_episode,
+)
 from cluttergen_jax.downstream.robot.execute import Trace
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
 from cluttergen_jax.downstream.robot.grasps import Grasps, grasps_of
@@ -96,7 +102,7 @@ def run_trials(
     recipe: dict[str, Any],
     *,
     num_threads: int = 1,
-    places: Places = own_place,
+    places: Places | CameraPlacer = own_place,
     films: FilmFormat | None = None,
 ) -> RobotTrials:
     """Runs episodes: the last object of a scene, upon which nothing lies, is the one that is moved.
@@ -106,7 +112,8 @@ def run_trials(
       out: the folder in which rows are kept, each as soon as it is made; None keeps none.
       recipe: what makes rows comparable; rows of another recipe are not taken up again.
       num_threads: of the tests of grasps.
-      places: what a placer would answer.
+      places: where the object may go, for an arm that is told where everything is; or a placer, for one that
+        looks.
       films: film the first episode of each outcome in the folder `films` of `out` (`film_firsts`).
 
     Raises:
@@ -138,12 +145,21 @@ def run_trials(
 
 
 def _episode(
-    scene: Scene, task: str, grasps: Grasps, places: Places, index: int, seed: int, trace: Trace | None
+    scene: Scene,
+    task: str,
+    grasps: Grasps,
+    places: Places | CameraPlacer,
+    index: int,
+    seed: int,
+    trace: Trace | None,
 ) -> EpisodeResult:
     target, own = len(scene.names) - 1, episode_seed(seed, index)
     if task == "lift":
         return lift_episode(scene, target, grasps, own, trace)
-    return place_episode(scene, target, grasps, places(index, scene), own, trace)
+    if isinstance(places, CameraPlacer):
+        return sensed_place_episode(scene, target, grasps, places, own, trace)
+    row = place_episode(scene, target, grasps, places(index, scene), own, trace)
+    return replace(row, placer=getattr(places, "name", row.placer))
 
 
 def episode_seed(seed: int, index: int) -> int:

@@ -1,4 +1,4 @@
-"""Cameras of views and of the robot: from above, around the table, and on the hand."""
+"""Cameras of views: from above, around the table, and on the hand."""
 
 from __future__ import annotations
 
@@ -9,32 +9,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE, above, wrist_camera
 from cluttergen_jax.downstream.robot.frames import made
-from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, Camera, free, intrinsics, overhead
+from cluttergen_jax.sensing.camera import Camera, free
 
-SIZE, FOCAL = (320, 240), REALSENSE_FOCAL / 2
-"""Of pictures: a depth camera of the RealSense kind at half of its resolution."""
 Kind = Literal["free", "overhead", "wrist"]
 """Of cameras."""
-_WRIST_PLACE = np.array([0.06, 0.0, -0.08])
-_WRIST_TILT = np.radians(-8.0)
 _TILT, _SHIFT = np.radians(4.0), 0.03
-
-
-def wrist_camera(T_world_tool: np.ndarray) -> Camera:
-    """The camera on the hand: before it, looking along it and a little towards what is between the fingers.
-
-    Args:
-      T_world_tool: f64[4, 4], of the tool (docs/contract.md).
-    """
-    turn = Rotation.from_euler("zy", [-np.pi / 2, _WRIST_TILT]).as_matrix()
-    T_tool_camera = made(turn, _WRIST_PLACE)
-    return Camera(*SIZE, intrinsics(*SIZE, FOCAL), T_world_tool @ T_tool_camera)
-
-
-def above(support: SupportAsset) -> Camera:
-    """The camera over the table, which sees the whole region."""
-    return overhead(support, *SIZE, FOCAL)
 
 
 def draw_camera(

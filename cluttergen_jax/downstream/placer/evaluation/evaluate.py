@@ -16,7 +16,7 @@ from cluttergen_jax.downstream.placer.evaluation.bench import Bench, Outcome
 from cluttergen_jax.downstream.placer.evaluation.chain import Chains
 from cluttergen_jax.downstream.placer.evaluation.figures import figures_of
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, chain_table, tables_of
-from cluttergen_jax.downstream.placer.heads.trained import placer_folder
+from cluttergen_jax.downstream.placer.heads.trained import folder_hash, placer_folder
 from cluttergen_jax.downstream.placer.pairs.stored import PairLabels, PairSet, load_queries, of_tenths
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import FullState, find_placer
@@ -197,7 +197,7 @@ class Trials:
             weights = None if checkpoint is None else checkpoint.hash
         else:
             folder = placer_folder(placer)
-            weights = None if folder is None else _folder_hash(folder)
+            weights = None if folder is None else folder_hash(folder)
         told = {name: value for name, value in self.made.items() if name != "num_pairs"}
         text = json.dumps([told, self.pairs.record["assets"]], sort_keys=True)
         return {
@@ -280,10 +280,3 @@ def compare_placers(
 def noise_of(factor: float) -> NoiseConfig:
     """So many times the noise of a depth camera; 0 for none."""
     return REALSENSE.scaled(factor) if factor else NOISE_OFF
-
-
-def _folder_hash(folder: Path) -> str:
-    """The digest of a checkpoint's files."""
-    files = sorted(each for each in folder.rglob("*") if each.is_file())
-    parts = [f"{each.relative_to(folder)}".encode() + each.read_bytes() for each in files]
-    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
