@@ -119,9 +119,9 @@ def test_episodes_of_the_arm_are_counted_by_outcome():
     lost = robot.row_of({"task": "lift"}, RobotTrials("lift", rows[2:]))
     low, high = wilson(2, 3)
     cells = robot.table_of([found, lost]).rows
-    assert cells[0][:5] == ("place", "drop", f"0.667 [{low:.3f}, {high:.3f}]", "slip 1", "2.0")
+    assert cells[0][:6] == ("place", "drop", "-", f"0.667 [{low:.3f}, {high:.3f}]", "slip 1", "2.0")
     assert cells[1][:2] == ("lift", "-")
-    assert cells[1][4:6] == ("-", "-")
+    assert cells[1][5:7] == ("-", "-")
 
 
 def test_rearrangements_are_counted_by_episode_and_by_object():
