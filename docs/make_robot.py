@@ -41,6 +41,9 @@ def main() -> None:
         save(strip(out / "rearrange/paper/films/success-0.gif"), "rearrange.png")
         with Image.open(out / "rearrange/paper/layouts-0.png") as sheet:
             save(np.asarray(sheet), "layouts.png")
+        cg.robot_grasps("household", picture=out / "grasps.png")
+        with Image.open(out / "grasps.png") as sheet:
+            save(np.asarray(sheet), "grasps.png")
 
 
 if __name__ == "__main__":
