@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
+from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.downstream.fitting.fit import FitConfig
+from cluttergen_jax.downstream.perception.certainty import Certainty, read_certainty
 from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
 from cluttergen_jax.downstream.perception.segment.examples import example_of
 from cluttergen_jax.downstream.perception.segment.network import (
@@ -28,6 +30,7 @@ from cluttergen_jax.downstream.perception.segment.segmenter import checked_image
 from cluttergen_jax.downstream.perception.segment.trained import (
     NetworkSegmenter,
     agreeing,
+    embedded_segmenters,
     load_segmenter,
     segmenter_folder,
 )
@@ -271,3 +274,12 @@ def test_settings_that_cannot_be_are_refused(call, given, told, tmp_path):
     with pytest.raises((ConfigError, BankError), match=told):
         call(tmp_path, **given)
     assert not list(tmp_path.iterdir())
+
+
+def test_the_segmenters_of_the_package_are_small_and_know_their_pools_objects():
+    assert embedded_segmenters()
+    for pool, folder in embedded_segmenters().items():
+        assert load_segmenter(pool).names == tuple(asset.name for asset in find_pool(pool).objects)
+        assert sum(file.stat().st_size for file in folder.iterdir()) < 2_000_000
+        assert read_certainty(folder) != Certainty(), "fitted to poses whose errors are known"
+        assert "cluttergen perception train" in (folder / "README.md").read_text()
