@@ -11,7 +11,7 @@ import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.downstream.fitting.fit import FitConfig
 from cluttergen_jax.downstream.perception.certainty import Certainty, read_certainty
-from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
+from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.segment.examples import example_of
 from cluttergen_jax.downstream.perception.segment.network import (
     HEIGHT,
@@ -20,11 +20,11 @@ from cluttergen_jax.downstream.perception.segment.network import (
     SegmentConfig,
     SegmentLearner,
     _mirrored,
-    grown,
     network_images,
     shrunk,
     shrunk_label,
 )
+from cluttergen_jax.downstream.perception.segment.refine import by_pieces, enlarged, fitted_to_depth
 from cluttergen_jax.downstream.perception.segment.scores import confusion, intersection_over_union, iou_of
 from cluttergen_jax.downstream.perception.segment.segmenter import checked_images
 from cluttergen_jax.downstream.perception.segment.trained import (
@@ -100,7 +100,7 @@ def test_pictures_of_any_size_are_read_and_answered(size):
     assert small[0, 0, 0] == 0
     assert small[0, -1, 0] == 200
     label = shrunk_label((rgb[..., 0] > 0).astype(np.uint8))
-    large = grown(label, size)
+    large = enlarged(label[..., None].astype(np.float32), size)[..., 0] > 0.5
     assert large.shape == size
     assert (large == (rgb[..., 0] > 0)).mean() > 0.98
 
@@ -118,6 +118,36 @@ def test_mirrored_examples_keep_centres_in_their_masks():
         turned = _mirrored(example, np.array(flips))
         for number, (x, y) in enumerate(np.asarray(turned.center)):
             assert turned.label[int(y), int(x)] == FIRST_OBJECT + number
+
+
+def test_a_piece_of_surface_is_of_one_class_and_steps_part_pieces():
+    height = np.zeros((8, 12), np.float32)
+    height[2:6, 1:6], height[2:6, 6:11] = 0.05, 0.10
+    chance = np.zeros((8, 12, 4), np.float32)
+    chance[..., BACKGROUND], chance[2:6, 1:6, 2], chance[2:6, 6:11, 3] = 0.1, 1.0, 1.0
+    # Some of the first object is taken for the second, and some of the table for the first.
+    chance[3, 2], chance[7, :3] = [0, 0, 0.3, 0.7], [0.4, 0, 0.6, 0]
+    mixed = by_pieces(chance, 1 - height, height)
+    assert (mixed[2:6, 1:6].argmax(-1) == 2).all()
+    assert (mixed[2:6, 6:11].argmax(-1) == 3).all()
+    np.testing.assert_allclose(mixed[7], chance[7], atol=1e-6)
+    unknown = by_pieces(chance, np.full_like(height, np.nan), height)
+    np.testing.assert_allclose(unknown, chance, atol=1e-6)
+
+
+def test_objects_end_where_the_table_begins_and_have_their_thin_parts():
+    height = np.zeros((20, 30), np.float32)
+    height[5:10, 5:10] = 0.04
+    height[7, 10:13] = 0.02
+    height[7, 25] = 0.02
+    height[0, 0] = np.nan
+    label = np.full(height.shape, BACKGROUND, np.uint8)
+    label[4:11, 4:10] = FIRST_OBJECT
+    fitted = fitted_to_depth(label, height)
+    expected = np.zeros(height.shape, bool)
+    expected[5:10, 5:10] = expected[7, 10:13] = True
+    assert np.array_equal(fitted == FIRST_OBJECT, expected)
+    assert (fitted_to_depth(np.zeros_like(label), height) == BACKGROUND).all()
 
 
 # How it is scored

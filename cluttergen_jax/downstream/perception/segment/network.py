@@ -198,13 +198,6 @@ def shrunk_label(label: np.ndarray) -> np.ndarray:
     return label[np.ix_(*_sampled(label.shape))]
 
 
-def grown(image: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """[H, W, ...]: what the network answers at the size of the picture, without mixing."""
-    rows = np.arange(shape[0]) * HEIGHT // shape[0]
-    columns = np.arange(shape[1]) * WIDTH // shape[1]
-    return image[np.ix_(rows, columns)]
-
-
 def _sampled(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """The rows and columns of a picture that stand for the network's."""
     rows = ((np.arange(HEIGHT) + 0.5) * shape[0] / HEIGHT).astype(int)

@@ -18,10 +18,10 @@ from cluttergen_jax.downstream.perception.segment.network import (
     SegmentConfig,
     SegmentExample,
     SegmentLearner,
-    grown,
     network_images,
     shrunk,
 )
+from cluttergen_jax.downstream.perception.segment.refine import by_pieces, enlarged, fitted_to_depth
 from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation, checked_images
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_record
@@ -46,7 +46,9 @@ def answers_of(learner: Any, params: Any, examples: SegmentExample) -> tuple[np.
 
 
 class NetworkSegmenter:
-    """Segments by a trained network; of each object those pixels are kept whose votes for its centre agree.
+    """Segments by a trained network, and by where depth has steps (`refine`).
+
+    Of each object those pixels are kept whose votes for its centre agree.
 
     Args:
       names: of the objects. params: the network's weights. config: its sizes.
@@ -66,8 +68,11 @@ class NetworkSegmenter:
         """See `segmenter.Segmenter`."""
         rgb, depth = checked_images(rgb, depth, camera)
         height = (camera.points(depth)[..., 2] - self._top).astype(np.float32)
-        images = (each[None] for each in shrunk(rgb, depth, height))
-        chance, center = (np.asarray(each)[0] for each in _answers(self._learner, self._params, *images))
+        # The picture and its mirror image, which the network has learned from alike.
+        images = (np.stack([each, each[:, ::-1]]) for each in shrunk(rgb, depth, height))
+        chances, centers = (np.asarray(each) for each in _answers(self._learner, self._params, *images))
+        chance = enlarged((chances[0] + chances[1][:, ::-1]) / 2, depth.shape)
+        chance, center = by_pieces(chance, depth, height), enlarged(centers[0], depth.shape)
         label = chance.argmax(-1).astype(np.uint8)
         score = np.zeros(len(self._names), np.float32)
         for index in range(len(self._names)):
@@ -77,7 +82,7 @@ class NetworkSegmenter:
                 keeps[mask] = agreeing(center[mask])
                 label[mask & ~keeps] = 0
                 score[index] = chance[keeps, FIRST_OBJECT + index].mean()
-        return Segmentation(self._names, grown(label, depth.shape), score)
+        return Segmentation(self._names, fitted_to_depth(label, height), score)
 
 
 def agreeing(votes: np.ndarray) -> np.ndarray:
