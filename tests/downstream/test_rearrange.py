@@ -159,6 +159,32 @@ def test_what_is_not_seen_stays_where_it_was_or_moves_with_the_hand():
     assert np.array_equal(moved[1], first[1])
 
 
+@pytest.mark.parametrize(
+    ("shift", "is_held", "least"),
+    [(0.02, False, 0.5), (0.2, False, 0.7), (0.02, True, 0.5), (0.2, True, 0.95)],
+)
+def test_an_estimate_is_believed_if_it_is_sure_enough_for_what_it_says(shift, is_held, least):
+    told = {"certainty": 1.0, "shift": 0.0}
+
+    def observer(world, names):
+        found = TrueObserver()(world, names)
+        pose = found.pose + np.array([told["shift"], *np.zeros(6)])
+        return replace(found, pose=pose, certainty=np.full(len(names), told["certainty"]))
+
+    execution = Execution(SCENE, 0)
+    sight = ObjectTracker(observer, EpisodeView(execution, SCENE.names))
+    first = sight()
+    if is_held:
+        sight.held = 0
+        execution.move_fingers(-0.01, Phase.FREE)
+    else:
+        execution.wait(0.1, Phase.FREE)
+    told |= {"certainty": least - 0.01, "shift": shift}
+    assert np.allclose(sight(0)[0, 0], first[0, 0], atol=1e-3)
+    told["certainty"] = least
+    assert np.allclose(sight(0)[0, 0], first[0, 0] + shift, atol=1e-3)
+
+
 def test_cameras_see_the_boxes_and_the_arm():
     execution = Execution(SCENE, 0)
     camera = Camera.looking((0.9, 0.0, 1.3), (0.0, 0.0, 0.9), 320, 240, 300.0)

@@ -15,7 +15,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from cluttergen_jax.downstream.robot.execute import Execution
-from cluttergen_jax.downstream.robot.frames import inverse, matrix_of, pose_of
+from cluttergen_jax.downstream.robot.frames import angle_between, inverse, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.outcome import Failed
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.config import CameraView
@@ -24,6 +24,11 @@ from cluttergen_jax.sensing.camera import Camera
 
 _REACH = 1.5
 """Metres around the table that are drawn."""
+NEAR, NEAR_TURN = 0.04, float(np.radians(45))
+"""Metres and radians from where an object is known to be within which an estimate agrees with that."""
+AGREEING, OTHERWISE, OTHERWISE_HELD = 0.5, 0.7, 0.95
+"""Certainty from which an estimate is believed that agrees with what is known; one that does not; one that does
+not, of what the closed hand holds, which the fingers hide."""
 
 
 class Cause(StrEnum):
@@ -163,7 +168,7 @@ class TrueObserver:
 
 
 class ObjectTracker:
-    """Where objects are as far as is known: as last seen; what the closed hand holds moves with it.
+    """Where objects are as far as is known: as last seen for sure; what the closed hand holds moves with it.
 
     Args:
       relook: False looks once, and then goes by what the hand has done.
@@ -196,12 +201,24 @@ class ObjectTracker:
         if not is_fresh and (self._relook or not self.num_looks):
             asked = range(len(self._poses)) if only is None else (only,)
             found = self._seen(asked)
-            for number, pose, is_seen in zip(asked, found.pose, found.seen, strict=True):
-                if is_seen:
+            told = zip(asked, found.pose, found.seen, found.certainty, strict=True)
+            for number, pose, is_seen, certainty in told:
+                if is_seen and certainty >= self._least(number, pose):
                     self._poses[number] = pose
         if (unseen := np.isnan(self._poses[:, 0])).any():
             raise Failed(Cause.NOT_SEEN, self._view.names[int(unseen.argmax())])
         return self.poses
+
+    def _least(self, number: int, pose: np.ndarray) -> float:
+        """The certainty from which a pose f64[7] of an object is believed; any where nothing is known yet."""
+        known = self._poses[number]
+        if np.isnan(known[0]):
+            return 0.0
+        shift = float(np.linalg.norm(pose[:3] - known[:3]))
+        if shift <= NEAR and angle_between(matrix_of(pose), matrix_of(known)) <= NEAR_TURN:
+            return AGREEING
+        is_held = number == self.held and self._view.is_closed
+        return OTHERWISE_HELD if is_held else OTHERWISE
 
     def _seen(self, numbers: Sequence[int]) -> SceneEstimate:
         if len(numbers) == len(self._poses):
