@@ -27,8 +27,8 @@ _REACH = 1.5
 NEAR, NEAR_TURN = 0.04, float(np.radians(45))
 """Metres and radians from where an object is known to be within which an estimate agrees with that."""
 AGREEING, OTHERWISE, OTHERWISE_HELD = 0.5, 0.7, 0.95
-"""Certainty from which an estimate is believed: one that agrees with what is known; one that does not; one that
-does not of what the closed hand holds, which the fingers hide."""
+"""Certainty from which an estimate is believed: one that agrees with what is known; one that does not; one
+that does not of what the closed hand holds, which the fingers hide."""
 
 
 class Cause(StrEnum):
