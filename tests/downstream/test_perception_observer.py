@@ -114,9 +114,13 @@ class Unsure:
 
 def test_where_it_is_not_sure_it_looks_again_and_a_blind_picture_is_left_out(view):
     finder = Unsure()
-    found = PerceptionObserver(finder, TABLE)(view, ["red"])
+    observer = PerceptionObserver(finder, TABLE)
+    found = observer(view, SCENE.names[:2])
     assert finder.looks == ["refused", 1, 1 + 2 * (MOST_LOOKS - 1)]
-    assert found.certainty.tolist() == [0.2]
+    assert found.certainty.tolist() == [0.2, 0.2]
+    # One alone may be in the hand: it is looked at once.
+    observer(view, SCENE.names[:1])
+    assert finder.looks[3:] == [2]
 
 
 class Blind(Unsure):

@@ -24,7 +24,7 @@ class PerceptionObserver:
     """Tells where objects are by what cameras see alone; an `observe.Observer`.
 
     Pictures of one moment are fused: each object's pose is that which agrees best with all of them. Where
-    one is not sure, all cameras take a second picture, with noise of its own.
+    of several is not sure, all cameras take a second picture, with noise of its own.
 
     Args:
       finder: of the objects. support: the table.
@@ -46,7 +46,8 @@ class PerceptionObserver:
         """See `observe.Observer`."""
         looks: list[Look] = []
         found: FoundScene | None = None
-        for number in range(MOST_LOOKS):
+        # One alone may be in the hand, where another look seldom shows more.
+        for number in range(MOST_LOOKS if len(names) > 1 else 1):
             looks += self._look(world, number)
             if looks:
                 found = self._finder(looks, names)
