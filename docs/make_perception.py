@@ -58,7 +58,7 @@ def main() -> None:
         rows = [row_of(finder, stored) for stored in views.views("test") if stored.number in SHOWN]
     words = ("colours", "depths, nearer is brighter", "what the network sees", "poses found")
     sheet = contact_sheet([image for row in rows for image in row], words * len(rows), columns=4)
-    few = Image.fromarray(sheet).quantize(128, dither=Image.Dither.NONE)
+    few = Image.fromarray(sheet).quantize(256, dither=Image.Dither.NONE)
     few.save(HERE / "perception.png", optimize=True)
 
 

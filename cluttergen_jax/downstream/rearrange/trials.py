@@ -6,7 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -225,10 +225,11 @@ def run_rearrangements(
         recipe["choose"] = "person"
     file = RowFile(None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange")
     rows = file.read()[:number]
-    starts = Starts(setting, pool, num_threads)
+    # Where nothing is left to be done it is not made.
+    starts = cache(lambda: Starts(setting, pool, num_threads))
 
     def task_of(index: int) -> RearrangeTask:
-        return starts(episode_seed(seed, index))
+        return starts()(episode_seed(seed, index))
 
     def again(index: int, trace: Trace) -> RearrangeResult:
         # What a person chose is not asked for again.

@@ -11,7 +11,7 @@ from cluttergen_jax.downstream.perception.evaluation.evaluate import (
 )
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
 from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
-from cluttergen_jax.proportions import proportion, wilson
+from cluttergen_jax.proportions import counted, proportion
 from cluttergen_jax.tables import Table
 
 POOL = "household"
@@ -60,8 +60,8 @@ def row_of(result: PerceptionResult, row: PerceptionRow) -> Row:
             for name in ("found", "visible", "false", "masks")
         )
         shares["mean_iou"] = row.mean_iou
-        shares["found"] = _share(found, visible)
-        shares["false"] = _share(false, masks)
+        shares["found"] = counted(found, visible)
+        shares["false"] = counted(false, masks)
     shares["cpu"] = float(np.mean([each.cpu for each in row.moments]))
     trial = {
         "segmenter": result.segmenter,
@@ -70,11 +70,6 @@ def row_of(result: PerceptionResult, row: PerceptionRow) -> Row:
         "moments": len(row.moments),
     }
     return {"trial": trial, "figures": shares}
-
-
-def _share(good: int, number: int) -> dict[str, float]:
-    low, high = wilson(good, number)
-    return {"share": good / max(number, 1), "low95": low, "high95": high}
 
 
 def _table(rows: list[Row]) -> Table:
