@@ -132,7 +132,7 @@ def test_pixels_of_the_arm_and_what_it_brings_are_known_from_its_joints(is_aside
     execution = Execution(SCENE, 0)
     if is_aside:
         execution.data.qpos[execution.panda.qpos[0]] -= 1.3
-    own = ArmSilhouette(BOX, base_pose(TABLE))
+    own = ArmSilhouette(base_pose(TABLE), BOX)
     seen = 0
     for camera in (above(TABLE), wrist_camera(execution.tool)):
         covered = own(camera, execution.joints, execution.opening, SCENE.poses[0])

@@ -11,6 +11,7 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.perception.certainty import Certainty, features_of, read_certainty
+from cluttergen_jax.downstream.perception.classes import ARM
 from cluttergen_jax.downstream.perception.pose.estimator import Look, PoseEstimate, PoseEstimator
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
 from cluttergen_jax.downstream.perception.pose.steady import SteadyCheck
@@ -75,18 +76,26 @@ class SceneFinder:
         self._certainty, self._steady = certainty or Certainty(), SteadyCheck(objects, support)
         self._grid = Grid.of(support, _RADIUS)
 
-    def look(self, rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> Look:
+    def look(
+        self, rgb: np.ndarray, depth: np.ndarray, camera: Camera, is_own: np.ndarray | None = None
+    ) -> Look:
         """One picture, segmented; the known table corrects the camera's height and orientation.
 
         Args:
           rgb: u8[H, W, 3]. depth: f32[H, W], metres, nan or inf where nothing was measured.
+          is_own: bool[H, W], pixels in which the robot knows itself to be, if there is one.
 
         Raises:
           ConfigError: the images are not the camera's, or hold no depth.
         """
         rgb, depth = checked_images(rgb, depth, camera)
+        if is_own is not None:
+            depth = np.where(is_own, np.nan, depth)
         camera = upright_at_its_place(depth, camera, self._grid)
-        return Look(depth, self._segmenter(rgb, depth, camera).label, camera)
+        label = self._segmenter(rgb, depth, camera).label
+        if is_own is not None:
+            label = np.where(is_own, ARM, label)
+        return Look(depth, label, camera)
 
     def __call__(self, looks: Sequence[Look], names: Sequence[str] | None = None) -> FoundScene:
         """Where objects are; all if no names are given.

@@ -16,8 +16,9 @@ from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, Obje
 from cluttergen_jax.downstream.rearrange.order import Meetings, lowest_first, ready, smallest_waiting
 from cluttergen_jax.downstream.rearrange.settings import AREA, RearrangeOptions
 from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeResult, RearrangeTask
+from cluttergen_jax.downstream.robot.cameras import DRAWN_BACK
 from cluttergen_jax.downstream.robot.collision import PlanningWorld
-from cluttergen_jax.downstream.robot.execute import Execution, Trace
+from cluttergen_jax.downstream.robot.execute import Execution, Phase, Trace
 from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
 from cluttergen_jax.downstream.robot.ik import ArmKinematics
@@ -25,6 +26,7 @@ from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.mover import Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.plan import PickPlan
+from cluttergen_jax.downstream.robot.timing import timed
 
 NEAR_GOAL, NEAR_GOAL_TURN = 0.01, float(np.radians(10))
 """Metres and radians from its place within which an object counts as brought there."""
@@ -95,7 +97,7 @@ class Rearranger:
         Raises:
           Failed: none stands, or an object was never seen.
         """
-        self._sight()
+        self._look()
         task, num_moved, poses = self._task, self._num_moved, self._sight.poses
         moved, stay = task.numbers[:num_moved], task.numbers[num_moved:]
         drawn = task.draw(task.seed, moved, task.setting.target, stay, poses[num_moved:])
@@ -114,6 +116,19 @@ class Rearranger:
             ),
             travel=np.linalg.norm(full[:, :num_moved, :2] - poses[:num_moved, :2], axis=-1).mean(1),
         )
+
+    def _look(self, is_home: bool = True) -> None:
+        """Looks for all objects: with the hand over the table, then drawn back out of the other camera's way.
+
+        Raises:
+          Failed: an object was never seen.
+        """
+        if is_home:
+            self._sight.glance()
+            run = self._execution
+            run.follow(timed(np.linspace(run.set_point, DRAWN_BACK, 8), run.step_time), Phase.FREE)
+            run.wait(0.2, Phase.FREE)
+        self._sight()
 
     def _chosen(self, found: Layouts) -> list[int]:
         if self._ask is not None:
@@ -206,7 +221,8 @@ class Rearranger:
         scene, stood = self._scene, matrix_of(self._sight.poses[k])
         world = PlanningWorld(scene.names, scene.objects, self._sight.poses, k, scene.support, self._base)
         seed = int(self._rng.integers(2**30))
-        mover = Mover(self._execution, world, self._kinematics, k, seed, self._sight, is_apart)
+        feels = not self._sight.sees_held
+        mover = Mover(self._execution, world, self._kinematics, k, seed, self._sight, is_apart, feels)
         try:
             plan = mover.find_pick(self._grasps(k), places)
         except Failed as failure:
@@ -217,8 +233,7 @@ class Rearranger:
         self._sight.held = k
         self._judge.begin_move()
         is_back = self._carry(mover, plan, np.concatenate([places, stood[None]])) == len(places)
-        mover.go_home()
-        self._sight()
+        self._look(is_home=mover.go_home())
         self._judge.check_others(k)
         if is_back:
             self._times[int(is_wait), k] -= 1

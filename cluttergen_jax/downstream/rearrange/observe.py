@@ -26,9 +26,8 @@ _REACH = 1.5
 """Metres around the table that are drawn."""
 NEAR, NEAR_TURN = 0.04, float(np.radians(45))
 """Metres and radians from where an object is known to be within which an estimate agrees with that."""
-AGREEING, OTHERWISE, OTHERWISE_HELD = 0.5, 0.7, 0.95
-"""Certainty from which an estimate is believed: one that agrees with what is known; one that does not; one
-that does not of what the closed hand holds, which the fingers hide."""
+AGREEING, OTHERWISE = 0.5, 0.7
+"""Certainty from which an estimate is believed: one that agrees with what is known, and one that does not."""
 
 
 class Cause(StrEnum):
@@ -147,11 +146,15 @@ class EpisodeView:
 class Observer(Protocol):
     """Tells where things are, from what the robot's cameras see."""
 
-    def __call__(self, world: EpisodeView, names: Sequence[str]) -> SceneEstimate:
-        """Where the objects of these names are now; called while nothing moves.
+    sees_held: bool
+    """Whether it can be asked for one object, which may be in the hand, and not only for all."""
 
-        All names are asked for while the arm is out of the way; one alone while it may be in the hand.
-        """
+    def glance(self, world: EpisodeView) -> None:
+        """Looks with the hand over the table; nothing but the arm moves until all names are asked for."""
+        ...
+
+    def __call__(self, world: EpisodeView, names: Sequence[str]) -> SceneEstimate:
+        """Where the objects of these names are now; called while nothing moves."""
         ...
 
 
@@ -159,6 +162,10 @@ class TrueObserver:
     """The true poses: what a perfect observer would tell."""
 
     name = "true poses"
+    sees_held = True
+
+    def glance(self, world: EpisodeView) -> None:
+        """Not needed."""
 
     def __call__(self, world: EpisodeView, names: Sequence[str]) -> SceneEstimate:
         number = len(names)
@@ -185,6 +192,11 @@ class ObjectTracker:
         self._poses = np.full((len(view.names), 7), np.nan)
 
     @property
+    def sees_held(self) -> bool:
+        """The observer sees what is in the hand; else only the hand tells of it."""
+        return self._observer.sees_held
+
+    @property
     def poses(self) -> np.ndarray:
         """f64[N, 7]: what is known without another look."""
         return self._poses.copy()
@@ -198,7 +210,8 @@ class ObjectTracker:
         self._follow()
         # Nothing has happened since all was looked at.
         is_fresh = self._looked_at == self._view.time
-        if not is_fresh and (self._relook or not self.num_looks):
+        can_see = only is None or self._observer.sees_held
+        if can_see and not is_fresh and (self._relook or not self.num_looks):
             asked = range(len(self._poses)) if only is None else (only,)
             found = self._seen(asked)
             told = zip(asked, found.pose, found.seen, found.certainty, strict=True)
@@ -209,6 +222,11 @@ class ObjectTracker:
             raise Failed(Cause.NOT_SEEN, self._view.names[int(unseen.argmax())])
         return self.poses
 
+    def glance(self) -> None:
+        """Has the observer look from here, for the next time that all objects are looked for."""
+        if self._relook or not self.num_looks:
+            self._observer.glance(self._view)
+
     def _least(self, number: int, pose: np.ndarray) -> float:
         """The certainty from which a pose f64[7] of an object is believed; any where nothing is known yet."""
         known = self._poses[number]
@@ -217,8 +235,7 @@ class ObjectTracker:
         shift = float(np.linalg.norm(pose[:3] - known[:3]))
         if shift <= NEAR and angle_between(matrix_of(pose), matrix_of(known)) <= NEAR_TURN:
             return AGREEING
-        is_held = number == self.held and self._view.is_closed
-        return OTHERWISE_HELD if is_held else OTHERWISE
+        return OTHERWISE
 
     def _seen(self, numbers: Sequence[int]) -> SceneEstimate:
         if len(numbers) == len(self._poses):

@@ -11,7 +11,10 @@ from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder
 from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.views.cameras import above, wrist_camera
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, SceneEstimate
+from cluttergen_jax.downstream.robot.model import base_pose
+from cluttergen_jax.downstream.robot.silhouette import ArmSilhouette
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig, noisy
 
 UNSURE = 0.5
@@ -23,8 +26,10 @@ _MILLISECONDS = 1000
 class PerceptionObserver:
     """Tells where objects are by what cameras see alone; an `observe.Observer`.
 
-    Pictures of one moment are fused: each object's pose is that which agrees best with all of them. Where
-    of several is not sure, all cameras take a second picture, with noise of its own.
+    The camera on the hand looks over the table, then the one above it, when the arm is out of its way. Each
+    object's pose is that which agrees best with both pictures. Where one of several is not sure, the camera
+    above takes a second picture, with noise of its own. What is in the hand the fingers mostly
+    hide: nothing is said of it.
 
     Args:
       finder: of the objects. support: the table.
@@ -35,20 +40,26 @@ class PerceptionObserver:
     """
 
     name = "perception"
+    sees_held = False
 
     def __init__(
         self, finder: SceneFinder, support: SupportAsset, noise: NoiseConfig = REALSENSE, seed: int = 0
     ) -> None:
         self._finder, self._support, self._noise, self._seed = finder, support, noise, seed
+        self._silhouette = ArmSilhouette(base_pose(support))
+        self._glances: list[Look] = []
         self.num_pictures = 0
+
+    def glance(self, world: EpisodeView) -> None:
+        """See `observe.Observer`."""
+        self._glances = self._look(world, wrist_camera(world.tool))
 
     def __call__(self, world: EpisodeView, names: Sequence[str]) -> SceneEstimate:
         """See `observe.Observer`."""
-        looks: list[Look] = []
+        looks, self._glances = self._glances, []
         found: FoundScene | None = None
-        # One alone may be in the hand, where another look seldom shows more.
-        for number in range(MOST_LOOKS if len(names) > 1 else 1):
-            looks += self._look(world, number)
+        for _ in range(MOST_LOOKS):
+            looks += self._look(world, above(self._support))
             if looks:
                 found = self._finder(looks, names)
                 if (found.certainty >= UNSURE).all():
@@ -58,18 +69,16 @@ class PerceptionObserver:
             return SceneEstimate(tuple(names), np.zeros((len(names), 7)), nothing.astype(bool), nothing)
         return SceneEstimate(found.names, found.pose, found.seen, found.certainty)
 
-    def _look(self, world: EpisodeView, number: int) -> list[Look]:
-        """One picture of each camera; those that measured nothing are left out."""
-        looks = []
-        for place, camera in enumerate((above(self._support), wrist_camera(world.tool))):
-            rgb, depth = world.picture(camera)
-            self.num_pictures += 1
-            moment = round(world.time * _MILLISECONDS)
-            rng = np.random.default_rng((self._seed, moment, number, place))
-            if self._noise != NOISE_OFF:
-                depth, camera = noisy(depth, camera, self._noise, rng)
-            try:
-                looks.append(self._finder.look(rgb, depth, camera))
-            except ConfigError:
-                continue
-        return looks
+    def _look(self, world: EpisodeView, camera: Camera) -> list[Look]:
+        """A picture; none where nothing was measured."""
+        rgb, depth = world.picture(camera)
+        is_own = self._silhouette(camera, world.joints, world.opening)
+        moment = round(world.time * _MILLISECONDS)
+        rng = np.random.default_rng((self._seed, moment, self.num_pictures))
+        self.num_pictures += 1
+        if self._noise != NOISE_OFF:
+            depth, camera = noisy(depth, camera, self._noise, rng)
+        try:
+            return [self._finder.look(rgb, depth, camera, is_own)]
+        except ConfigError:
+            return []

@@ -8,10 +8,11 @@ import numpy as np
 
 from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.execute import Execution, Phase
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, matrix_of, pose_of
+from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasp_candidates import opening_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
 from cluttergen_jax.downstream.robot.ik import LINE_STEP, ArmKinematics
+from cluttergen_jax.downstream.robot.model import MAX_OPENING
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.plan import PickPlan, PlacePlan, Planner
 from cluttergen_jax.downstream.robot.timing import timed
@@ -28,6 +29,10 @@ FELT = 0.02
 """The same of lowering where the arm does not see how the object lies in the hand, but feels the touch."""
 MAX_SLIP, MAX_TURN = 0.015, np.radians(20)
 """How far an object may slip in the hand from the closing of the fingers on."""
+_OFF = 0.004 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+"""Metres by which poses that are seen may be off."""
+WIDE = 0.015
+"""Metres by which the fingers open wider than they came, if there is room, where poses may be off."""
 CARRY_SHARE = 0.25
 """Of Franka's limits, while something is held."""
 _UP = np.array([0.0, 0.0, 1.0])
@@ -46,7 +51,8 @@ class Mover:
     Args:
       execution: the simulation; world: its copy for planning; target: the object's number.
       seed: of what is drawn; equal seeds do the same.
-      feels: lowers what is held until it touches something, wherever it is exactly in the hand.
+      feels: poses may be off by some millimetres: grasps with room for that come first, and what is held is
+        lowered until it touches something, wherever it is exactly in the hand.
       is_apart: what is held keeps `collision.APART` from all else once it is a centimetre above its place; it
         moves a little as the fingers close.
       see: tells where objects are, asked whenever something may have moved; the true poses if not given.
@@ -96,7 +102,7 @@ class Mover:
         stood = self._survey()
         T_world_object = matrix_of(stood)
         has_free = has_joints = False
-        for T_object_tool, width in ranked(grasps, T_world_object):
+        for T_object_tool, width in self._roomy_first(ranked(grasps, T_world_object), T_world_object):
             T_world_tool, opening = T_world_object @ T_object_tool, float(opening_of(np.array(width)))
             if not self.world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
@@ -120,6 +126,20 @@ class Mover:
         if not has_joints:
             raise Failed(Outcome.NO_IK)
         raise Failed(Outcome.NO_PATH, "to pick it up")
+
+    def _roomy_first(
+        self, grasps: Iterator[tuple[np.ndarray, float]], T_world_object: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, float]]:
+        """Those first, where poses may be off, at which the hand touches nothing wherever the object is."""
+        tight = []
+        for T_object_tool, width in grasps:
+            opening, T_world_tool = float(opening_of(np.array(width))), T_world_object @ T_object_tool
+            moved = (made(T_world_tool[:3, :3], T_world_tool[:3, 3] + by) for by in _OFF)
+            if not self._feels or all(self.world.is_hand_free(each, opening, Mode.COME) for each in moved):
+                yield T_object_tool, width
+            else:
+                tight.append((T_object_tool, width))
+        yield from tight
 
     def pick(self, plan: PickPlan) -> None:
         """Runs it: the object is lifted by `LIFT` afterwards.
@@ -267,11 +287,22 @@ class Mover:
         run.follow(timed(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH, self._feels)
         run.wait(0.2, Phase.TOUCH)
         self._in_hand()
+        if self._feels:
+            self._opening = self._widest(plan.leave, place)
         run.move_fingers(self._opening, Phase.TOUCH)
         leave = self.kinematics.line(run.set_point, self._leaving(plan.leave))
         first, rest = _split(plan.leave if leave is None else leave, self.kinematics, TOUCH)
         run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.GRASP)
         run.follow(timed(rest, run.step_time), Phase.FREE)
+
+    def _widest(self, leave: np.ndarray, place: np.ndarray) -> float:
+        """How far the fingers can open and leave: what hung askew between them rocks as it is let go."""
+        self.world.release(pose_of(place))
+        wide = min(MAX_OPENING, self._opening + WIDE)
+        is_free = all(
+            self.world.is_free(joints, wide, Mode.COME) for joints in leave[:: len(leave) // 6 or 1]
+        )
+        return wide if is_free else self._opening
 
     def _corrected(self, lower: np.ndarray, place: np.ndarray) -> np.ndarray:
         """The path down, with the object as it really lies in the hand."""

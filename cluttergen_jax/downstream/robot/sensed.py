@@ -86,7 +86,7 @@ class SeeingArm:
         self._support, self._stand, self._placer, self._name = support, stand, placer, name
         self._seed, self._rng = seed, np.random.default_rng((seed, 1))
         self._base = base_pose(support)
-        self._silhouette = ArmSilhouette(asset, self._base)
+        self._silhouette = ArmSilhouette(self._base, asset)
         self._object = HeldPose(execution, start)
         self._views: list[View] = []
         self._fitting: np.ndarray | None = None

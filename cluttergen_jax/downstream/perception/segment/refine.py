@@ -16,6 +16,8 @@ _SHARE = 0.8
 _FLAT, _LOW, _RAISED = 0.002, 0.004, 0.006
 """Metres over the table: below the first nothing of an object is seen; pieces begin at the second; what is
 above the third and near to an object is a part of it."""
+_SELDOM = 0.1
+"""What is left of the chance that something raised is background."""
 _NEAR = 6
 """Pixels."""
 
@@ -60,6 +62,15 @@ def by_pieces(chance: np.ndarray, depth: np.ndarray, height: np.ndarray) -> np.n
     mean = np.stack([np.bincount(piece, each, num_pieces) for each in flat.T], axis=1) / size[:, None]
     mixed = (1 - _SHARE) * flat + _SHARE * mean[piece]
     return mixed.reshape(chance.shape).astype(np.float32)
+
+
+def with_raised(chance: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Chances f32[H, W, C] where what is above the table f32[H, W], metres, is seldom background."""
+    with np.errstate(invalid="ignore"):
+        is_raised = height > _RAISED
+    fitted = chance.copy()
+    fitted[is_raised, BACKGROUND] *= _SELDOM
+    return fitted
 
 
 def fitted_to_depth(label: np.ndarray, height: np.ndarray) -> np.ndarray:

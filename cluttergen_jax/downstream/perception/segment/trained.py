@@ -21,7 +21,12 @@ from cluttergen_jax.downstream.perception.segment.network import (
     network_images,
     shrunk,
 )
-from cluttergen_jax.downstream.perception.segment.refine import by_pieces, enlarged, fitted_to_depth
+from cluttergen_jax.downstream.perception.segment.refine import (
+    by_pieces,
+    enlarged,
+    fitted_to_depth,
+    with_raised,
+)
 from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation, checked_images
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_record
@@ -72,7 +77,8 @@ class NetworkSegmenter:
         images = (np.stack([each, each[:, ::-1]]) for each in shrunk(rgb, depth, height))
         chances, centers = (np.asarray(each) for each in _answers(self._learner, self._params, *images))
         chance = enlarged((chances[0] + chances[1][:, ::-1]) / 2, depth.shape)
-        chance, center = by_pieces(chance, depth, height), enlarged(centers[0], depth.shape)
+        chance = with_raised(by_pieces(chance, depth, height), height)
+        center = enlarged(centers[0], depth.shape)
         label = chance.argmax(-1).astype(np.uint8)
         score = np.zeros(len(self._names), np.float32)
         for index in range(len(self._names)):
