@@ -26,6 +26,7 @@ from tests.helpers.perception import OBJECTS, TABLE, standing
 
 pytestmark = pytest.mark.skipif(not renderer_status()[0], reason="nothing here can draw")
 POSES = standing((0.0, -0.2, 0.4), (0.1, 0.15, 1.2))
+UNKNOWN = np.full((2, 7), np.nan)
 SCENE = Scene(("red", "green"), OBJECTS[:2], POSES, TABLE)
 
 
@@ -81,12 +82,12 @@ def test_objects_are_found_by_pictures_alone(finder, execution, view):
     for each in (observer, again):
         each.glance(view)
     draw_back(execution)
-    found = observer(view, SCENE.names)
+    found = observer(view, SCENE.names, UNKNOWN)
     assert found.names == SCENE.names
     assert found.seen.all()
     np.testing.assert_allclose(found.pose[:, :3], POSES[:, :3], atol=0.008)
     assert observer.num_pictures in (2, 3)
-    np.testing.assert_array_equal(again(view, SCENE.names).pose, found.pose)
+    np.testing.assert_array_equal(again(view, SCENE.names, UNKNOWN).pose, found.pose)
 
 
 def test_the_arm_covers_the_table_at_home_and_leaves_the_view_free_drawn_back(execution, view):
@@ -128,7 +129,7 @@ class Unsure:
             raise ConfigError("a depth image in which nothing was measured")
         return depth
 
-    def __call__(self, looks, names):
+    def __call__(self, looks, names, near):
         self.looks.append(len(looks))
         number = len(names)
         pose = np.tile(np.eye(7)[3], (number, 1))
@@ -146,13 +147,13 @@ def test_where_it_is_not_sure_it_looks_again_and_a_blind_picture_is_left_out(vie
     finder = Unsure()
     observer = PerceptionObserver(finder, TABLE)
     observer.glance(view)
-    found = observer(view, SCENE.names[:2])
+    found = observer(view, SCENE.names[:2], UNKNOWN)
     assert finder.looks == ["refused", *range(1, MOST_LOOKS + 1)]
     assert found.certainty.tolist() == [0.2, 0.2]
     # What was glanced at is used once.
     observer.glance(view)
-    observer(view, SCENE.names[:2])
-    observer(view, SCENE.names[:2])
+    observer(view, SCENE.names[:2], UNKNOWN)
+    observer(view, SCENE.names[:2], UNKNOWN)
     assert finder.looks[-4:] == [2, 3, 1, 2]
 
 
@@ -162,7 +163,7 @@ class Blind(Unsure):
 
 
 def test_without_any_picture_nothing_is_seen(view):
-    found = PerceptionObserver(Blind(), TABLE)(view, SCENE.names)
+    found = PerceptionObserver(Blind(), TABLE)(view, SCENE.names, UNKNOWN)
     assert not found.seen.any()
 
 

@@ -89,9 +89,9 @@ class Shifted(TrueObserver):
     def __init__(self, shift):
         self.shift, self.asked = np.array(shift), []
 
-    def __call__(self, world, names):
+    def __call__(self, world, names, known):
         self.asked.append(tuple(names))
-        found = super().__call__(world, names)
+        found = super().__call__(world, names, known)
         return replace(found, pose=found.pose + np.array([*self.shift, 0, 0, 0, 0]))
 
 
@@ -139,9 +139,9 @@ def test_what_is_not_seen_stays_where_it_was_or_moves_with_the_hand():
     class Once(TrueObserver):
         seen = 0
 
-        def __call__(self, world, names):
+        def __call__(self, world, names, known):
             self.seen += 1
-            found = super().__call__(world, names)
+            found = super().__call__(world, names, known)
             return found if self.seen == 1 else replace(found, seen=np.zeros(len(names), bool))
 
     execution = Execution(SCENE, 0)
@@ -166,8 +166,8 @@ def test_an_estimate_is_believed_if_it_is_sure_enough_for_what_it_says(shift, le
     told = {"certainty": 1.0, "shift": 0.0}
 
     class Told(TrueObserver):
-        def __call__(self, world, names):
-            found = super().__call__(world, names)
+        def __call__(self, world, names, known):
+            found = super().__call__(world, names, known)
             pose = found.pose + np.array([told["shift"], *np.zeros(6)])
             return replace(found, pose=pose, certainty=np.full(len(names), told["certainty"]))
 
@@ -185,9 +185,9 @@ def test_who_does_not_see_what_is_held_is_not_asked_for_it():
     class Far(TrueObserver):
         sees_held, asked = False, 0
 
-        def __call__(self, world, names):
+        def __call__(self, world, names, known):
             self.asked += 1
-            return super().__call__(world, names)
+            return super().__call__(world, names, known)
 
     execution, observer = Execution(SCENE, 0), Far()
     sight = ObjectTracker(observer, EpisodeView(execution, SCENE.names))
@@ -220,7 +220,7 @@ def test_cameras_see_the_boxes_and_the_arm():
 
 def test_what_was_never_seen_is_said():
     class Blind(TrueObserver):
-        def __call__(self, world, names):
+        def __call__(self, world, names, known):
             number = len(names)
             return SceneEstimate(
                 tuple(names), np.full((number, 7), np.nan), np.zeros(number, bool), np.zeros(number)

@@ -16,7 +16,7 @@ from cluttergen_jax.downstream.perception.symmetry import (
     turn_matrix,
     turn_symmetry,
 )
-from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, unlike
+from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, roomy, unlike
 from cluttergen_jax.downstream.rearrange.settings import AREA, SETTINGS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed
@@ -56,6 +56,13 @@ def test_gaps_are_those_of_the_shadows():
         # Edges are looked at every 5 mm.
         assert wanted - 1e-9 <= found <= np.hypot(wanted, 0.0025) + 1e-9 + 0.0025 * (wanted > 0)
     assert 10 < apart < 60
+
+
+def test_layouts_with_room_are_kept_or_those_with_the_most():
+    gaps = np.array([0.012, 0.0, 0.003, 0.02, 0.01, 0.007])
+    assert roomy(gaps, 2).tolist() == [0, 3, 4]
+    assert roomy(gaps, 4).tolist() == [0, 3, 4, 5]
+    assert roomy(gaps, 9).tolist() == [0, 1, 2, 3, 4, 5]
 
 
 def test_unlike_layouts_are_far_from_each_other():

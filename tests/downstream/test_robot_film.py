@@ -167,10 +167,10 @@ def test_a_rearrangement_is_filmed_and_its_layouts_are_shown(small, tmp_path, mo
     class Looking(TrueObserver):
         """Draws pictures of its own in between."""
 
-        def __call__(self, world, names):
+        def __call__(self, world, names, known):
             camera = Camera.looking((0.9, 0.0, 1.3), (0.0, 0.0, 0.9), 64, 48, 60.0)
             assert world.picture(camera)[0].any()
-            return super().__call__(world, names)
+            return super().__call__(world, names, known)
 
     def run(**more):
         return run_rearrangements(

@@ -97,11 +97,14 @@ class SceneFinder:
             label = np.where(is_own, ARM, label)
         return Look(depth, label, camera)
 
-    def __call__(self, looks: Sequence[Look], names: Sequence[str] | None = None) -> FoundScene:
+    def __call__(
+        self, looks: Sequence[Look], names: Sequence[str] | None = None, near: np.ndarray | None = None
+    ) -> FoundScene:
         """Where objects are; all if no names are given.
 
         Args:
           looks: of one moment, in which nothing moved.
+          near: f64[n, 7], where those of these names probably are; nan where that is not known.
 
         Raises:
           ConfigError: an object of that name is not known.
@@ -110,7 +113,8 @@ class SceneFinder:
         if strange := [name for name in asked if name not in self.names]:
             raise ConfigError(f"objects {', '.join(strange)}", ", ".join(self.names))
         numbers = [self.names.index(name) for name in asked]
-        found = {number: self.estimator(number, looks) for number in numbers}
+        known = [None if near is None or np.isnan(near[k]).any() else near[k] for k in range(len(asked))]
+        found = {number: self.estimator(number, looks, at) for number, at in zip(numbers, known, strict=True)}
         estimates = {number: each for number, each in found.items() if each is not None}
         steady = self._steadiness(estimates)
         count = len(asked)

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from cluttergen_jax.downstream.perception.symmetry import equal_places, offset
-from cluttergen_jax.downstream.rearrange.judge import Judge
-from cluttergen_jax.downstream.rearrange.layouts import Layouts, clearance_of, reach_of, unlike
+from cluttergen_jax.downstream.rearrange.judge import MAX_ERROR, Judge
+from cluttergen_jax.downstream.rearrange.layouts import Layouts, clearance_of, reach_of, roomy, unlike
 from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, ObjectTracker, Observer
 from cluttergen_jax.downstream.rearrange.order import Meetings, lowest_first, ready, smallest_waiting
 from cluttergen_jax.downstream.rearrange.settings import AREA, RearrangeOptions
@@ -104,13 +104,16 @@ class Rearranger:
         if not len(drawn):
             raise Failed(Cause.NO_LAYOUT)
         objects, region = self._scene.objects, task.setting.target
-        drawn = drawn[unlike(objects[:num_moved], drawn, region, self._options.num_layouts)]
         others = np.broadcast_to(poses[num_moved:], (len(drawn), len(stay), 7))
         full = np.concatenate([drawn, others], axis=1)
+        clearance = np.array([clearance_of(objects, each) for each in full])
+        kept = roomy(clearance, 2 * self._options.num_layouts)
+        kept = kept[unlike(objects[:num_moved], drawn[kept], region, self._options.num_layouts)]
+        drawn, full = drawn[kept], full[kept]
         all_moved, support = range(num_moved), self._scene.support
         return Layouts(
             poses=full,
-            clearance=np.array([clearance_of(objects, each) for each in full]),
+            clearance=clearance[kept],
             reach=np.array(
                 [reach_of(objects, each, all_moved, task.grasps, support, self._kinematics) for each in full]
             ),
@@ -159,7 +162,9 @@ class Rearranger:
         found = []
         for k in range(self._num_moved):
             shift, turn = offset(now[k], goal[k], self._symmetry[k])
-            if shift > NEAR_GOAL or turn > NEAR_GOAL_TURN:
+            # After the last try what would do is left.
+            near = NEAR_GOAL if self._times[0, k] <= MAX_RETRIES else MAX_ERROR
+            if shift > near or turn > NEAR_GOAL_TURN:
                 found.append(k)
         return found
 

@@ -30,7 +30,9 @@ from cluttergen_jax.geometry import transformed
 from cluttergen_jax.placement.region import make_region
 from cluttergen_jax.types import Array
 
-NUM_DRAWN = 64
+ROOM = 0.01
+"""Metres between the two nearest objects from which on a layout has room; poses are seen to millimetres."""
+NUM_DRAWN = 128
 """Layouts that are drawn for those that are kept."""
 
 
@@ -136,6 +138,12 @@ def unlike(objects: Sequence[ObjectAsset], poses: np.ndarray, region: Rectangle,
     while len(chosen) < number:
         chosen.append(int(distances[chosen].min(0).argmax()))
     return np.array(chosen)
+
+
+def roomy(clearance: np.ndarray, number: int) -> np.ndarray:
+    """i[M]: of layouts with gaps f64[S], metres, those of `ROOM` or more, or the `number` with the widest."""
+    by_gap = np.argsort(-clearance, kind="stable")
+    return np.sort(by_gap[: max(number, int((clearance >= ROOM).sum()))])
 
 
 def clearance_of(objects: Sequence[ObjectAsset], poses: np.ndarray) -> float:

@@ -153,8 +153,12 @@ class Observer(Protocol):
         """Looks with the hand over the table; nothing but the arm moves until all names are asked for."""
         ...
 
-    def __call__(self, world: EpisodeView, names: Sequence[str]) -> SceneEstimate:
-        """Where the objects of these names are now; called while nothing moves."""
+    def __call__(self, world: EpisodeView, names: Sequence[str], known: np.ndarray) -> SceneEstimate:
+        """Where the objects of these names are now; called while nothing moves.
+
+        Args:
+          known: f64[n, 7], where they are as far as is known; nan where nothing is.
+        """
         ...
 
 
@@ -167,7 +171,7 @@ class TrueObserver:
     def glance(self, world: EpisodeView) -> None:
         """Not needed."""
 
-    def __call__(self, world: EpisodeView, names: Sequence[str]) -> SceneEstimate:
+    def __call__(self, world: EpisodeView, names: Sequence[str], known: np.ndarray) -> SceneEstimate:
         number = len(names)
         return SceneEstimate(
             tuple(names), world.true_poses(names), np.ones(number, bool), np.ones(number, np.float64)
@@ -240,7 +244,8 @@ class ObjectTracker:
     def _seen(self, numbers: Sequence[int]) -> SceneEstimate:
         if len(numbers) == len(self._poses):
             self.num_looks, self._looked_at = self.num_looks + 1, self._view.time
-        return self._observer(self._view, [self._view.names[number] for number in numbers])
+        names = [self._view.names[number] for number in numbers]
+        return self._observer(self._view, names, self._poses[list(numbers)])
 
     def _follow(self) -> None:
         tool, is_closed = self._view.tool, self._view.is_closed

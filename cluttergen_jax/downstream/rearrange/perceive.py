@@ -54,14 +54,14 @@ class PerceptionObserver:
         """See `observe.Observer`."""
         self._glances = self._look(world, wrist_camera(world.tool))
 
-    def __call__(self, world: EpisodeView, names: Sequence[str]) -> SceneEstimate:
+    def __call__(self, world: EpisodeView, names: Sequence[str], known: np.ndarray) -> SceneEstimate:
         """See `observe.Observer`."""
         looks, self._glances = self._glances, []
         found: FoundScene | None = None
         for _ in range(MOST_LOOKS):
             looks += self._look(world, above(self._support))
             if looks:
-                found = self._finder(looks, names)
+                found = self._finder(looks, names, known)
                 if (found.certainty >= UNSURE).all():
                     break
         if found is None:

@@ -23,6 +23,8 @@ NEAR = 0.001
 """Metres that the hand keeps from neighbours while it comes straight to an object or leaves it."""
 APART = 0.003
 """Metres that what is held keeps from neighbours where it is asked to."""
+ROOM = 0.004
+"""Metres that the hand and what it holds keep besides from objects that may be off by as much."""
 _TOUCH = -0.001
 """Metres that a held object may overlap with what it is taken from or put on."""
 _BLUR = -0.005
@@ -86,7 +88,16 @@ def _thresholds() -> np.ndarray:
     return limit
 
 
+def _with_room(limit: np.ndarray) -> np.ndarray:
+    """The same where objects may be a few millimetres from where they are said to be."""
+    wide = limit.copy()
+    for a, b in ((Kind.HAND, Kind.OTHER), (Kind.HELD, Kind.OTHER), (Kind.HAND, Kind.TARGET)):
+        wide[:, a, b] = wide[:, b, a] = limit[:, a, b] + ROOM
+    return wide
+
+
 _LIMIT = _thresholds()
+_WIDE_LIMIT = _with_room(_LIMIT)
 
 
 class PlanningWorld:
@@ -100,6 +111,10 @@ class PlanningWorld:
       base: f64[7], T_world_base.
       stands: more boxes that objects can stand on.
       columns: boxes in place of objects of which no more is known than what was seen, and where it may hide.
+
+    Attributes:
+      needs_room: the hand and what it holds keep `ROOM` more from objects.
+      num_checks: how often it was asked.
     """
 
     def __init__(
@@ -129,7 +144,7 @@ class PlanningWorld:
         for index, part in enumerate(objects[target].parts):
             add_part(arm, held, f"{_HELD}/part-{index}", part.vertices)
         for geom in arm.geoms:
-            geom.margin = CLEARANCE
+            geom.margin = CLEARANCE + ROOM
         for option in ("timestep", "gravity", "cone", "impratio", "iterations", "noslip_iterations"):
             setattr(arm.option, option, getattr(spec.option, option))
         arm.option.integrator = spec.option.integrator
@@ -141,7 +156,7 @@ class PlanningWorld:
         self._target = self._bodies[target]
         self._held = self.model.body(PREFIX + _HELD).id
         self._kind = self._kinds()
-        self.num_checks = 0
+        self.num_checks, self.needs_room = 0, False
         self._home = home_pose()
         self.data.qpos[self.panda.qpos] = self._home
         mujoco.mj_kinematics(self.model, self.data)
@@ -211,7 +226,8 @@ class PlanningWorld:
             return None
         geoms = data.contact.geom
         kinds = self._kind[geoms]
-        too_close = data.contact.dist < _LIMIT[mode][kinds[:, 0], kinds[:, 1]]
+        limit = _WIDE_LIMIT if self.needs_room else _LIMIT
+        too_close = data.contact.dist < limit[mode][kinds[:, 0], kinds[:, 1]]
         if not too_close.any():
             return None
         a, b = (self.model.body(self.model.geom_bodyid[geom]).name for geom in geoms[too_close.argmax()])

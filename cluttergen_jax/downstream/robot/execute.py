@@ -187,26 +187,30 @@ class Execution:
         mujoco.mj_kinematics(self.model, self.data)
         return cast_rays(self.model, self.data, camera, _DRAWN)[0]
 
-    def follow(self, motion: Trajectory, phase: Phase, until_touch: bool = False) -> None:
+    def follow(self, motion: Trajectory, phase: Phase, until_touch: bool = False) -> bool:
         """Runs along a motion.
 
         Args:
           until_touch: stops where the hand feels that what it holds presses on something harder than
             `MAX_FORCE`, as a force sensor at the wrist would tell.
 
+        Returns:
+          Whether it stopped at a touch.
+
         Raises:
           Failed: an unplanned contact pressed harder than `MAX_FORCE`.
         """
         # A servo with damping trails behind a moving set-point by a known time.
         points = motion.joints + self.panda.lag * motion.speed
-        end = motion.joints[-1]
+        end, has_touched = motion.joints[-1], False
         for number, joints in enumerate(np.clip(points, self.panda.low, self.panda.high)):
             self.data.ctrl[self.panda.ctrl] = joints
             self._step(phase)
             if until_touch and self._pressing(_TOUCHING) is not None:
-                end = motion.joints[number]
+                end, has_touched = motion.joints[number], True
                 break
         self.data.ctrl[self.panda.ctrl] = end
+        return has_touched
 
     def wait(self, seconds: float, phase: Phase) -> None:
         """Lets time pass, the set-points as they are."""

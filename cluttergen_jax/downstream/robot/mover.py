@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 
 import numpy as np
 
 from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.execute import Execution, Phase
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of
+from cluttergen_jax.downstream.robot.frames import angle_between, inverse, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasp_candidates import opening_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
 from cluttergen_jax.downstream.robot.ik import LINE_STEP, ArmKinematics
@@ -29,12 +30,15 @@ FELT = 0.02
 """The same of lowering where the arm does not see how the object lies in the hand, but feels the touch."""
 MAX_SLIP, MAX_TURN = 0.015, np.radians(20)
 """How far an object may slip in the hand from the closing of the fingers on."""
-_OFF = 0.004 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
-"""Metres by which poses that are seen may be off."""
 WIDE = 0.015
 """Metres by which the fingers open wider than they came, if there is room, where poses may be off."""
 CARRY_SHARE = 0.25
 """Of Franka's limits, while something is held."""
+_LEVEL = 0.05
+_LEVER = 10.0
+"""What a metre from the line between the fingers to the object's middle takes from a grasp's worth."""
+GENTLE_SHARE = 0.12
+"""The same where it is not seen how what is held swings between the fingers."""
 _UP = np.array([0.0, 0.0, 1.0])
 _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 _ARMS = 3
@@ -102,7 +106,9 @@ class Mover:
         stood = self._survey()
         T_world_object = matrix_of(stood)
         has_free = has_joints = False
-        for T_object_tool, width in self._roomy_first(ranked(grasps, T_world_object), T_world_object):
+        rooms = (True, False) if self._feels else (False,)
+        for needs_room, (T_object_tool, width) in product(rooms, ranked(grasps, T_world_object)):
+            self.world.needs_room = needs_room
             T_world_tool, opening = T_world_object @ T_object_tool, float(opening_of(np.array(width)))
             if not self.world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
@@ -127,20 +133,6 @@ class Mover:
             raise Failed(Outcome.NO_IK)
         raise Failed(Outcome.NO_PATH, "to pick it up")
 
-    def _roomy_first(
-        self, grasps: Iterator[tuple[np.ndarray, float]], T_world_object: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, float]]:
-        """Those first, where poses may be off, at which the hand touches nothing wherever the object is."""
-        tight = []
-        for T_object_tool, width in grasps:
-            opening, T_world_tool = float(opening_of(np.array(width))), T_world_object @ T_object_tool
-            moved = (made(T_world_tool[:3, :3], T_world_tool[:3, 3] + by) for by in _OFF)
-            if not self._feels or all(self.world.is_hand_free(each, opening, Mode.COME) for each in moved):
-                yield T_object_tool, width
-            else:
-                tight.append((T_object_tool, width))
-        yield from tight
-
     def pick(self, plan: PickPlan) -> None:
         """Runs it: the object is lifted by `LIFT` afterwards.
 
@@ -160,7 +152,11 @@ class Mover:
         self._carry(rest, before)
 
     def _hand_fits(
-        self, T_object_tool: np.ndarray, places: np.ndarray, opening: float, stood: np.ndarray
+        self,
+        T_object_tool: np.ndarray,
+        places: np.ndarray,
+        opening: float,
+        stood: np.ndarray,
     ) -> list[int]:
         """The first few of the places where the hand alone could put the object down."""
         T_tool_object, found = inverse(T_object_tool), []
@@ -236,7 +232,9 @@ class Mover:
           Failed: none is reached, an unplanned contact, or the object slipped.
         """
         has_joints = False
-        for number, place in enumerate(places):
+        rooms = (True, False) if self.world.needs_room else (False,)
+        for needs_room, (number, place) in product(rooms, enumerate(places)):
+            self.world.needs_room = needs_room
             for joints in self._arms(number, _tool_at(place, self._T_tool_object)):
                 has_joints = True
                 found = self._place_plan(joints, place)
@@ -283,7 +281,10 @@ class Mover:
         self._carry(plan.path, before)
         lower = self._corrected(plan.lower, place)
         upper, last = _split(lower, self.kinematics, FELT if self._feels else TOUCH, from_end=True)
-        self._carry(upper, self._T_tool_object, rest=0.0)
+        if not self._feels:
+            self._carry(upper, self._T_tool_object, rest=0.0)
+        elif run.follow(timed(upper, run.step_time, GENTLE_SHARE), Phase.TOUCH, until_touch=True):
+            raise Failed(Outcome.SLIP, "it touched something too early")
         run.follow(timed(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH, self._feels)
         run.wait(0.2, Phase.TOUCH)
         self._in_hand()
@@ -298,8 +299,10 @@ class Mover:
     def _widest(self, leave: np.ndarray, place: np.ndarray) -> float:
         """How far the fingers can open and leave: what hung askew between them rocks as it is let go."""
         self.world.release(pose_of(place))
-        wide = min(MAX_OPENING, self._opening + WIDE)
-        is_free = all(
+        self.world.needs_room = True
+        wide, axis = min(MAX_OPENING, self._opening + WIDE), self.execution.tool[:3, 1]
+        # One of two fingers that are not level goes down as they open.
+        is_free = abs(axis[2]) < _LEVEL and all(
             self.world.is_free(joints, wide, Mode.COME) for joints in leave[:: len(leave) // 6 or 1]
         )
         return wide if is_free else self._opening
@@ -368,7 +371,8 @@ class Mover:
     def _carry(self, path: np.ndarray, before: np.ndarray, rest: float = 0.2) -> None:
         """Moves what is held; where it touches something because it slipped, the slip is the cause."""
         try:
-            self.execution.follow(timed(path, self.execution.step_time, CARRY_SHARE), Phase.CARRY)
+            share = GENTLE_SHARE if self._feels else CARRY_SHARE
+            self.execution.follow(timed(path, self.execution.step_time, share), Phase.CARRY)
             self.execution.wait(rest, Phase.CARRY)
         except Failed:
             self._check_slip(before, TOUCH / 2)
@@ -394,12 +398,23 @@ def ranked(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[tuple[np.ndar
     Those that come from above and hold well are first.
     """
     pose = matrix_of(grasps.pose)
-    down = -(T_world_object[:3, :3] @ pose[:, :3, 2, None])[:, 2, 0]
+    turned = T_world_object[:3, :3] @ pose[:, :3]
+    down = -turned[:, 2, 2]
     # A centimetre of slip or of shift counts as much as half a turn from straight down.
-    worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip)
+    worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip) - _LEVER * _levers(turned)
     for index in np.argsort(-worth, kind="stable"):
         for turn in (np.eye(4), _FLIP):
             yield pose[index] @ turn, float(grasps.width[index])
+
+
+def _levers(pose: np.ndarray) -> np.ndarray:
+    """f64[G]: metres in plan from the line between the fingers to the object's middle, about which it swings.
+
+    Args:
+      pose: f64[G, 3, 4], T_object_tool, turned into world axes.
+    """
+    axis, at = pose[:, :2, 1], pose[:, :2, 3]
+    return np.abs(axis[:, 0] * at[:, 1] - axis[:, 1] * at[:, 0])
 
 
 def _tool_at(place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray:

@@ -38,7 +38,7 @@ class PoseEstimate:
     Attributes:
       pose: f64[7], T_world_object, metres, wxyz.
       score: in [0, 1], how well its picture agrees with what was seen (`compare`).
-      gap: by how much that is better than the best pose that is another.
+      gap: by how much that is better than the best pose that is another; the score where no other was tried.
       visible: share of its whole silhouette that is seen, in the look that shows the most.
       num_pixels: of its masks.
     """
@@ -53,6 +53,12 @@ class PoseEstimate:
 class PoseEstimator(Protocol):
     """Finds the pose of one of its objects in looks at one moment."""
 
-    def __call__(self, index: int, looks: Sequence[Look]) -> PoseEstimate | None:
-        """The pose of the object of that number; None where too little of it is seen."""
+    def __call__(
+        self, index: int, looks: Sequence[Look], near: np.ndarray | None = None
+    ) -> PoseEstimate | None:
+        """The pose of the object of that number; None where too little of it is seen.
+
+        Args:
+          near: f64[7], T_world_object where it probably is, if that is known.
+        """
         ...

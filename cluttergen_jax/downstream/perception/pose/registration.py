@@ -15,7 +15,7 @@ from cluttergen_jax.downstream.perception.pose.free import FreeRegistration, nee
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.pose.upright import registered, starting_yaws
 from cluttergen_jax.downstream.perception.symmetry import offset, turn_matrix
-from cluttergen_jax.downstream.robot.frames import made, pose_of, shifted
+from cluttergen_jax.downstream.robot.frames import made, matrix_of, pose_of, shifted
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotation_matrix
 
@@ -27,6 +27,8 @@ _SURE = 0.6
 """A score at which nothing else is tried."""
 _OFFSET, _AROUND = 0.5, np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Where else registration begins, in half diagonals of the object, towards the eye and across."""
+_NEARLY_UPRIGHT, _LOW = np.cos(np.radians(10)), 0.01
+"""Cosine of the tilt, and metres over the table, up to which an object counts as standing on it."""
 _SAME_PLACE, _SAME_TURN = 0.01, np.radians(10)
 _STEPS = ((0.003, 4.0), (0.0015, 2.0))
 """Metres and degrees of the last refinement."""
@@ -61,13 +63,21 @@ class RegistrationEstimator:
             self._models[index] = model, FreeRegistration(model)
         return self._models[index]
 
-    def __call__(self, index: int, looks: Sequence[Look]) -> PoseEstimate | None:
-        """See `estimator.PoseEstimator`."""
+    def __call__(
+        self, index: int, looks: Sequence[Look], near: np.ndarray | None = None
+    ) -> PoseEstimate | None:
+        """See `estimator.PoseEstimator`; where an upright pose near `near` agrees well, no other is tried."""
         model, free = self._known(index)
         points, eyes, num_pixels = seen_points(index, looks)
         if num_pixels < FEWEST_PIXELS or len(points) < FEWEST_PIXELS // 2:
             return None
         compare = Comparer(model, index, looks)
+        if near is not None and (known := matrix_of(near))[2, 2] > _NEARLY_UPRIGHT:
+            is_low = known[2, 3] - model.asset.half_extents[2] < self._top + _LOW
+            pose = registered(model, points, eyes, _yaw(known), self._top if is_low else None)
+            score, pose = _climbed(compare, (compare(pose).score, pose))
+            if score >= _SURE:
+                return PoseEstimate(pose_of(pose), score, score, compare.visible(pose), num_pixels)
         found = self._upright(model, points, eyes, compare)
         if found[0][0] < _SURE:
             found = _best([*found, *self._lying(model, free, points, eyes, compare)])
