@@ -21,7 +21,7 @@ from cluttergen_jax.downstream.perception.pose.registration import RegistrationE
 from cluttergen_jax.downstream.perception.pose.steady import SteadyCheck
 from cluttergen_jax.downstream.perception.symmetry import offset, turn_matrix
 from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE
-from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.robot.frames import matrix_of, pose_of
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import REALSENSE
@@ -73,6 +73,21 @@ def test_two_cameras_are_used_together(estimator):
     shift, turn = errors(estimator, 2, estimator(2, looks), POSES[2])
     assert shift < 0.004
     assert turn < 3
+
+
+def test_where_an_object_was_is_looked_at_first(estimator, monkeypatch):
+    looks = [look_at(POSES, camera) for camera in (overhead(), SIDE)]
+    known = POSES[2] + np.array([0.004, -0.003, 0.002, 0, 0, 0, 0])
+    # From another turn it is found as without, and a pose that is not upright says nothing.
+    usual, across = estimator(2, looks), matrix_of(POSES[2]) @ turn_matrix(np.pi / 2)
+    for other in (pose_of(across), np.array([*POSES[2, :3], 0, 1, 0, 0])):
+        assert np.array_equal(estimator(2, looks, other).pose, usual.pose)
+    monkeypatch.setattr(RegistrationEstimator, "_upright", None)
+    found = estimator(2, looks, known)
+    shift, turn = errors(estimator, 2, found, POSES[2])
+    assert shift < 0.004
+    assert turn < 3
+    assert found.gap == found.score
 
 
 def test_an_object_on_another_is_found_at_its_height(estimator):

@@ -24,7 +24,12 @@ from cluttergen_jax.downstream.perception.segment.network import (
     shrunk,
     shrunk_label,
 )
-from cluttergen_jax.downstream.perception.segment.refine import by_pieces, enlarged, fitted_to_depth
+from cluttergen_jax.downstream.perception.segment.refine import (
+    by_pieces,
+    enlarged,
+    fitted_to_depth,
+    with_raised,
+)
 from cluttergen_jax.downstream.perception.segment.scores import confusion, intersection_over_union, iou_of
 from cluttergen_jax.downstream.perception.segment.segmenter import checked_images
 from cluttergen_jax.downstream.perception.segment.trained import (
@@ -133,6 +138,13 @@ def test_a_piece_of_surface_is_of_one_class_and_steps_part_pieces():
     np.testing.assert_allclose(mixed[7], chance[7], atol=1e-6)
     unknown = by_pieces(chance, np.full_like(height, np.nan), height)
     np.testing.assert_allclose(unknown, chance, atol=1e-6)
+
+
+def test_what_is_raised_is_seldom_background():
+    chance = np.tile(np.float32([0.8, 0.0, 0.2]), (1, 3, 1))
+    fitted = with_raised(chance, np.array([[0.001, 0.02, np.nan]]))
+    assert fitted.argmax(-1).tolist() == [[0, 2, 0]]
+    assert chance.argmax(-1).tolist() == [[0, 0, 0]]
 
 
 def test_objects_end_where_the_table_begins_and_have_their_thin_parts():

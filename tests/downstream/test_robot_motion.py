@@ -14,13 +14,14 @@ pytest.importorskip("toppra")
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.downstream.robot import execute as robot_execute
 from cluttergen_jax.downstream.robot import plan as robot_plan
-from cluttergen_jax.downstream.robot.collision import CLEARANCE, Kind, Mode, PlanningWorld
+from cluttergen_jax.downstream.robot.collision import CLEARANCE, ROOM, Kind, Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.episode import EpisodeWorld, lift_episode, place_episode, stand_beside
 from cluttergen_jax.downstream.robot.execute import Phase
-from cluttergen_jax.downstream.robot.frames import angle_between, made, pose_of
+from cluttergen_jax.downstream.robot.frames import angle_between, made, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
 from cluttergen_jax.downstream.robot.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
 from cluttergen_jax.downstream.robot.model import base_pose
+from cluttergen_jax.downstream.robot.mover import Mover, ranked
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.plan import Planner
 from cluttergen_jax.downstream.robot.timing import MAX_ACCELERATION, MAX_SPEED, SHARE, timed
@@ -272,6 +273,48 @@ def test_what_moved_and_what_does_not_stay_are_found():
     with pytest.raises(Failed) as told:
         episode_world.check_stands()
     assert told.value.outcome == Outcome.UNSTABLE
+
+
+def test_room_is_kept_besides_where_it_is_asked_for(world, kinematics):
+    """The hand beside the wall, 1 mm and `ROOM` more being asked for."""
+    wall = SCENE.poses[1, 0] + WALL.half_extents[0]
+    world.release(np.array([0.0, 0.0, -9.0, 1, 0, 0, 0]))
+    away = np.array([x for x in np.arange(0.0, 0.12, 0.0005) if is_hand_free(world, wall + x)])
+    world.needs_room = True
+    with_room = np.array([x for x in np.arange(0.0, 0.12, 0.0005) if is_hand_free(world, wall + x)])
+    assert with_room.min() - away.min() == pytest.approx(ROOM, abs=0.001)
+
+
+def is_hand_free(world, x):
+    return world.is_hand_free(made(np.diag([1.0, -1, -1]), np.array([x, 0.0, TOP + 0.06])), 0.02, Mode.COME)
+
+
+def test_grasps_beside_the_middle_come_later(grasps):
+    beside = grasps.pose.copy()
+    beside[0, 0] += 0.05
+    both = replace(grasps, pose=beside, width=np.array([0.05, 0.04]))
+    assert next(ranked(grasps, np.eye(4)))[1] == 0.06
+    assert next(ranked(both, np.eye(4)))[1] == 0.04
+
+
+def test_what_touches_something_too_early_has_slipped(grasps, kinematics):
+    """The cube is put down by feel where, unknown to the arm, a box stands."""
+    hidden = SCENE.poses.copy()
+    hidden[0] = standing(0.15, -0.2, LOW)
+    episode_world = EpisodeWorld(replace(SCENE, poses=hidden), TARGET, (), 0)
+    told = SCENE.poses.copy()
+
+    def see(only):
+        now = episode_world.execution.poses()
+        return np.stack([told[0], told[1], now[TARGET]])
+
+    world = PlanningWorld(SCENE.names, SCENE.objects, told, TARGET, TABLE, base_pose(TABLE))
+    mover = Mover(episode_world.execution, world, kinematics, TARGET, 0, see, feels=True)
+    place = matrix_of(np.array(standing(0.15, -0.2, CUBE)))[None]
+    mover.pick(mover.find_pick(grasps, place))
+    with pytest.raises(Failed, match="too early") as failure:
+        mover.place(place)
+    assert failure.value.outcome == Outcome.SLIP
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.5])

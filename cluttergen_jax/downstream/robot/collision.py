@@ -25,6 +25,8 @@ APART = 0.003
 """Metres that what is held keeps from neighbours where it is asked to."""
 ROOM = 0.004
 """Metres that the hand and what it holds keep besides from objects that may be off by as much."""
+_SAG = 0.0015
+"""Metres that the hand keeps besides from what lies below: the arm is not quite where it is told to be."""
 _TOUCH = -0.001
 """Metres that a held object may overlap with what it is taken from or put on."""
 _BLUR = -0.005
@@ -93,6 +95,9 @@ def _with_room(limit: np.ndarray) -> np.ndarray:
     wide = limit.copy()
     for a, b in ((Kind.HAND, Kind.OTHER), (Kind.HELD, Kind.OTHER), (Kind.HAND, Kind.TARGET)):
         wide[:, a, b] = wide[:, b, a] = limit[:, a, b] + ROOM
+    wide[:, Kind.HAND, Kind.GROUND] = wide[:, Kind.GROUND, Kind.HAND] = (
+        limit[:, Kind.HAND, Kind.GROUND] + _SAG
+    )
     return wide
 
 

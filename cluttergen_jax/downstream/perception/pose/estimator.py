@@ -59,6 +59,6 @@ class PoseEstimator(Protocol):
         """The pose of the object of that number; None where too little of it is seen.
 
         Args:
-          near: f64[7], T_world_object where it probably is, if that is known.
+          near: f64[7], T_world_object at which it was, if that is known; tried first.
         """
         ...

@@ -66,7 +66,7 @@ class RegistrationEstimator:
     def __call__(
         self, index: int, looks: Sequence[Look], near: np.ndarray | None = None
     ) -> PoseEstimate | None:
-        """See `estimator.PoseEstimator`; where an upright pose near `near` agrees well, no other is tried."""
+        """See `estimator.PoseEstimator`; where its turn and height agree well, no others are tried."""
         model, free = self._known(index)
         points, eyes, num_pixels = seen_points(index, looks)
         if num_pixels < FEWEST_PIXELS or len(points) < FEWEST_PIXELS // 2:
