@@ -187,6 +187,7 @@ def test_who_does_not_see_what_is_held_is_not_asked_for_it():
 
         def __call__(self, world, names, known):
             self.asked += 1
+            self.known = known
             return super().__call__(world, names, known)
 
     execution, observer = Execution(SCENE, 0), Far()
@@ -195,8 +196,17 @@ def test_who_does_not_see_what_is_held_is_not_asked_for_it():
     execution.wait(0.1, Phase.FREE)
     assert np.array_equal(sight(0), first)
     assert observer.asked == 1
+    assert np.isnan(observer.known).all()
     sight()
     assert observer.asked == 2
+    assert np.array_equal(observer.known, first)
+    # What was carried may have turned in the hand.
+    sight.held = 1
+    execution.move_fingers(-0.01, Phase.FREE)
+    sight(1)
+    execution.wait(0.1, Phase.FREE)
+    sight()
+    assert np.isnan(observer.known).all(1).tolist() == [False, True]
 
 
 def test_cameras_see_the_boxes_and_the_arm():

@@ -157,7 +157,7 @@ class Observer(Protocol):
         """Where the objects of these names are now; called while nothing moves.
 
         Args:
-          known: f64[n, 7], where they are as far as is known; nan where nothing is.
+          known: f64[n, 7], where they were seen; nan of what has been in the hand since or was never seen.
         """
         ...
 
@@ -192,6 +192,7 @@ class ObjectTracker:
     def __init__(self, observer: Observer, view: EpisodeView, relook: bool = True) -> None:
         self._observer, self._view, self._relook = observer, view, relook
         self.num_looks, self.held, self._looked_at = 0, -1, -1.0
+        self._carried: set[int] = set()
         self._tool, self._was_closed = view.tool, view.is_closed
         self._poses = np.full((len(view.names), 7), np.nan)
 
@@ -245,11 +246,15 @@ class ObjectTracker:
         if len(numbers) == len(self._poses):
             self.num_looks, self._looked_at = self.num_looks + 1, self._view.time
         names = [self._view.names[number] for number in numbers]
-        return self._observer(self._view, names, self._poses[list(numbers)])
+        known = self._poses[list(numbers)]
+        known[[number in self._carried for number in numbers]] = np.nan
+        self._carried -= set(numbers)
+        return self._observer(self._view, names, known)
 
     def _follow(self) -> None:
         tool, is_closed = self._view.tool, self._view.is_closed
         if is_closed and self._was_closed and self.held >= 0:
             moved = tool @ inverse(self._tool) @ matrix_of(self._poses[self.held])
             self._poses[self.held] = pose_of(moved)
+            self._carried.add(self.held)
         self._tool, self._was_closed = tool, is_closed

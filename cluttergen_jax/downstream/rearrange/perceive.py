@@ -52,14 +52,14 @@ class PerceptionObserver:
 
     def glance(self, world: EpisodeView) -> None:
         """See `observe.Observer`."""
-        self._glances = self._look(world, wrist_camera(world.tool))
+        self._glances = self._look(world, wrist_camera(world.tool), 0)
 
     def __call__(self, world: EpisodeView, names: Sequence[str], known: np.ndarray) -> SceneEstimate:
         """See `observe.Observer`."""
         looks, self._glances = self._glances, []
         found: FoundScene | None = None
-        for _ in range(MOST_LOOKS):
-            looks += self._look(world, above(self._support))
+        for number in range(MOST_LOOKS):
+            looks += self._look(world, above(self._support), number)
             if looks:
                 found = self._finder(looks, names, known)
                 if (found.certainty >= UNSURE).all():
@@ -69,12 +69,12 @@ class PerceptionObserver:
             return SceneEstimate(tuple(names), np.zeros((len(names), 7)), nothing.astype(bool), nothing)
         return SceneEstimate(found.names, found.pose, found.seen, found.certainty)
 
-    def _look(self, world: EpisodeView, camera: Camera) -> list[Look]:
-        """A picture; none where nothing was measured."""
+    def _look(self, world: EpisodeView, camera: Camera, number: int) -> list[Look]:
+        """The picture of that number from here; none where nothing was measured."""
         rgb, depth = world.picture(camera)
         is_own = self._silhouette(camera, world.joints, world.opening)
         moment = round(world.time * _MILLISECONDS)
-        rng = np.random.default_rng((self._seed, moment, self.num_pictures))
+        rng = np.random.default_rng((self._seed, moment, number))
         self.num_pictures += 1
         if self._noise != NOISE_OFF:
             depth, camera = noisy(depth, camera, self._noise, rng)
