@@ -294,7 +294,8 @@ class Mover:
         leave = self.kinematics.line(run.set_point, self._leaving(plan.leave))
         first, rest = _split(plan.leave if leave is None else leave, self.kinematics, TOUCH)
         run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.GRASP)
-        run.follow(timed(rest, run.step_time), Phase.FREE)
+        # What hung askew rocks: the fingers may brush it until they are clear of it.
+        run.follow(timed(rest, run.step_time), Phase.GRASP if self._feels else Phase.FREE)
 
     def _widest(self, leave: np.ndarray, place: np.ndarray) -> float:
         """How far the fingers can open and leave: what hung askew between them rocks as it is let go."""

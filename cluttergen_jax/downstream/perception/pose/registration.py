@@ -66,18 +66,16 @@ class RegistrationEstimator:
     def __call__(
         self, index: int, looks: Sequence[Look], near: np.ndarray | None = None
     ) -> PoseEstimate | None:
-        """See `estimator.PoseEstimator`; where its turn and height agree well, no others are tried."""
+        """See `estimator.PoseEstimator`; its turn and that turned round are tried first."""
         model, free = self._known(index)
         points, eyes, num_pixels = seen_points(index, looks)
         if num_pixels < FEWEST_PIXELS or len(points) < FEWEST_PIXELS // 2:
             return None
         compare = Comparer(model, index, looks)
         if near is not None and (known := matrix_of(near))[2, 2] > _NEARLY_UPRIGHT:
-            is_low = known[2, 3] - model.asset.half_extents[2] < self._top + _LOW
-            pose = registered(model, points, eyes, _yaw(known), self._top if is_low else None)
-            score, pose = _climbed(compare, (compare(pose).score, pose))
-            if score >= _SURE:
-                return PoseEstimate(pose_of(pose), score, score, compare.visible(pose), num_pixels)
+            found = self._where_it_was(model, points, eyes, compare, known)
+            if found[0][0] >= _SURE:
+                return _estimate(found, compare, model.symmetry, num_pixels)
         found = self._upright(model, points, eyes, compare)
         if found[0][0] < _SURE:
             found = _best([*found, *self._lying(model, free, points, eyes, compare)])
@@ -86,16 +84,22 @@ class RegistrationEstimator:
             freed = free(points, pose)
             tried.append((compare(freed).score - _FREE_GAIN * _is_upright(pose), freed))
             tried.append(_climbed(compare, (score, pose)))
-        ranked = _best(tried)
-        score, pose = ranked[0]
-        others = [each for each, other in ranked[1:] if _differs(other, pose, model.symmetry)]
-        return PoseEstimate(
-            pose=pose_of(pose),
-            score=max(score, 0.0),
-            gap=score - max(others, default=0.0),
-            visible=compare.visible(pose),
-            num_pixels=num_pixels,
-        )
+        return _estimate(_best(tried), compare, model.symmetry, num_pixels)
+
+    def _where_it_was(
+        self,
+        model: ObjectModel,
+        points: np.ndarray,
+        eyes: np.ndarray,
+        compare: Comparer,
+        known: np.ndarray,
+    ) -> list[tuple[float, np.ndarray]]:
+        """Poses at the turn and height of `known` f64[4, 4], and turned round, the better one first."""
+        is_low = known[2, 3] - model.asset.half_extents[2] < self._top + _LOW
+        bottom = self._top if is_low else None
+        turns = (_yaw(known), _yaw(known) + np.pi)
+        poses = [registered(model, points, eyes, yaw, bottom) for yaw in turns]
+        return _best([_climbed(compare, (compare(pose).score, pose)) for pose in poses])
 
     def _upright(
         self, model: ObjectModel, points: np.ndarray, eyes: np.ndarray, compare: Comparer
@@ -145,6 +149,21 @@ class RegistrationEstimator:
                 pose = free(points, made(turn, center))
                 found.append((compare(pose).score, pose))
         return _best(found)[:_BEST]
+
+
+def _estimate(
+    ranked: list[tuple[float, np.ndarray]], compare: Comparer, symmetry: int, num_pixels: int
+) -> PoseEstimate:
+    """The best of poses with their scores, best first."""
+    score, pose = ranked[0]
+    others = [each for each, other in ranked[1:] if _differs(other, pose, symmetry)]
+    return PoseEstimate(
+        pose=pose_of(pose),
+        score=max(score, 0.0),
+        gap=score - max(others, default=0.0),
+        visible=compare.visible(pose),
+        num_pixels=num_pixels,
+    )
 
 
 def seen_points(index: int, looks: Sequence[Look]) -> tuple[np.ndarray, np.ndarray, int]:
