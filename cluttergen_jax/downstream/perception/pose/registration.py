@@ -34,6 +34,8 @@ _STEPS = ((0.003, 4.0), (0.0015, 2.0))
 """Metres and degrees of the last refinement."""
 _FREE_GAIN = 0.03
 """By which a pose that is not upright has to agree better."""
+_LYING_GAIN = 0.05
+"""By which one that rests in another way has to: a ring looks the same upside down."""
 
 
 class RegistrationEstimator:
@@ -147,7 +149,7 @@ class RegistrationEstimator:
                 center = points.mean(0)
                 center[2] = self._top + resting.height
                 pose = free(points, made(turn, center))
-                found.append((compare(pose).score, pose))
+                found.append((compare(pose).score - _LYING_GAIN, pose))
         return _best(found)[:_BEST]
 
 
