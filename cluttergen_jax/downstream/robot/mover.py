@@ -35,6 +35,7 @@ WIDE = 0.015
 CARRY_SHARE = 0.25
 """Of Franka's limits, while something is held."""
 _LEVEL = 0.05
+"""Of the line between the fingers, its z component up to which they open wider."""
 _LEVER = 10.0
 """What a metre from the line between the fingers to the object's middle takes from a grasp's worth."""
 GENTLE_SHARE = 0.12
@@ -55,8 +56,9 @@ class Mover:
     Args:
       execution: the simulation; world: its copy for planning; target: the object's number.
       seed: of what is drawn; equal seeds do the same.
-      feels: poses may be off by some millimetres: grasps with room for that come first, and what is held is
-        lowered until it touches something, wherever it is exactly in the hand.
+      feels: poses may be off by some millimetres, and how the object lies in the hand is not seen. Grasps and
+        places with room for that come first; what is held is carried gently, lowered until it touches
+        something, and let go with the fingers wide open.
       is_apart: what is held keeps `collision.APART` from all else once it is a centimetre above its place; it
         moves a little as the fingers close.
       see: tells where objects are, asked whenever something may have moved; the true poses if not given.
