@@ -32,10 +32,9 @@ _NEARLY_UPRIGHT, _LOW = np.cos(np.radians(10)), 0.01
 _SAME_PLACE, _SAME_TURN = 0.01, np.radians(10)
 _STEPS = ((0.003, 4.0), (0.0015, 2.0))
 """Metres and degrees of the last refinement."""
-_FREE_GAIN = 0.03
-"""By which a pose that is not upright has to agree better."""
-_LYING_GAIN = 0.05
-"""By which one that rests in another way has to: a ring looks the same upside down."""
+_FREE_GAIN, _LYING_GAIN, _LEANING = 0.03, 0.05, 0.7
+"""By which a pose that leans has to agree better, and one that rests in another way, as a ring that looks the
+same upside down; and the cosine of the tilt between them."""
 
 
 class RegistrationEstimator:
@@ -84,7 +83,7 @@ class RegistrationEstimator:
         tried = list(found)
         for score, pose in _unlike(found, model.symmetry)[:_REFINED]:
             freed = free(points, pose)
-            tried.append((compare(freed).score - _FREE_GAIN * _is_upright(pose), freed))
+            tried.append((_worth(compare, freed), freed))
             tried.append(_climbed(compare, (score, pose)))
         return _estimate(_best(tried), compare, model.symmetry, num_pixels)
 
@@ -101,7 +100,7 @@ class RegistrationEstimator:
         bottom = self._top if is_low else None
         turns = (_yaw(known), _yaw(known) + np.pi)
         poses = [registered(model, points, eyes, yaw, bottom) for yaw in turns]
-        return _best([_climbed(compare, (compare(pose).score, pose)) for pose in poses])
+        return _best([_climbed(compare, (_worth(compare, pose), pose)) for pose in poses])
 
     def _upright(
         self, model: ObjectModel, points: np.ndarray, eyes: np.ndarray, compare: Comparer
@@ -115,7 +114,7 @@ class RegistrationEstimator:
         def from_all(bottom: float | None, offsets: np.ndarray) -> list[tuple[float, np.ndarray]]:
             starts = itertools.product(yaws, offsets)
             poses = [registered(model, points, eyes, yaw, bottom, offset) for yaw, offset in starts]
-            return [(compare(pose).score, pose) for pose in poses]
+            return [(_worth(compare, pose), pose) for pose in poses]
 
         nothing = np.zeros((1, 2))
         found = from_all(self._top, nothing)
@@ -129,7 +128,7 @@ class RegistrationEstimator:
         for _, pose in best[:_REFINED]:
             bottom = pose[2, 3] - model.asset.half_extents[2]
             other = registered(model, points, eyes, _yaw(pose) + np.pi, float(bottom))
-            best.append((compare(other).score, other))
+            best.append((_worth(compare, other), other))
         return _best(best)
 
     def _lying(
@@ -149,7 +148,7 @@ class RegistrationEstimator:
                 center = points.mean(0)
                 center[2] = self._top + resting.height
                 pose = free(points, made(turn, center))
-                found.append((compare(pose).score - _LYING_GAIN, pose))
+                found.append((_worth(compare, pose), pose))
         return _best(found)[:_BEST]
 
 
@@ -210,8 +209,11 @@ def _yaw(pose: np.ndarray) -> float:
     return float(np.arctan2(pose[1, 0], pose[0, 0]))
 
 
-def _is_upright(pose: np.ndarray) -> bool:
-    return bool(pose[2, 2] > 1 - 1e-9)
+def _worth(compare: Comparer, pose: np.ndarray) -> float:
+    """How well a pose agrees, less what is asked of it besides if it is not upright."""
+    up = pose[2, 2]
+    asked = 0.0 if up > 1 - 1e-9 else _FREE_GAIN if up > _LEANING else _LYING_GAIN
+    return compare(pose).score - asked
 
 
 def _differs(pose: np.ndarray, other: np.ndarray, symmetry: int) -> bool:
@@ -226,10 +228,10 @@ def _climbed(compare: Comparer, start: tuple[float, np.ndarray]) -> tuple[float,
         turn = np.radians(degrees)
         for along in ((step, 0, 0), (-step, 0, 0), (0, step, 0), (0, -step, 0)):
             tried = shifted(pose, along)
-            if (score := compare(tried).score) > best:
+            if (score := _worth(compare, tried)) > best:
                 best, pose = score, tried
         for angle in (turn, -turn):
             tried = pose @ turn_matrix(angle)
-            if (score := compare(tried).score) > best:
+            if (score := _worth(compare, tried)) > best:
                 best, pose = score, tried
     return best, pose
