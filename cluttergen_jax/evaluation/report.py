@@ -58,7 +58,17 @@ def _made(result: Result) -> str:
 
 
 def with_earlier_rows(result: Result, earlier: Result) -> Result:
-    """A study with the rows of an earlier result of it that it has not made again, pool by pool."""
+    """A study with the rows of an earlier result of it that it has not made again, pool by pool.
+
+    Raises:
+      ConfigError: the study brings its tables along, and its rows cannot be told apart here.
+    """
+    if "tables" in result:
+        raise ConfigError(
+            f"rows of the study {result['name']!r} to be kept",
+            "studies whose tables are made here",
+            "without --keep-rows; the same command with the same --out keeps its rows by itself",
+        )
     made = [row for row in result["records"] if "figures" in row]
     before = [row for row in earlier["records"] if "figures" in row]
     # An earlier version may have named fewer of a trial's settings.

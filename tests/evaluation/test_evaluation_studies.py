@@ -336,3 +336,6 @@ def test_rows_that_were_not_made_again_stay_with_where_they_come_from():
     assert f"did not make again: `{earlier['command']}`" in told
     assert tables_of(merged)
     assert with_earlier_rows(earlier, made | {"records": [first]}) is earlier
+    robot = next(each for each in read_results(DOCS / "results") if each["name"] == "robot")
+    with pytest.raises(ConfigError, match="'robot' to be kept"):
+        with_earlier_rows(robot, robot)

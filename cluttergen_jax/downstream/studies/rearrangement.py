@@ -35,6 +35,7 @@ _NOTES = (
     "seen by `true`: the true poses; `perception`: two noisy cameras and this project's own segmenter",
     "picks and the fewest that could do, times that an object had to wait elsewhere, looks at all objects, "
     "the tool's path, simulated and computing seconds: means of an episode",
+    "by cameras the hand may brush what it has let go until it has left it; told the true poses it may not",
     "the paper's robot in its setting: 7 of 10",
 )
 

@@ -36,6 +36,7 @@ _NOTES = (
     "others look: of what stands there the arm knows what its noisy depth cameras see alone",
     "off: from where it was meant to stand, medians; neighbours: the most that one of them was moved, 95 % "
     "of the episodes; s: simulated",
+    "by cameras the hand may brush what it has let go until it has left it; told the true state it may not",
     "the paper's robot, which saw what it did: 36 of 50 (0.72)",
 )
 

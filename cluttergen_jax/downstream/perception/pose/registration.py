@@ -210,7 +210,7 @@ def _yaw(pose: np.ndarray) -> float:
 
 
 def _worth(compare: Comparer, pose: np.ndarray) -> float:
-    """How well a pose agrees, less what is asked of it besides if it is not upright."""
+    """The score of a pose, less a penalty if it is not upright."""
     up = pose[2, 2]
     asked = 0.0 if up > 1 - 1e-9 else _FREE_GAIN if up > _LEANING else _LYING_GAIN
     return compare(pose).score - asked
