@@ -67,7 +67,7 @@ def with_earlier_rows(result: Result, earlier: Result) -> Result:
         raise ConfigError(
             f"rows of the study {result['name']!r} to be kept",
             "studies whose tables are made here",
-            "without --keep-rows; the same command with the same --out keeps its rows by itself",
+            "`python docs/make_results.py FOLDER`; the study run again into its FOLDER keeps its rows by itself",
         )
     made = [row for row in result["records"] if "figures" in row]
     before = [row for row in earlier["records"] if "figures" in row]
