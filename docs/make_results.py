@@ -10,10 +10,12 @@ from __future__ import annotations
 import argparse
 import shutil
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from cluttergen_jax.evaluation.report import (
     document,
     read_results,
+    redraw,
     shown_pictures,
     with_earlier_rows,
 )
@@ -33,8 +35,10 @@ def take_over(folder: Path, keep_rows: bool) -> None:
         name = result["name"]
         result = with_earlier_rows(result, earlier[name]) if name in earlier else result
         write_atomically(FOLDER / f"{name}.json", json_bytes(result))
-        for picture in shown_pictures(result):
-            shutil.copyfile(folder / picture, FOLDER / picture)
+        with TemporaryDirectory() as drawn:
+            redrawn = redraw(result, Path(drawn)) if name in earlier else []
+            for picture in shown_pictures(result):
+                shutil.copyfile(Path(drawn if picture in redrawn else folder) / picture, FOLDER / picture)
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.metrics_log import draw_curve, read_rows
 
-MAX_BYTES, MAX_BYTES_FOR_ANY_POOL = 1_000_000, 200_000
+MAX_BYTES, MAX_BYTES_FOR_ANY_POOL = 1 << 20, 200_000
 ROOT = Path(__file__).parent / "checkpoints"
 
 
@@ -34,6 +34,8 @@ def command_of(record: dict[str, Any]) -> str:
     words += [f"--seed {record['seed']}", f"--num-attempts {record['ppo']['num_attempts']}"]
     if record["preset"] != "cpu":
         words.append(f"--preset {record['preset']}")
+    if record.get("encoder_weights"):
+        words.append(f"--encoder-weights {record['encoder_weights']}")
     if record["support"] != "table":
         words.append(f"--support {record['support']}")
     if record["placement"]["num_objects"] != 10:

@@ -10,6 +10,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import sentence
 from cluttergen_jax.evaluation.rivals import OURS, TWIN, tally
 from cluttergen_jax.evaluation.store import FORMAT, json_bytes
+from cluttergen_jax.evaluation.studies.study import Scale
 from cluttergen_jax.evaluation.suites import FORMER_NAMES, STUDIES
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.tables import Table
@@ -60,17 +61,22 @@ def _made(result: Result) -> str:
 def with_earlier_rows(result: Result, earlier: Result) -> Result:
     """A study with the rows of an earlier result of it that it has not made again, pool by pool.
 
+    Rows of methods that the study no longer asks for are left out. Pictures are not drawn again
+    (`redraw`).
+
     Raises:
-      ConfigError: the study brings its tables along, and its rows cannot be told apart here.
+      ConfigError: the study's rows cannot be told apart here: it brings its tables along, or it measures all
+        its trials together.
     """
-    if "tables" in result:
+    if "tables" in result or not result["records"]:
         raise ConfigError(
             f"rows of the study {result['name']!r} to be kept",
-            "studies whose tables are made here",
-            "`python docs/make_results.py FOLDER`; the study run again into its FOLDER keeps its rows by itself",
+            "studies whose tables are made here, of rows",
+            "`python docs/make_results.py FOLDER`; a study made again into FOLDER keeps its rows itself",
         )
+    asked = {trial.method for trial in STUDIES[result["name"]].trials(Scale())}
     made = [row for row in result["records"] if "figures" in row]
-    before = [row for row in earlier["records"] if "figures" in row]
+    before = [row for row in earlier["records"] if "figures" in row and row["trial"]["method"] in asked]
     # An earlier version may have named fewer of a trial's settings.
     names = sorted(set.intersection(*(set(row["trial"]) for row in (*before, *made))))
     rows = {json.dumps([row["trial"][name] for name in names]): row for row in (*before, *made)}
@@ -82,6 +88,13 @@ def with_earlier_rows(result: Result, earlier: Result) -> Result:
         "records": sorted(rows.values(), key=lambda row: pools.index(row["trial"].get("pool"))),
         "earlier": [told, *earlier.get("earlier", ())],
     }
+
+
+def redraw(result: Result, folder: Path) -> list[str]:
+    """Draws a study's plot of all its rows into a folder; its file names, none if it has no plot."""
+    plot = STUDIES[result["name"]].plot
+    rows = [row for row in result["records"] if "figures" in row]
+    return plot(rows, folder / result["name"]) if plot and rows else []
 
 
 def markdown(result: Result, level: int = 2, link: str = "") -> str:

@@ -318,7 +318,12 @@ def test_survival_asks_the_engines_that_are_installed(runner, tmp_path):
 
 def test_rows_that_were_not_made_again_stay_with_where_they_come_from():
     (earlier,) = (each for each in read_results(DOCS / "results") if each["name"] == "table1")
-    first, *others = (row for row in earlier["records"] if "figures" in row)
+    asked = {trial.method for trial in table1.trials(Scale())}
+    first, *others = (
+        row for row in earlier["records"] if "figures" in row and row["trial"]["method"] in asked
+    )
+    of_before = first | {"trial": first["trial"] | {"method": "beta"}}
+    earlier = earlier | {"records": [first, of_before, *others]}
     again = first | {
         "trial": first["trial"] | {"order": None},
         "figures": first["figures"] | {"success": 0.5},

@@ -120,12 +120,20 @@ def read_state(path: Path, like: Any) -> Any:
 
 
 def save_policy(path: Path, params: Any, record: dict[str, Any]) -> None:
-    """Stores the weights that acting needs, at half precision, and a JSON record."""
+    """Stores the weights that acting needs, at half precision, and a JSON record.
+
+    Of arrays that are equal, as in two frozen encoders that began alike, the first is stored; in place of
+    each other one stands its name.
+    """
     path.mkdir(parents=True, exist_ok=True)
     flat = flax.traverse_util.flatten_dict(params, sep="/")
-    weights = {
-        name: np.asarray(value, np.float16) for name, value in flat.items() if not name.startswith(_CRITIC)
-    }
+    weights: dict[str, np.ndarray] = {}
+    names: dict[tuple[tuple[int, ...], bytes], str] = {}
+    for name, value in flat.items():
+        if not name.startswith(_CRITIC):
+            array = np.asarray(value, np.float16)
+            stored = names.setdefault((array.shape, array.tobytes()), name)
+            weights[name] = array if stored == name else np.array(stored)
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **weights)  # type: ignore[arg-type]
     write_atomically(path / "weights.npz", buffer.getvalue())
@@ -157,7 +165,11 @@ def _stored_weights(file: Path, flat: dict[str, Any]) -> dict[str, np.ndarray]:
                 sizes = {each.filename.removesuffix(".npy"): each.file_size for each in archive.infolist()}
             known = [name for name in stored.files if name in flat]
             large = [name for name in known if sizes[name] > _MOST_BYTES * flat[name].size + _HEADER]
-            weights = {name: stored[name] for name in known if name not in large}
+            read = {name: stored[name] for name in known if name not in large}
+            weights = {
+                name: read.get(str(value), value) if value.dtype.kind == "U" else value
+                for name, value in read.items()
+            }
     except Exception as error:  # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
         raise PoolError(f"{file} cannot be read ({type(error).__name__}: {error})", hint=_FRESH) from error
     faults += [
