@@ -148,15 +148,15 @@ def test_what_is_not_seen_stays_where_it_was_or_moves_with_the_hand():
     view = EpisodeView(execution, SCENE.names)
     sight = ObjectTracker(Once(), view)
     first = sight()
-    sight.held = 0
-    execution.move_fingers(-0.01, Phase.FREE)
+    T_tool_object = inverse(execution.tool) @ matrix_of(first[0])
+    sight.take(0, T_tool_object)
     assert np.array_equal(sight(), first)
-    before = execution.tool
+    execution.move_fingers(-0.01, Phase.FREE)
+    assert np.allclose(sight(), first, atol=1e-3)
     execution.data.ctrl[execution.panda.ctrl[0]] += 0.3
     execution.wait(0.5, Phase.FREE)
     moved = sight()
-    expected = execution.tool @ inverse(before) @ matrix_of(first[0])
-    assert np.allclose(matrix_of(moved[0]), expected, atol=1e-9)
+    assert np.allclose(matrix_of(moved[0]), execution.tool @ T_tool_object, atol=1e-9)
     assert np.linalg.norm(moved[0, :3] - first[0, :3]) > 0.05
     assert np.array_equal(moved[1], first[1])
 
@@ -201,7 +201,7 @@ def test_who_does_not_see_what_is_held_is_not_asked_for_it():
     assert observer.asked == 2
     assert np.array_equal(observer.known, first)
     # What was carried may have turned in the hand.
-    sight.held = 1
+    sight.take(1, inverse(execution.tool) @ matrix_of(first[1]))
     execution.move_fingers(-0.01, Phase.FREE)
     sight(1)
     execution.wait(0.1, Phase.FREE)

@@ -14,7 +14,7 @@ from mujoco.rollout import Rollout
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.robot import model as robot_model
-from cluttergen_jax.downstream.robot.frames import inverse, made, matrix_of, pose_of
+from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasp_candidates import Candidates, HandCheck, candidates_of, spread
 from cluttergen_jax.downstream.robot.grasp_picture import grasp_sheet, grasp_trails
 from cluttergen_jax.downstream.robot.grasp_sets import GraspSets
@@ -26,7 +26,7 @@ from cluttergen_jax.downstream.robot.grasps import (
     read_grasps,
     write_grasps,
 )
-from cluttergen_jax.downstream.robot.grip_test import MAX_LOAD, MAX_SLIP, grip_test
+from cluttergen_jax.downstream.robot.grip_test import MAX_LOAD, MAX_SHIFT, MAX_SLIP, grip_test
 from cluttergen_jax.downstream.robot.model import Panda, base_pose, home_pose, with_panda
 from cluttergen_jax.errors import MissingExtraError, PoolError
 from cluttergen_jax.rendering.gl import renderer_status
@@ -163,6 +163,11 @@ def test_a_box_has_grasps_across_both_of_its_narrow_sides(cube_grasps):
     T_object_tool = matrix_of(grasps.pose)
     assert (T_object_tool[:, 2, 2] <= 0.1).all()
     assert (grasps.slip <= MAX_SLIP).all()
+    T_tool_object = matrix_of(grasps.held)
+    # The cube's middle is between the pads, however far beside it they came, and it lies as it stood.
+    assert (np.abs(T_tool_object[:, 1, 3]) < 0.001).all()
+    assert (np.linalg.norm((T_tool_object @ T_object_tool)[:, :3, 3], axis=1) <= MAX_SHIFT + MAX_SLIP).all()
+    assert (angle_between(T_tool_object, inverse(T_object_tool)) < np.radians(5)).all()
 
 
 def test_what_is_kept_is_read_again_and_an_object_that_changed_is_looked_at_anew(
@@ -172,7 +177,7 @@ def test_what_is_kept_is_read_again_and_an_object_that_changed_is_looked_at_anew
     path = write_grasps(grasp_file(cube, 12, 0), [grasps])
     assert path.is_relative_to(home)
     read = next(iter(grasps_of([cube], 12)))
-    for name in ("pose", "width", "shift", "slip", "turn", "margin", "is_low"):
+    for name in ("pose", "held", "width", "shift", "slip", "turn", "margin", "is_low"):
         assert np.array_equal(getattr(read, name), getattr(grasps, name))
     assert read.num_tested == grasps.num_tested
     assert grasp_file(box("cube", (0.02, 0.03, 0.04), mass=0.31), 12, 0) != path
@@ -185,7 +190,19 @@ def test_what_is_kept_is_read_again_and_an_object_that_changed_is_looked_at_anew
 def test_objects_without_grasps_are_named(cube_grasps):
     _, grasps = cube_grasps
     empty = np.zeros(0)
-    block = Grasps("block", "0", np.zeros((0, 7)), empty, empty, empty, empty, empty, empty.astype(bool), 0)
+    block = Grasps(
+        "block",
+        "0",
+        np.zeros((0, 7)),
+        empty,
+        empty,
+        empty,
+        empty,
+        empty,
+        empty.astype(bool),
+        0,
+        np.zeros((0, 7)),
+    )
     told = GraspSets((grasps, block))
     assert told.lacking == ("block",)
     assert "fewer than 8 grasps: block" in str(told)
@@ -218,7 +235,7 @@ def some_grasps(number):
     poses = np.tile(pose_of(made(DOWN, (0.0, 0.0, 0.04))), (number, 1))
     zeros, margin = np.zeros(number), np.linspace(1, MAX_LOAD, number)
     return Grasps(
-        "cube", "0", poses, zeros + 0.03, zeros, zeros, zeros, margin, np.ones(number, bool), number
+        "cube", "0", poses, zeros + 0.03, zeros, zeros, zeros, margin, np.ones(number, bool), number, poses
     )
 
 

@@ -17,11 +17,12 @@ from cluttergen_jax.downstream.robot import plan as robot_plan
 from cluttergen_jax.downstream.robot.collision import CLEARANCE, ROOM, Kind, Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.episode import EpisodeWorld, lift_episode, place_episode, stand_beside
 from cluttergen_jax.downstream.robot.execute import Phase
-from cluttergen_jax.downstream.robot.frames import angle_between, made, matrix_of, pose_of
+from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
+from cluttergen_jax.downstream.robot.grips import ranked
 from cluttergen_jax.downstream.robot.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
 from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.mover import Mover, ranked
+from cluttergen_jax.downstream.robot.mover import Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.plan import Planner
 from cluttergen_jax.downstream.robot.timing import MAX_ACCELERATION, MAX_SPEED, SHARE, timed
@@ -68,7 +69,17 @@ def grasps():
     high[1, :3, :3] = DOWN
     nothing, pose = np.zeros(2), pose_of(high)
     return Grasps(
-        "cube", "", pose, np.array([0.06, 0.04]), nothing, nothing, nothing, nothing + 4, nothing > -1, 2
+        "cube",
+        "",
+        pose,
+        np.array([0.06, 0.04]),
+        nothing,
+        nothing,
+        nothing,
+        nothing + 4,
+        nothing > -1,
+        2,
+        pose_of(inverse(high)),
     )
 
 
@@ -229,7 +240,7 @@ def test_causes_of_failure_are_told_apart(grasps):
         grasps,
         **{
             name: getattr(grasps, name)[:0]
-            for name in ("pose", "width", "shift", "slip", "turn", "margin", "is_low")
+            for name in ("pose", "held", "width", "shift", "slip", "turn", "margin", "is_low")
         },
     )
     assert lift_episode(SCENE, TARGET, none, 0).outcome == Outcome.NO_GRASP
@@ -293,8 +304,8 @@ def test_grasps_beside_the_middle_come_later(grasps):
     beside = grasps.pose.copy()
     beside[0, 0] += 0.05
     both = replace(grasps, pose=beside, width=np.array([0.05, 0.04]))
-    assert next(ranked(grasps, np.eye(4)))[1] == 0.06
-    assert next(ranked(both, np.eye(4)))[1] == 0.04
+    assert next(ranked(grasps, np.eye(4))).width == 0.06
+    assert next(ranked(both, np.eye(4))).width == 0.04
 
 
 def test_what_touches_something_too_early_has_slipped(grasps, kinematics):

@@ -60,7 +60,19 @@ def scene(bank):
 def grasps():
     """The box from above, by its narrow sides; nothing was tested."""
     pose, nothing = pose_of(made(DOWN[None], np.array([[0, 0, 0.03]]))), np.zeros(1)
-    return Grasps("box", "", pose, np.array([0.06]), nothing, nothing, nothing, nothing + 4, nothing > -1, 1)
+    return Grasps(
+        "box",
+        "",
+        pose,
+        np.array([0.06]),
+        nothing,
+        nothing,
+        nothing,
+        nothing + 4,
+        nothing > -1,
+        1,
+        pose_of(inverse(made(DOWN[None], np.array([[0, 0, 0.03]])))),
+    )
 
 
 def partial_map(height, ceiling, yaw=0.3):

@@ -10,7 +10,7 @@ import numpy as np
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.downstream.rearrange.settings import RearrangeSetting
 from cluttergen_jax.downstream.rearrange.task import RearrangeTask
-from cluttergen_jax.downstream.robot.frames import made, pose_of
+from cluttergen_jax.downstream.robot.frames import inverse, made, pose_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
 from cluttergen_jax.scene import Scene
 from tests.helpers.placing import with_surface
@@ -38,7 +38,17 @@ def grasps_of_box(name: str) -> Grasps:
     pose[0, :3, :3] = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]
     nothing = np.zeros(1)
     return Grasps(
-        name, "", pose_of(pose), np.array([0.04]), nothing, nothing, nothing, nothing + 4, nothing > -1, 1
+        name,
+        "",
+        pose_of(pose),
+        np.array([0.04]),
+        nothing,
+        nothing,
+        nothing,
+        nothing + 4,
+        nothing > -1,
+        1,
+        pose_of(inverse(pose)),
     )
 
 

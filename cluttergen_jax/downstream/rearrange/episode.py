@@ -235,7 +235,7 @@ class Rearranger:
             return False
         self._count(k, is_wait)
         self._execution.aim_at(k)
-        self._sight.held = k
+        self._sight.take(k, plan.grip.T_tool_object)
         self._judge.begin_move()
         is_back = self._carry(mover, plan, np.concatenate([places, stood[None]])) == len(places)
         self._look(is_home=mover.go_home())
@@ -293,7 +293,7 @@ def first_grasp(grasps: Grasps) -> Grasps:
         return grasps
     down = -matrix_of(grasps.pose)[:, 2, 2] + 0.25 * grasps.margin
     best = [int(down.argmax())]
-    columns = ("pose", "width", "shift", "slip", "turn", "margin", "is_low")
+    columns = ("pose", "held", "width", "shift", "slip", "turn", "margin", "is_low")
     return replace(grasps, **{name: getattr(grasps, name)[best] for name in columns})
 
 

@@ -20,9 +20,9 @@ from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.grasp_candidates import opening_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
+from cluttergen_jax.downstream.robot.grips import ranked
 from cluttergen_jax.downstream.robot.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.mover import ranked
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed, scene_distances
 from cluttergen_jax.generation.make import make_sampler
@@ -192,8 +192,11 @@ def reach_of(
     for target in moved:
         world = PlanningWorld(names, objects, poses, target, support, base_pose(support))
         T_world_object = matrix_of(poses[target])
-        for T_object_tool, width in ranked(grasps[target], T_world_object):
-            T_world_tool, opening = T_world_object @ T_object_tool, float(opening_of(np.array(width)))
+        for grip in ranked(grasps[target], T_world_object):
+            T_world_tool, opening = (
+                T_world_object @ grip.T_object_tool,
+                float(opening_of(np.array(grip.width))),
+            )
             if not world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
             found = kinematics.solutions(T_world_tool, 1, rng)

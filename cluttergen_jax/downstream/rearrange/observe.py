@@ -15,7 +15,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from cluttergen_jax.downstream.robot.execute import Execution
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, matrix_of, pose_of
+from cluttergen_jax.downstream.robot.frames import angle_between, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.outcome import Failed
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.config import CameraView
@@ -186,14 +186,13 @@ class ObjectTracker:
 
     Attributes:
       num_looks: how often all objects were looked for.
-      held: the number of the object that is in the hand if the hand is closed.
     """
 
     def __init__(self, observer: Observer, view: EpisodeView, relook: bool = True) -> None:
         self._observer, self._view, self._relook = observer, view, relook
-        self.num_looks, self.held, self._looked_at = 0, -1, -1.0
+        self.num_looks, self._looked_at = 0, -1.0
+        self._held, self._T_tool_object = -1, np.eye(4)
         self._carried: set[int] = set()
-        self._tool, self._was_closed = view.tool, view.is_closed
         self._poses = np.full((len(view.names), 7), np.nan)
 
     @property
@@ -227,6 +226,10 @@ class ObjectTracker:
             raise Failed(Cause.NOT_SEEN, self._view.names[int(unseen.argmax())])
         return self.poses
 
+    def take(self, number: int, T_tool_object: np.ndarray) -> None:
+        """From the next closing of the hand on it holds an object, which then lies in it at f64[4, 4]."""
+        self._held, self._T_tool_object = number, T_tool_object
+
     def glance(self) -> None:
         """Has the observer look from here, for the next time that all objects are looked for."""
         if self._relook or not self.num_looks:
@@ -252,9 +255,6 @@ class ObjectTracker:
         return self._observer(self._view, names, known)
 
     def _follow(self) -> None:
-        tool, is_closed = self._view.tool, self._view.is_closed
-        if is_closed and self._was_closed and self.held >= 0:
-            moved = tool @ inverse(self._tool) @ matrix_of(self._poses[self.held])
-            self._poses[self.held] = pose_of(moved)
-            self._carried.add(self.held)
-        self._tool, self._was_closed = tool, is_closed
+        if self._view.is_closed and self._held >= 0:
+            self._poses[self._held] = pose_of(self._view.tool @ self._T_tool_object)
+            self._carried.add(self._held)

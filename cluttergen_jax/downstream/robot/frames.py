@@ -39,6 +39,13 @@ def shifted(matrix: np.ndarray, along: np.ndarray | tuple[float, float, float]) 
     return moved
 
 
+def raised(matrix: np.ndarray, height: float) -> np.ndarray:
+    """A pose moved along the world's z by metres."""
+    moved = matrix.copy()
+    moved[..., 2, 3] += height
+    return moved
+
+
 def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """f64[...]: radians between the turns of poses f64[..., 4, 4]."""
     trace = np.einsum("...ij,...ij->...", a[..., :3, :3], b[..., :3, :3])

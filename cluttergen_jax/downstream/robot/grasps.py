@@ -27,11 +27,12 @@ from cluttergen_jax.progress import Progress
 
 MIN_GRASPS = 8
 """As many an object needs; one with fewer is named."""
-_VERSION = 1
+_VERSION = 2
 _NUM_LINES = 6000
 _CANDIDATES, _LEAST_CANDIDATES = 4, 128
 """Candidates that are tested at most, for each grasp that is wanted; and at least, where few are wanted."""
 _AT_ONCE = 16
+_POSES = {"pose": "T_object_tool, metres, wxyz", "held": "T_tool_object once lifted, metres, wxyz"}
 _COLUMNS = {"width": "metres", "shift": "metres", "slip": "metres", "turn": "radians", "margin": "weights"}
 
 
@@ -48,6 +49,7 @@ class Grasps:
       margin: f64[G], times its weight that it held, at most `grip_test.MAX_LOAD`.
       is_low: bool[G], the hand can come there while the object rests on a plane.
       num_tested: candidates that were tested.
+      held: f64[G, 7], T_tool_object after the fingers have closed and the object was lifted.
     """
 
     name: str
@@ -60,6 +62,7 @@ class Grasps:
     margin: np.ndarray
     is_low: np.ndarray
     num_tested: int
+    held: np.ndarray
 
     def __len__(self) -> int:
         return len(self.width)
@@ -96,10 +99,11 @@ def make_grasps(asset: ObjectAsset, number: int, seed: int, pool: Rollout) -> Gr
         margin=result.margin[chosen],
         is_low=candidates.is_low[chosen],
         num_tested=num_tested,
+        held=result.held[chosen],
     )
 
 
-_NO_TEST = GripTest(np.zeros(0, bool), *(np.zeros(0) for _ in range(4)))
+_NO_TEST = GripTest(np.zeros(0, bool), *(np.zeros(0) for _ in range(4)), held=np.zeros((0, 7)))
 
 
 def grasp_file(asset: ObjectAsset, number: int, seed: int) -> Path:
@@ -128,7 +132,7 @@ def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
     rows = {
         "object": [each.name for each in sets for _ in each.width],
         "hash": [each.hash for each in sets for _ in each.width],
-        "pose": [row for each in sets for row in each.pose.tolist()],
+        **{name: [row for each in sets for row in getattr(each, name).tolist()] for name in _POSES},
         **{name: np.concatenate([getattr(each, name) for each in sets]) for name in _COLUMNS},
         "is_low": np.concatenate([each.is_low for each in sets]),
     }
@@ -136,7 +140,10 @@ def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
         [
             ("object", pa.string()),
             ("hash", pa.string()),
-            pa.field("pose", pa.list_(pa.float64(), 7), metadata={"what": "T_object_tool, metres, wxyz"}),
+            *(
+                pa.field(name, pa.list_(pa.float64(), 7), metadata={"what": what})
+                for name, what in _POSES.items()
+            ),
             *(pa.field(name, pa.float64(), metadata={"unit": unit}) for name, unit in _COLUMNS.items()),
             ("is_low", pa.bool_()),
         ],
@@ -166,8 +173,8 @@ def read_grasps(path: Path, asset: ObjectAsset) -> Grasps | None:
             return None
         tested = dict(each.split("=") for each in metadata["tested"].split())
         rows = table.filter(pa.compute.equal(table["hash"], object_hash(asset)))
-        pose = np.array(rows["pose"].to_pylist(), np.float64).reshape(-1, 7)
         columns = {name: rows[name].to_numpy() for name in (*_COLUMNS, "is_low")}
-        return Grasps(asset.name, object_hash(asset), pose, num_tested=int(tested[asset.name]), **columns)
+        poses = {name: np.array(rows[name].to_pylist(), np.float64).reshape(-1, 7) for name in _POSES}
+        return Grasps(asset.name, object_hash(asset), num_tested=int(tested[asset.name]), **poses, **columns)
     except (pa.ArrowException, KeyError, ValueError) as error:
         raise PoolError(f"{path}: damaged ({error})", "a file of `robot grasps`", "removing it") from error

@@ -43,6 +43,7 @@ class GripTest(NamedTuple):
       slip: f64[C], metres that its point between the fingers moved in the hand afterwards, at most.
       turn: f64[C], radians that it turned in the hand.
       margin: f64[C], times its weight that it held, of `MAX_LOAD`; 0 if it is not held.
+      held: f64[C, 7], T_tool_object, how it lay in the hand after it was lifted.
     """
 
     is_held: np.ndarray
@@ -50,6 +51,7 @@ class GripTest(NamedTuple):
     slip: np.ndarray
     turn: np.ndarray
     margin: np.ndarray
+    held: np.ndarray
 
 
 class _Course(NamedTuple):
@@ -58,13 +60,14 @@ class _Course(NamedTuple):
     Attributes:
       closed: f64[T], 0 open, 1 closed. weight: f64[T], how strongly the object is pulled down, in weights.
       shake: f64[T, 3], m/s^2 of the hand in world axes. angle: f64[T], by which it is turned, radians.
-      loading: the first step of the last part.
+      lifted: the first step after it was lifted; loading: of the last part.
     """
 
     closed: np.ndarray
     weight: np.ndarray
     shake: np.ndarray
     angle: np.ndarray
+    lifted: int
     loading: int
 
 
@@ -125,7 +128,7 @@ def _course(step: float) -> _Course:
     motion[ends[2] : ends[3]] = SHAKE * (np.eye(3)[each // 2]) * np.where(each % 2, -1, 1)[:, None]
     angle = np.zeros(total)
     angle[ends[3] : ends[4]] = np.pi / 2 * np.minimum(np.linspace(0, 2, turn), np.linspace(2, 0, turn))
-    return _Course(np.clip(at / (0.9 * close), 0, 1), weight, motion, angle, int(ends[4]))
+    return _Course(np.clip(at / (0.9 * close), 0, 1), weight, motion, angle, int(ends[2]), int(ends[4]))
 
 
 def _pull(T_hand_object: np.ndarray, course: _Course, gravity: float) -> np.ndarray:
@@ -158,4 +161,5 @@ def _judged(motion: np.ndarray, start: np.ndarray, course: _Course) -> GripTest:
     is_held = is_sound & ~is_lost[:, :before].any(1) & (shift <= MAX_SHIFT) & (pushed <= MAX_SHIFT_TURN)
     lost_at = np.where(is_lost.any(1), is_lost.argmax(1), is_lost.shape[1] - 1) + closed
     margin = np.where(is_held, course.weight[lost_at], 0.0)
-    return GripTest(is_held, shift, slip[:, :before].max(1), turn[:, :before].max(1), margin)
+    held = pose_of(inverse(T_HAND_TOOL) @ poses[:, course.lifted])
+    return GripTest(is_held, shift, slip[:, :before].max(1), turn[:, :before].max(1), margin, held)

@@ -129,3 +129,14 @@ class ArmKinematics:
                 return None
             path.append(joints)
         return np.stack(path)
+
+    def split(
+        self, path: np.ndarray, distance: float, from_end: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """A straight path in two, of which the first is `distance` metres long, or the last."""
+        places = np.array([self.tool(joints)[:3, 3] for joints in path])
+        end = places[-1] if from_end else places[0]
+        far = np.linalg.norm(places - end, axis=1) > distance
+        cut = int(np.flatnonzero(far)[-1 if from_end else 0]) if far.any() else len(path) // 2
+        cut = min(max(cut, 1), len(path) - 2)
+        return path[: cut + 1], path[cut:]

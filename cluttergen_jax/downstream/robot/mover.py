@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from itertools import product
 
 import numpy as np
 
 from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.execute import Execution, Phase
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, matrix_of, pose_of
+from cluttergen_jax.downstream.robot.frames import angle_between, inverse, matrix_of, pose_of, raised
 from cluttergen_jax.downstream.robot.grasp_candidates import opening_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
+from cluttergen_jax.downstream.robot.grips import Grip, ranked
 from cluttergen_jax.downstream.robot.ik import LINE_STEP, ArmKinematics
 from cluttergen_jax.downstream.robot.model import MAX_OPENING
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
@@ -36,12 +37,9 @@ CARRY_SHARE = 0.25
 """Of Franka's limits, while something is held."""
 _LEVEL = 0.05
 """Of the line between the fingers, its z component up to which they open wider."""
-_LEVER = 10.0
-"""What a metre from the line between the fingers to the object's middle takes from a grasp's worth."""
 GENTLE_SHARE = 0.12
 """The same where it is not seen how what is held swings between the fingers."""
 _UP = np.array([0.0, 0.0, 1.0])
-_FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 _ARMS = 3
 """Solutions of the inverse kinematics that are tried for a pose."""
 _PLACES = 4
@@ -109,14 +107,17 @@ class Mover:
         T_world_object = matrix_of(stood)
         has_free = has_joints = False
         rooms = (True, False) if self._feels else (False,)
-        for needs_room, (T_object_tool, width) in product(rooms, ranked(grasps, T_world_object)):
+        for needs_room, grip in product(rooms, ranked(grasps, T_world_object)):
             self.world.needs_room = needs_room
-            T_world_tool, opening = T_world_object @ T_object_tool, float(opening_of(np.array(width)))
+            T_world_tool, opening = (
+                T_world_object @ grip.T_object_tool,
+                float(opening_of(np.array(grip.width))),
+            )
             if not self.world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
             fitting: list[int] = []
             if places is not None:
-                fitting = self._hand_fits(T_object_tool, places, opening, stood)
+                fitting = self._hand_fits(grip.T_tool_object, places, opening, stood)
                 if not fitting:
                     continue
             has_free = True
@@ -124,9 +125,9 @@ class Mover:
                 has_joints = True
                 if not self.world.is_free(joints, opening, Mode.COME):
                     continue
-                if places is not None and not self._fits(T_object_tool, places, fitting, opening, stood):
+                if places is not None and not self._fits(grip.T_tool_object, places, fitting, opening, stood):
                     break
-                plan = self._pick_plan(joints, T_object_tool, width, stood, opening, places is not None)
+                plan = self._pick_plan(joints, grip, stood, opening, places is not None)
                 if plan is not None:
                     return plan
         if not has_free:
@@ -141,7 +142,7 @@ class Mover:
         Raises:
           Failed: an unplanned contact, or the object was lost.
         """
-        run, opening = self.execution, float(opening_of(np.array(plan.width)))
+        run, opening = self.execution, float(opening_of(np.array(plan.grip.width)))
         self._opening = opening
         run.move_fingers(opening, Phase.FREE, 0.2)
         run.follow(timed(plan.path, run.step_time), Phase.FREE)
@@ -149,24 +150,24 @@ class Mover:
         run.wait(0.1, Phase.FREE)
         run.close()
         self._grasped = before = self._in_hand()
-        first, rest = _split(plan.lift, self.kinematics, TOUCH)
+        first, rest = self.kinematics.split(plan.lift, TOUCH)
         run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.TOUCH)
         self._carry(rest, before)
 
     def _hand_fits(
         self,
-        T_object_tool: np.ndarray,
+        T_tool_object: np.ndarray,
         places: np.ndarray,
         opening: float,
         stood: np.ndarray,
     ) -> list[int]:
         """The first few of the places where the hand alone could put the object down."""
-        T_tool_object, found = inverse(T_object_tool), []
+        found = []
         self.world.hold(T_tool_object)
         for number, place in enumerate(places):
             target = _tool_at(place, T_tool_object)
             is_free = self.world.is_hand_free(target, opening, Mode.CARRY) and (
-                not self._is_apart or self.world.is_hand_free(_raised(target, TOUCH), opening, Mode.APART)
+                not self._is_apart or self.world.is_hand_free(raised(target, TOUCH), opening, Mode.APART)
             )
             if is_free:
                 found.append(number)
@@ -177,14 +178,13 @@ class Mover:
 
     def _fits(
         self,
-        T_object_tool: np.ndarray,
+        T_tool_object: np.ndarray,
         places: np.ndarray,
         numbers: Sequence[int],
         opening: float,
         stood: np.ndarray,
     ) -> bool:
         """Whether the arm can put the object down at one of some places, and leave it there; keeps how."""
-        T_tool_object = inverse(T_object_tool)
         try:
             for number in numbers:
                 target = _tool_at(places[number], T_tool_object)
@@ -199,16 +199,15 @@ class Mover:
     def _pick_plan(
         self,
         joints: np.ndarray,
-        T_object_tool: np.ndarray,
-        width: float,
+        grip: Grip,
         stood: np.ndarray,
         opening: float,
         needs_room: bool,
     ) -> PickPlan | None:
-        back = self._back(joints, matrix_of(stood) @ T_object_tool, opening)
+        back = self._back(joints, matrix_of(stood) @ grip.T_object_tool, opening)
         if back is None:
             return None
-        self.world.hold(inverse(T_object_tool))
+        self.world.hold(inverse(grip.T_object_tool))
         lifts = (self._lifting(joints, opening, height) for height in (LIFT, 2 * LIFT))
         # What lies around something tall must be lifted off it before it can go anywhere.
         lift = next(
@@ -220,7 +219,7 @@ class Mover:
         if lift is None:
             return None
         path = self.planner.connect(self.execution.set_point, back[-1], opening, self._next_seed())
-        return None if path is None else PickPlan(T_object_tool, width, path, back[::-1], lift)
+        return None if path is None else PickPlan(grip, path, back[::-1], lift)
 
     # Putting down
 
@@ -282,7 +281,7 @@ class Mover:
         before = self._T_tool_object
         self._carry(plan.path, before)
         lower = self._corrected(plan.lower, place)
-        upper, last = _split(lower, self.kinematics, FELT if self._feels else TOUCH, from_end=True)
+        upper, last = self.kinematics.split(lower, FELT if self._feels else TOUCH, from_end=True)
         if not self._feels:
             self._carry(upper, self._T_tool_object, rest=0.0)
         elif run.follow(timed(upper, run.step_time, GENTLE_SHARE), Phase.TOUCH, until_touch=True):
@@ -294,7 +293,7 @@ class Mover:
             self._opening = self._widest(plan.leave, place)
         run.move_fingers(self._opening, Phase.TOUCH)
         leave = self.kinematics.line(run.set_point, self._leaving(plan.leave))
-        first, rest = _split(plan.leave if leave is None else leave, self.kinematics, TOUCH)
+        first, rest = self.kinematics.split(plan.leave if leave is None else leave, TOUCH)
         run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.GRASP)
         # What hung askew rocks: the fingers may brush it until they are clear of it.
         run.follow(timed(rest, run.step_time), Phase.GRASP if self._feels else Phase.FREE)
@@ -312,7 +311,7 @@ class Mover:
 
     def _corrected(self, lower: np.ndarray, place: np.ndarray) -> np.ndarray:
         """The path down, with the object as it really lies in the hand."""
-        start = self.kinematics.solve(_raised(_tool_at(place, self._T_tool_object), LIFT), lower[0])
+        start = self.kinematics.solve(raised(_tool_at(place, self._T_tool_object), LIFT), lower[0])
         path = None if start is None else self.kinematics.line(start, -LIFT * _UP)
         return lower if path is None else np.concatenate([self.execution.set_point[None], path])
 
@@ -395,50 +394,6 @@ class Mover:
         return self._seed
 
 
-def ranked(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
-    """T_object_tool f64[4, 4] and width of grasps, each also turned about its approach.
-
-    Those that come from above and hold well are first.
-    """
-    pose = matrix_of(grasps.pose)
-    turned = T_world_object[:3, :3] @ pose[:, :3]
-    down = -turned[:, 2, 2]
-    # A centimetre of slip or of shift counts as much as half a turn from straight down.
-    worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip) - _LEVER * _levers(turned)
-    for index in np.argsort(-worth, kind="stable"):
-        for turn in (np.eye(4), _FLIP):
-            yield pose[index] @ turn, float(grasps.width[index])
-
-
-def _levers(pose: np.ndarray) -> np.ndarray:
-    """f64[G]: metres in plan from the line between the fingers to the object's middle, about which it swings.
-
-    Args:
-      pose: f64[G, 3, 4], T_object_tool, turned into world axes.
-    """
-    axis, at = pose[:, :2, 1], pose[:, :2, 3]
-    return np.abs(axis[:, 0] * at[:, 1] - axis[:, 1] * at[:, 0])
-
-
 def _tool_at(place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray:
     """f64[4, 4]: T_world_tool that holds an object just above a place."""
-    return _raised(place, RELEASE) @ inverse(T_tool_object)
-
-
-def _raised(matrix: np.ndarray, height: float) -> np.ndarray:
-    """A pose moved along the world's z."""
-    moved = matrix.copy()
-    moved[2, 3] += height
-    return moved
-
-
-def _split(
-    path: np.ndarray, kinematics: ArmKinematics, distance: float, from_end: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
-    """A straight path in two, of which the first is `distance` metres long, or the last."""
-    places = np.array([kinematics.tool(joints)[:3, 3] for joints in path])
-    end = places[-1] if from_end else places[0]
-    far = np.linalg.norm(places - end, axis=1) > distance
-    cut = int(np.flatnonzero(far)[-1 if from_end else 0]) if far.any() else len(path) // 2
-    cut = min(max(cut, 1), len(path) - 2)
-    return path[: cut + 1], path[cut:]
+    return raised(place, RELEASE) @ inverse(T_tool_object)

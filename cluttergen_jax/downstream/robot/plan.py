@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
+from cluttergen_jax.downstream.robot.grips import Grip
 from cluttergen_jax.downstream.robot.ik import ArmKinematics, need
 
 MOST_CHECKS = 15_000
@@ -21,12 +22,11 @@ class PickPlan(NamedTuple):
     """How an object is picked up.
 
     Attributes:
-      T_object_tool: f64[4, 4]. width: metres between the fingers.
+      grip: how the hand holds it.
       path: f64[L, 7], joints, to before the object; come: f64[L, 7], from there to it; lift: f64[L, 7].
     """
 
-    T_object_tool: np.ndarray
-    width: float
+    grip: Grip
     path: np.ndarray
     come: np.ndarray
     lift: np.ndarray

@@ -1,0 +1,53 @@
+"""Ways for a hand to take an object where it stands, the best first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.robot.grasps import Grasps
+
+_LEVER = 10.0
+"""What a metre from the line between the fingers to the object's middle takes from a grasp's worth."""
+_FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+
+class Grip(NamedTuple):
+    """How a hand takes an object.
+
+    Attributes:
+      T_object_tool: f64[4, 4], before the fingers close; T_tool_object: f64[4, 4], once it is lifted.
+      width: metres between the fingers.
+    """
+
+    T_object_tool: np.ndarray
+    T_tool_object: np.ndarray
+    width: float
+
+
+def ranked(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[Grip]:
+    """Grasps, each also turned about its approach.
+
+    Those that come from above and hold well are first.
+    """
+    pose, held = matrix_of(grasps.pose), matrix_of(grasps.held)
+    turned = T_world_object[:3, :3] @ pose[:, :3]
+    down = -turned[:, 2, 2]
+    # A centimetre of slip or of shift counts as much as half a turn from straight down.
+    worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip) - _LEVER * _levers(turned)
+    for index in np.argsort(-worth, kind="stable"):
+        for turn in (np.eye(4), _FLIP):
+            yield Grip(pose[index] @ turn, turn @ held[index], float(grasps.width[index]))
+
+
+def _levers(pose: np.ndarray) -> np.ndarray:
+    """f64[G]: metres in plan from the line between the fingers to the object's middle, about which it swings.
+
+    Args:
+      pose: f64[G, 3, 4], T_object_tool, turned into world axes.
+    """
+    axis, at = pose[:, :2, 1], pose[:, :2, 3]
+    return np.abs(axis[:, 0] * at[:, 1] - axis[:, 1] * at[:, 0])
