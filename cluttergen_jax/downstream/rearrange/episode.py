@@ -227,7 +227,7 @@ class Rearranger:
         world = PlanningWorld(scene.names, scene.objects, self._sight.poses, k, scene.support, self._base)
         seed = int(self._rng.integers(2**30))
         feels = not self._sight.sees_held
-        mover = Mover(self._execution, world, self._kinematics, k, seed, self._sight, is_apart, feels)
+        mover = Mover(self._execution, world, self._kinematics, k, seed, self._sight, is_apart, True, feels)
         try:
             plan = mover.find_pick(self._grasps(k), places)
         except Failed as failure:

@@ -58,13 +58,14 @@ class Mode(IntEnum):
     TRAVEL: nothing comes within the clearance of anything.
     COME: the open hand is about the target, near to it and to all else.
     CARRY: as TRAVEL, but what is held may touch what it stood on or will stand on.
-    APART: as CARRY, but what is held keeps a few millimetres from all else.
+    CLEAR: as CARRY, but what is held touches nothing. APART: it keeps a few millimetres from all else.
     """
 
     TRAVEL = 0
     COME = 1
     CARRY = 2
-    APART = 3
+    CLEAR = 3
+    APART = 4
 
 
 def _thresholds() -> np.ndarray:
@@ -75,18 +76,18 @@ def _thresholds() -> np.ndarray:
         for b in moving:
             # The arm is near to itself wherever it is.
             limit[:, a, b] = 0.0
-    for mode in (Mode.COME, Mode.CARRY, Mode.APART):
+    for mode in set(Mode) - {Mode.TRAVEL}:
         for other in (Kind.GROUND, Kind.OTHER):
             limit[mode, Kind.HAND, other] = limit[mode, other, Kind.HAND] = NEAR
-    for mode in (Mode.COME, Mode.CARRY, Mode.APART):
         limit[mode, Kind.HAND, Kind.GROUND] = limit[mode, Kind.GROUND, Kind.HAND] = 0.0
         limit[mode, Kind.HAND, Kind.TARGET] = limit[mode, Kind.TARGET, Kind.HAND] = NEAR
     for other in (Kind.GROUND, Kind.OTHER):
-        limit[Mode.CARRY, Kind.HELD, other] = limit[Mode.CARRY, other, Kind.HELD] = _TOUCH
-        limit[Mode.APART, Kind.HELD, other] = limit[Mode.APART, other, Kind.HELD] = APART
+        for mode, least in ((Mode.CARRY, _TOUCH), (Mode.CLEAR, NEAR), (Mode.APART, APART)):
+            limit[mode, Kind.HELD, other] = limit[mode, other, Kind.HELD] = least
     # Of columns the whole clearance is kept, but for what is lowered where a placer wants it.
     for other, least in ((Kind.SEEN, _BLUR), (Kind.HIDDEN, -np.inf)):
-        limit[Mode.CARRY, Kind.HELD, other] = limit[Mode.CARRY, other, Kind.HELD] = least
+        for mode in (Mode.CARRY, Mode.CLEAR):
+            limit[mode, Kind.HELD, other] = limit[mode, other, Kind.HELD] = least
     return limit
 
 

@@ -54,8 +54,8 @@ class Mover:
     Args:
       execution: the simulation; world: its copy for planning; target: the object's number.
       seed: of what is drawn; equal seeds do the same.
-      feels: poses may be off by some millimetres, and how the object lies in the hand is not seen. Grasps and
-        places with room for that come first; what is held is carried gently, lowered until it touches
+      prefers_room: grasps and places with room for a few millimetres more come first.
+      feels: how the object lies in the hand is not seen: it is carried gently, lowered until it touches
         something, and let go with the fingers wide open.
       is_apart: what is held keeps `collision.APART` from all else once it is a centimetre above its place; it
         moves a little as the fingers close.
@@ -72,13 +72,15 @@ class Mover:
         seed: int,
         see: See | None = None,
         is_apart: bool = False,
+        prefers_room: bool = False,
         feels: bool = False,
     ) -> None:
         self.execution, self.world, self.kinematics, self.target = execution, world, kinematics, target
         self._see: See = see or (lambda only: execution.poses())
         self.planner = Planner(world, kinematics)
         self._rng, self._seed = np.random.default_rng(seed), seed
-        self._opening, self._is_apart, self._feels = 0.0, is_apart, feels
+        self._is_apart, self._prefers_room, self._feels = is_apart, prefers_room, feels
+        self._opening = 0.0
         self._T_tool_object = self._grasped = np.eye(4)
         self._known: tuple[int, np.ndarray] | None = None
 
@@ -106,7 +108,7 @@ class Mover:
         stood = self._survey()
         T_world_object = matrix_of(stood)
         has_free = has_joints = False
-        rooms = (True, False) if self._feels else (False,)
+        rooms = (True, False) if self._prefers_room else (False,)
         for needs_room, grip in product(rooms, ranked(grasps, T_world_object)):
             self.world.needs_room = needs_room
             T_world_tool, opening = (
@@ -292,7 +294,8 @@ class Mover:
         if self._feels:
             self._opening = self._widest(plan.leave, place)
         run.move_fingers(self._opening, Phase.TOUCH)
-        leave = self.kinematics.line(run.set_point, self._leaving(plan.leave))
+        away = self.kinematics.tool(plan.leave[-1])[:3, 3] - self.kinematics.tool(plan.leave[0])[:3, 3]
+        leave = self.kinematics.line(run.set_point, away)
         first, rest = self.kinematics.split(plan.leave if leave is None else leave, TOUCH)
         run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.GRASP)
         # What hung askew rocks: the fingers may brush it until they are clear of it.
@@ -314,9 +317,6 @@ class Mover:
         start = self.kinematics.solve(raised(_tool_at(place, self._T_tool_object), LIFT), lower[0])
         path = None if start is None else self.kinematics.line(start, -LIFT * _UP)
         return lower if path is None else np.concatenate([self.execution.set_point[None], path])
-
-    def _leaving(self, leave: np.ndarray) -> np.ndarray:
-        return self.kinematics.tool(leave[-1])[:3, 3] - self.kinematics.tool(leave[0])[:3, 3]
 
     def has_lost(self, distance: float) -> bool:
         """Whether the object is more than so many metres from where it was in the hand as it closed."""
@@ -344,10 +344,10 @@ class Mover:
     def _lifting(self, joints: np.ndarray, opening: float, height: float = LIFT) -> np.ndarray | None:
         """Joints f64[L, 7] straight up with what is held."""
         path = self.planner.line(joints, height * _UP, opening, Mode.CARRY)
-        if path is None or not self._is_apart:
-            return path
-        above = path[round(TOUCH / LINE_STEP) :: 3]
-        return path if all(self.world.is_free(each, opening, Mode.APART) for each in above) else None
+        if path is None:
+            return None
+        above, mode = path[round(TOUCH / LINE_STEP) :: 3], Mode.APART if self._is_apart else Mode.CLEAR
+        return path if all(self.world.is_free(each, opening, mode) for each in above) else None
 
     def _back(self, joints: np.ndarray, T_world_tool: np.ndarray, opening: float) -> np.ndarray | None:
         """Joints along a straight line out of a grasp."""

@@ -108,7 +108,9 @@ class SeeingArm:
         self._look(self._placer.overhead)
         kinematics = ArmKinematics(self._base)
         world, see = self._world(), self._object
-        mover = Mover(self._execution, world, kinematics, 0, self._seed, see=see, feels=True)
+        mover = Mover(
+            self._execution, world, kinematics, 0, self._seed, see=see, prefers_room=True, feels=True
+        )
         mover.pick(self._find_pick(mover, grasps))
         return mover
 
