@@ -2,11 +2,13 @@
 
 import dataclasses
 import itertools
+from typing import Any
 
 import jax
 import jax.monitoring
 import numpy as np
 import pytest
+from flax import struct
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.generation import make_sampler
@@ -168,3 +170,39 @@ def test_native_scenes_are_the_same_to_the_bit_in_any_place(method):
     ours = rollout.run_all(steps, key, 48, 16)
     jax.tree.map(np.testing.assert_array_equal, ours, theirs)
     assert np.ptp(ours.counts.attempts.sum(1)) > 0
+
+
+class Counting(struct.PyTreeNode):
+    """Proposes as another does, and counts for how many episodes it was asked."""
+
+    propose: Any
+    in_parts: bool = struct.field(pytree_node=False, default=True)
+
+    def __call__(self, key, episode):
+        jax.debug.callback(ASKED.append, episode.slot)
+        return self.propose(key, episode)
+
+
+ASKED: list[Any] = []
+
+
+def test_nothing_is_sought_for_a_part_whose_episodes_are_over():
+    """Scenes are the same to the bit, however many were asked for and whether they are sought in parts."""
+    plain = make_sampler(pool="dining", num_objects=2, method="drop").steps
+    key, place = jax.random.key(0), np.arange(3 * run_module.PART)
+    scenes = {}
+    for in_parts, wanted in itertools.product((True, False), (1, len(place))):
+        ASKED.clear()
+        sampler = plain.replace(propose=Counting(plain.propose, in_parts))
+        steps = []
+        scenes[in_parts, wanted] = Rollout().run(
+            sampler, key, place, place < wanted, lambda number, _, steps=steps: steps.append(number)
+        )
+        jax.effects_barrier()
+        parts = 1 if in_parts and wanted == 1 else 3
+        assert len(ASKED) <= len(steps) * parts * run_module.PART
+        assert in_parts or len(ASKED) == len(steps) * len(place)
+    first, *others = (jax.tree.map(lambda leaf: leaf[:1], each) for each in scenes.values())
+    assert first.is_success.all()
+    for each in others:
+        jax.tree.map(np.testing.assert_array_equal, each, first)

@@ -103,7 +103,7 @@ def make_grasps(asset: ObjectAsset, number: int, seed: int, pool: Rollout) -> Gr
     )
 
 
-_NO_TEST = GripTest(np.zeros(0, bool), *(np.zeros(0) for _ in range(4)), held=np.zeros((0, 7)))
+_NO_TEST = GripTest(np.zeros(0, bool), *(np.zeros(0),) * 4, np.zeros((0, 7)))
 
 
 def grasp_file(asset: ObjectAsset, number: int, seed: int) -> Path:

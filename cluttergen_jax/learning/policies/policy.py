@@ -37,6 +37,9 @@ class TrainedPolicy(struct.PyTreeNode, eq=False):
     is_sampled: bool = struct.field(pytree_node=False)
     num_attempts: int = struct.field(pytree_node=False)
 
+    in_parts = False
+    """Large layers are fastest over many episodes, and give other bits over fewer."""
+
     def __call__(self, key: Array, episode: Episode) -> Array:
         """See `placement.rules.Proposer`."""
         seen = jax.tree.map(lambda leaf: leaf[None], self.observe(episode))

@@ -21,7 +21,8 @@ class BlockSampler(struct.PyTreeNode, eq=False):
 
     Attributes:
       rules: the decision process.
-      propose: who chooses the poses; a pytree, where `Rollout` runs it.
+      propose: who chooses the poses; a pytree, where `Rollout` runs it. One whose attribute `in_parts` is
+        false is asked for all episodes together.
       keep_out, start: how every episode begins; None for nothing.
     """
 
@@ -29,6 +30,11 @@ class BlockSampler(struct.PyTreeNode, eq=False):
     propose: Proposer
     keep_out: KeepOut | None = None
     start: Start | None = None
+
+    @property
+    def in_parts(self) -> bool:
+        """`Rollout` asks the proposer for some episodes at a time, and for none that are over."""
+        return getattr(self.propose, "in_parts", True)
 
     def begin(self, key: Array, indices: Array, is_wanted: Array) -> Episode:
         """Episodes for scene indices i32[N]; those not wanted (bool[N]) are over before they start."""

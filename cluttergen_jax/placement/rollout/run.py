@@ -20,6 +20,10 @@ MAX_PROGRAMS = 16
 """Compiled steps that are kept: a program takes a few hundred of the 65,530 mappings of memory that Linux
 grants a process."""
 
+PART = 16
+"""Episodes for which poses are sought together: nothing is sought where all of them are over. A divisor of
+the block, so that a scene's neighbours are always the same."""
+
 REFILL = 1 / 8
 """Share of the episodes side by side that have to be over before the next ones take their places."""
 
@@ -51,8 +55,7 @@ class Rollout:
 
         # Functions of this rollout alone: JAX counts and clears programs by the function.
         def propose(sampler: BlockSampler, episodes: Episode) -> tuple[Any, ...]:
-            episodes, action = jax.vmap(sampler.proposed)(episodes)
-            return episodes, action, *jax.vmap(sampler.rules.release)(episodes, action)
+            return _by_parts(lambda part: _proposed(sampler, part), episodes, sampler.in_parts)
 
         def judge(sampler: BlockSampler, *settled: Any) -> tuple[Episode, Transition, Array]:
             after, transition, is_filled = jax.vmap(sampler.rules.judge)(*settled)
@@ -185,6 +188,28 @@ class Rollout:
                 was_over = is_over & ~is_new
         by_scene = np.argsort(np.concatenate(order))
         return jax.tree.map(lambda *leaves: np.concatenate(leaves)[by_scene], *parts)
+
+
+def _proposed(sampler: BlockSampler, episodes: Episode) -> tuple[Any, ...]:
+    episodes, action = jax.vmap(sampler.proposed)(episodes)
+    return episodes, action, *jax.vmap(sampler.rules.release)(episodes, action)
+
+
+def _by_parts(
+    propose: Callable[[Episode], tuple[Any, ...]], episodes: Episode, in_parts: bool
+) -> tuple[Any, ...]:
+    """What is proposed in all episodes, `PART` by `PART`; zeros where all of a part are over."""
+    number = len(episodes.is_over)
+    if not in_parts or number % PART:
+        return propose(episodes)
+
+    def nothing(part: Episode) -> tuple[Any, ...]:
+        _, *proposed = jax.eval_shape(propose, part)
+        return part, *jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), proposed)
+
+    parts = jax.tree.map(lambda leaf: leaf.reshape(number // PART, PART, *leaf.shape[1:]), episodes)
+    found = jax.lax.map(lambda part: jax.lax.cond(jnp.all(part.is_over), nothing, propose, part), parts)
+    return jax.tree.map(lambda leaf: leaf.reshape(number, *leaf.shape[2:]), found)
 
 
 def _chosen(is_new: Array, new: Episode, old: Episode) -> Episode:
