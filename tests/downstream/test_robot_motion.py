@@ -328,6 +328,20 @@ def test_what_touches_something_too_early_has_slipped(grasps, kinematics):
     assert failure.value.outcome == Outcome.SLIP
 
 
+def test_what_finds_no_place_is_put_back(grasps, kinematics):
+    episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
+    world = PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE))
+    mover = Mover(episode_world.execution, world, kinematics, TARGET, 0)
+    plan = mover.find_pick(grasps)
+    mover.pick(plan)
+    assert episode_world.execution.poses()[TARGET, 2] > SCENE.poses[TARGET, 2] + 0.1
+    with pytest.raises(Failed):
+        mover.place(matrix_of(np.array(standing(0.6, 0.0, CUBE)))[None])
+    mover.put_back(plan)
+    assert mover.go_home()
+    assert np.abs(episode_world.execution.poses()[TARGET] - SCENE.poses[TARGET]).max() < 0.003
+
+
 @pytest.mark.parametrize("yaw", [0.0, 0.5])
 def test_the_stand_lies_beside_the_table(yaw):
     support = replace(TABLE, region=Rectangle((0.02, 0.01), (0.2, 0.2), yaw))

@@ -261,12 +261,22 @@ class Rearranger:
             mover.let_go()
             return None
         try:
-            return mover.place(places)
+            return self._put(mover, plan, places)
         except Failed as failure:
             if failure.outcome != Outcome.SLIP:
                 raise
             mover.let_go()
             return None
+
+    def _put(self, mover: Mover, plan: PickPlan, places: np.ndarray) -> int:
+        """Puts down what is held at one of places, the last of which is where it was, and says at which."""
+        try:
+            return mover.place(places)
+        except Failed as failure:
+            if failure.outcome not in (Outcome.NO_PATH, Outcome.NO_IK):
+                raise
+        mover.put_back(plan)
+        return len(places) - 1
 
     def _count(self, k: int, is_wait: bool) -> None:
         """Counts a pick.

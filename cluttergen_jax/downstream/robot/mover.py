@@ -157,11 +157,7 @@ class Mover:
         self._carry(rest, before)
 
     def _hand_fits(
-        self,
-        T_tool_object: np.ndarray,
-        places: np.ndarray,
-        opening: float,
-        stood: np.ndarray,
+        self, T_tool_object: np.ndarray, places: np.ndarray, opening: float, stood: np.ndarray
     ) -> list[int]:
         """The first few of the places where the hand alone could put the object down."""
         found = []
@@ -199,12 +195,7 @@ class Mover:
             self.world.release(stood)
 
     def _pick_plan(
-        self,
-        joints: np.ndarray,
-        grip: Grip,
-        stood: np.ndarray,
-        opening: float,
-        needs_room: bool,
+        self, joints: np.ndarray, grip: Grip, stood: np.ndarray, opening: float, needs_room: bool
     ) -> PickPlan | None:
         back = self._back(joints, matrix_of(stood) @ grip.T_object_tool, opening)
         if back is None:
@@ -242,7 +233,8 @@ class Mover:
                 has_joints = True
                 found = self._place_plan(joints, place)
                 if found is not None:
-                    self._run_place(found, place)
+                    self._carry(found.path, self._T_tool_object)
+                    self._put_down(self._corrected(found.lower, place), found.leave, place)
                     return number
         raise Failed(Outcome.NO_PATH if has_joints else Outcome.NO_IK, "to put it down")
 
@@ -278,11 +270,18 @@ class Mover:
         leave = self._back(joints, _tool_at(place, T_tool_object), opening)
         return None if leave is None else (lift, leave)
 
-    def _run_place(self, plan: PlacePlan, place: np.ndarray) -> None:
+    def put_back(self, plan: PickPlan) -> None:
+        """Puts what has just been picked up back where it stood, the way it came.
+
+        Raises:
+          Failed: an unplanned contact, or the object slipped.
+        """
+        place = self.kinematics.tool(plan.lift[0]) @ self._T_tool_object
+        self._put_down(plan.lift[::-1], plan.come[::-1], place)
+
+    def _put_down(self, lower: np.ndarray, leave: np.ndarray, place: np.ndarray) -> None:
+        """Lowers what is held, opens the hand, and leaves."""
         run = self.execution
-        before = self._T_tool_object
-        self._carry(plan.path, before)
-        lower = self._corrected(plan.lower, place)
         upper, last = self.kinematics.split(lower, FELT if self._feels else TOUCH, from_end=True)
         if not self._feels:
             self._carry(upper, self._T_tool_object, rest=0.0)
@@ -292,11 +291,11 @@ class Mover:
         run.wait(0.2, Phase.TOUCH)
         self._in_hand()
         if self._feels:
-            self._opening = self._widest(plan.leave, place)
+            self._opening = self._widest(leave, place)
         run.move_fingers(self._opening, Phase.TOUCH)
-        away = self.kinematics.tool(plan.leave[-1])[:3, 3] - self.kinematics.tool(plan.leave[0])[:3, 3]
-        leave = self.kinematics.line(run.set_point, away)
-        first, rest = self.kinematics.split(plan.leave if leave is None else leave, TOUCH)
+        away = self.kinematics.tool(leave[-1])[:3, 3] - self.kinematics.tool(leave[0])[:3, 3]
+        line = self.kinematics.line(run.set_point, away)
+        first, rest = self.kinematics.split(leave if line is None else line, TOUCH)
         run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.GRASP)
         # What hung askew rocks: the fingers may brush it until they are clear of it.
         run.follow(timed(rest, run.step_time), Phase.GRASP if self._feels else Phase.FREE)
