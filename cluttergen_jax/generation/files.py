@@ -23,7 +23,7 @@ from cluttergen_jax.scene.xml import scene_xml
 _OVERVIEW = 12
 _PNG_BEGINS, _PNG_ENDS = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 _MANY = 100
-_FINE, _QUICK = 32, 8
+_FINE, _QUICK = 16, 8
 """Pictures averaged into one: soft light for a few scenes, speed for many."""
 
 
