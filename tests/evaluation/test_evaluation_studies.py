@@ -316,6 +316,18 @@ def test_survival_asks_the_engines_that_are_installed(runner, tmp_path):
     assert all("cluttergen_jax[peers]" in note for note in result["notes"])
 
 
+def test_seeds_that_were_trained_in_another_way_have_a_row_of_their_own():
+    (result,) = (each for each in read_results(DOCS / "results") if each["name"] == "table1")
+    one = next(row for row in result["records"] if row["trial"]["method"] == "beta_free" and "figures" in row)
+    alike = one | {"trial": one["trial"] | {"training_seed": 1}}
+    other = one | {"policy": one["policy"] | {"attempts": 1000}}
+    missing = {"trial": one["trial"], "missing": "no checkpoint", "hint": "train it"}
+    (table,) = table1.tables(result | {"records": [one, other, alike, missing]})
+    assert [row[2] for row in table.rows] == ["2", "1"]
+    (table,) = table1.tables(result | {"records": [missing]})
+    assert len(table.rows) == 1
+
+
 def test_rows_that_were_not_made_again_stay_with_where_they_come_from():
     (earlier,) = (each for each in read_results(DOCS / "results") if each["name"] == "table1")
     asked = {trial.method for trial in table1.trials(Scale())}

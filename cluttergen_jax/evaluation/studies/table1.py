@@ -101,9 +101,6 @@ def first_seed(scale: Scale) -> tuple[Trial, ...]:
 
 def tables(result: Result) -> list[Table]:
     """Success and stable steps by pool and method, training seeds taken together."""
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for row in result["records"]:
-        groups.setdefault((row["trial"]["pool"], row["trial"]["method"]), []).append(row)
     columns = (
         *asked("pool", "method"),
         Column("seeds", _seeds, is_asked=True),
@@ -123,7 +120,20 @@ def tables(result: Result) -> list[Table]:
         "seeds: of training; rows with fewer than were asked for are of those that have a checkpoint",
         *differences(result),
     )
-    return [table_of(result["title"], columns, map(_joined, groups.values()), notes)]
+    return [table_of(result["title"], columns, map(_joined, _groups(result["records"])), notes)]
+
+
+def _groups(rows: list[Row]) -> list[list[Row]]:
+    """The rows of each pool and method that were trained alike; missing ones where none was made."""
+    groups: dict[tuple[str, str], dict[str, list[Row]]] = {}
+    for row in rows:
+        trainings = groups.setdefault((row["trial"]["pool"], row["trial"]["method"]), {})
+        trainings.setdefault(differs(row) if "figures" in row else "", []).append(row)
+    alike = []
+    for trainings in groups.values():
+        missing = trainings.pop("", [])
+        alike += list(trainings.values()) or [missing]
+    return alike
 
 
 def _joined(rows: list[Row]) -> Row:
