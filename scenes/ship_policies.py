@@ -18,7 +18,7 @@ from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.metrics_log import draw_curve, read_rows
 
-MAX_BYTES, MAX_BYTES_FOR_ANY_POOL = 1 << 20, 200_000
+MAX_BYTES, MAX_BYTES_FOR_ANY_POOL = 1_000_000, 200_000
 ROOT = Path(__file__).parent / "checkpoints"
 
 

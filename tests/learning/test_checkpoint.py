@@ -53,6 +53,11 @@ def test_equal_arrays_are_stored_once(tmp_path):
     )
 
 
+def test_weights_of_earlier_versions_are_read(folder):
+    change(folder, **{KERNEL: np.full((4, 3), 0.25, np.float16)})
+    assert (read_policy(folder, LIKE)["params"]["actor"]["kernel"] == 0.25).all()
+
+
 @pytest.mark.parametrize(
     ("name", "value", "says"),
     [
