@@ -14,8 +14,10 @@ from cluttergen_jax.downstream.perception.certainty import (
 )
 from cluttergen_jax.downstream.perception.evaluation.judged import judged
 from cluttergen_jax.downstream.perception.finder import SceneFinder
+from cluttergen_jax.downstream.perception.pose import registration
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
 from cluttergen_jax.downstream.perception.pose.estimator import Look
+from cluttergen_jax.downstream.perception.pose.free import FreeRegistration
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator, seen_points
 from cluttergen_jax.downstream.perception.pose.steady import SteadyCheck
@@ -94,6 +96,24 @@ def test_an_object_on_another_is_found_at_its_height(estimator):
     poses[2] = [0.0, 0.0, TABLE.top + 0.08 + OBJECTS[2].half_extents[2], *poses[2, 3:]]
     shift, _ = errors(estimator, 2, estimator(2, [look_at(poses, SIDE)]), poses[2])
     assert shift < 0.006
+
+
+@pytest.mark.parametrize(
+    ("degrees", "height", "stands"), [(2, -0.003, True), (6, 0.0, False), (2, 0.03, False)]
+)
+def test_what_all_but_stands_on_the_table_is_said_to_stand(estimator, monkeypatch, degrees, height, stands):
+    tilt, angle = np.eye(4), np.radians(degrees)
+    tilt[1:3, 1:3] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    leaning = matrix_of(POSES[2]) @ tilt
+    leaning[2, 3] += height
+    monkeypatch.setattr(registration, "_FREE_GAIN", -1.0)
+    monkeypatch.setattr(FreeRegistration, "__call__", lambda *_: leaning)
+    found = matrix_of(estimator(2, [look_at(POSES, SIDE)]).pose)
+    if stands:
+        assert np.allclose(found[2], [0, 0, 1, POSES[2, 2]])
+        assert np.allclose(found[:2, 3], leaning[:2, 3])
+    else:
+        assert np.allclose(found, leaning)
 
 
 def test_what_is_hardly_seen_has_no_pose(estimator):

@@ -11,7 +11,7 @@ import numpy as np
 
 from cluttergen_jax.downstream.perception.symmetry import equal_places, offset
 from cluttergen_jax.downstream.rearrange.judge import MAX_ERROR, Judge
-from cluttergen_jax.downstream.rearrange.layouts import Layouts, clearance_of, reach_of, roomy, unlike
+from cluttergen_jax.downstream.rearrange.layouts import ROOM, Layouts, clearance_of, reach_of, roomy, unlike
 from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, ObjectTracker, Observer
 from cluttergen_jax.downstream.rearrange.order import Meetings, lowest_first, ready, smallest_waiting
 from cluttergen_jax.downstream.rearrange.settings import AREA, RearrangeOptions
@@ -36,6 +36,8 @@ MAX_WAITS = 2
 """Times an object is put down somewhere else on its way."""
 MAX_LAYOUTS = 3
 """Layouts that are tried one after another where there is no way to the one before."""
+_DRAWS = 4
+"""Times that layouts are drawn, until as many have room as may be tried."""
 _PLACES = 12
 _IN_HAND = 0.06
 """Metres that an object may have slipped and still be carried on."""
@@ -100,13 +102,19 @@ class Rearranger:
         self._look()
         task, num_moved, poses = self._task, self._num_moved, self._sight.poses
         moved, stay = task.numbers[:num_moved], task.numbers[num_moved:]
-        drawn = task.draw(task.seed, moved, task.setting.target, stay, poses[num_moved:])
-        if not len(drawn):
-            raise Failed(Cause.NO_LAYOUT)
         objects, region = self._scene.objects, task.setting.target
-        others = np.broadcast_to(poses[num_moved:], (len(drawn), len(stay), 7))
-        full = np.concatenate([drawn, others], axis=1)
-        clearance = np.array([clearance_of(objects, each) for each in full])
+        full, clearance = np.zeros((0, len(poses), 7)), np.zeros(0)
+        for draw in range(_DRAWS):
+            drawn = task.draw(task.seed + draw, moved, region, stay, poses[num_moved:])
+            others = np.broadcast_to(poses[num_moved:], (len(drawn), len(stay), 7))
+            more = np.concatenate([drawn, others], axis=1)
+            gaps = [clearance_of(objects, each, num_moved) for each in more]
+            full, clearance = np.concatenate([full, more]), np.concatenate([clearance, gaps])
+            if (clearance >= ROOM).sum() >= MAX_LAYOUTS:
+                break
+        if not len(full):
+            raise Failed(Cause.NO_LAYOUT)
+        drawn = full[:, :num_moved]
         kept = roomy(clearance, 2 * self._options.num_layouts)
         kept = kept[unlike(objects[:num_moved], drawn[kept], region, self._options.num_layouts)]
         drawn, full = drawn[kept], full[kept]

@@ -108,7 +108,7 @@ class Layouts:
 
     Attributes:
       poses: f64[L, N, 7], T_world_object.
-      clearance: f64[L], metres, the least gap of two objects seen from above, others included.
+      clearance: f64[L], metres, seen from above: the least gap between one that is moved and any other.
       reach: f64[L], share of the objects that the arm can let go of in the finished layout.
       travel: f64[L], metres, the mean way in plan from where objects stand.
     """
@@ -146,15 +146,18 @@ def roomy(clearance: np.ndarray, number: int) -> np.ndarray:
     return np.sort(by_gap[: max(number, int((clearance >= ROOM).sum()))])
 
 
-def clearance_of(objects: Sequence[ObjectAsset], poses: np.ndarray) -> float:
+def clearance_of(objects: Sequence[ObjectAsset], poses: np.ndarray, num_moved: int) -> float:
     """Metres between the two nearest of objects at f64[N, 7], seen from above; 0 where footprints overlap.
 
     Footprints are the hulls of the collision parts' shadows, looked at every 5 mm along their edges.
+
+    Args:
+      num_moved: the first so many objects are moved; how near the others stand to each other does not count.
     """
     outlines = [_outline(asset, pose) for asset, pose in zip(objects, poses, strict=True)]
     least = np.inf
     for i, one in enumerate(outlines):
-        for other in outlines[:i]:
+        for other in outlines[: min(i, num_moved)]:
             if _is_over(one, other) or _is_over(other, one):
                 return 0.0
             least = min(least, float(cdist(one, other).min()))

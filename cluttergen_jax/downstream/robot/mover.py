@@ -42,6 +42,8 @@ GENTLE_SHARE = 0.12
 _UP = np.array([0.0, 0.0, 1.0])
 _ARMS = 3
 """Solutions of the inverse kinematics that are tried for a pose."""
+_HEIGHTS = np.arange(TOUCH, LIFT, TOUCH)
+"""Metres above a place at which the hand alone is looked at, before the arm's joints for it are sought."""
 _PLACES = 4
 """Places that are tried with one grasp."""
 See = Callable[[int | None], np.ndarray]
@@ -79,7 +81,8 @@ class Mover:
         self._see: See = see or (lambda only: execution.poses())
         self.planner = Planner(world, kinematics)
         self._rng, self._seed = np.random.default_rng(seed), seed
-        self._is_apart, self._prefers_room, self._feels = is_apart, prefers_room, feels
+        self._above = Mode.APART if is_apart else Mode.CLEAR
+        self._prefers_room, self._feels = prefers_room, feels
         self._opening = 0.0
         self._T_tool_object = self._grasped = np.eye(4)
         self._known: tuple[int, np.ndarray] | None = None
@@ -159,15 +162,13 @@ class Mover:
     def _hand_fits(
         self, T_tool_object: np.ndarray, places: np.ndarray, opening: float, stood: np.ndarray
     ) -> list[int]:
-        """The first few of the places where the hand alone could put the object down."""
+        """The first few of the places where the hand alone could put the object down, from above."""
+        looks = [(0.0, Mode.CARRY), *((height, self._above) for height in _HEIGHTS), (LIFT, Mode.TRAVEL)]
         found = []
         self.world.hold(T_tool_object)
         for number, place in enumerate(places):
             target = _tool_at(place, T_tool_object)
-            is_free = self.world.is_hand_free(target, opening, Mode.CARRY) and (
-                not self._is_apart or self.world.is_hand_free(raised(target, TOUCH), opening, Mode.APART)
-            )
-            if is_free:
+            if all(self.world.is_hand_free(raised(target, height), opening, mode) for height, mode in looks):
                 found.append(number)
             if len(found) == _PLACES:
                 break
@@ -345,8 +346,8 @@ class Mover:
         path = self.planner.line(joints, height * _UP, opening, Mode.CARRY)
         if path is None:
             return None
-        above, mode = path[round(TOUCH / LINE_STEP) :: 3], Mode.APART if self._is_apart else Mode.CLEAR
-        return path if all(self.world.is_free(each, opening, mode) for each in above) else None
+        above = path[round(TOUCH / LINE_STEP) :: 3]
+        return path if all(self.world.is_free(each, opening, self._above) for each in above) else None
 
     def _back(self, joints: np.ndarray, T_world_tool: np.ndarray, opening: float) -> np.ndarray | None:
         """Joints along a straight line out of a grasp."""

@@ -29,6 +29,8 @@ _OFFSET, _AROUND = 0.5, np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.
 """Where else registration begins, in half diagonals of the object, towards the eye and across."""
 _NEARLY_UPRIGHT, _LOW = np.cos(np.radians(10)), 0.01
 """Cosine of the tilt, and metres over the table, up to which an object counts as standing on it."""
+_ALL_BUT_UPRIGHT, _ALL_BUT_DOWN = np.cos(np.radians(3)), 0.005
+"""The same up to which it is taken to stand there exactly: nothing leans so little, or sinks into a table."""
 _SAME_PLACE, _SAME_TURN = 0.01, np.radians(10)
 _STEPS = ((0.003, 4.0), (0.0015, 2.0))
 """Metres and degrees of the last refinement."""
@@ -76,7 +78,7 @@ class RegistrationEstimator:
         if near is not None and (known := matrix_of(near))[2, 2] > _NEARLY_UPRIGHT:
             found = self._where_it_was(model, points, eyes, compare, known)
             if found[0][0] >= _SURE:
-                return _estimate(found, compare, model.symmetry, num_pixels)
+                return self._estimate(model, found, compare, num_pixels)
         found = self._upright(model, points, eyes, compare)
         if found[0][0] < _SURE:
             found = _best([*found, *self._lying(model, free, points, eyes, compare)])
@@ -85,7 +87,7 @@ class RegistrationEstimator:
             freed = free(points, pose)
             tried.append((_worth(compare, freed), freed))
             tried.append(_climbed(compare, (score, pose)))
-        return _estimate(_best(tried), compare, model.symmetry, num_pixels)
+        return self._estimate(model, _best(tried), compare, num_pixels)
 
     def _where_it_was(
         self,
@@ -151,20 +153,22 @@ class RegistrationEstimator:
                 found.append((_worth(compare, pose), pose))
         return _best(found)[:_BEST]
 
-
-def _estimate(
-    ranked: list[tuple[float, np.ndarray]], compare: Comparer, symmetry: int, num_pixels: int
-) -> PoseEstimate:
-    """The best of poses with their scores, best first."""
-    score, pose = ranked[0]
-    others = [each for each, other in ranked[1:] if _differs(other, pose, symmetry)]
-    return PoseEstimate(
-        pose=pose_of(pose),
-        score=max(score, 0.0),
-        gap=score - max(others, default=0.0),
-        visible=compare.visible(pose),
-        num_pixels=num_pixels,
-    )
+    def _estimate(
+        self, model: ObjectModel, ranked: list[tuple[float, np.ndarray]], compare: Comparer, num_pixels: int
+    ) -> PoseEstimate:
+        """The best of poses with their scores, best first; what all but stands on the table stands there."""
+        score, pose = ranked[0]
+        others = [each for each, other in ranked[1:] if _differs(other, pose, model.symmetry)]
+        visible, height = compare.visible(pose), float(model.asset.half_extents[2])
+        if pose[2, 2] > _ALL_BUT_UPRIGHT and pose[2, 3] - height < self._top + _ALL_BUT_DOWN:
+            pose = made(turn_matrix(_yaw(pose))[:3, :3], np.array([*pose[:2, 3], self._top + height]))
+        return PoseEstimate(
+            pose=pose_of(pose),
+            score=max(score, 0.0),
+            gap=score - max(others, default=0.0),
+            visible=visible,
+            num_pixels=num_pixels,
+        )
 
 
 def seen_points(index: int, looks: Sequence[Look]) -> tuple[np.ndarray, np.ndarray, int]:
