@@ -54,10 +54,10 @@ def rearrange(
 ) -> Rearrangements:
     """Lets a simulated Franka Panda rearrange the objects of scenes (`cluttergen rearrange`).
 
-    Where objects shall go is drawn by the generator: of 128 layouts the most unlike ones with room are kept
-    and one is chosen. The arm then moves one object after another, by way of free places where they are in
-    each other's way, and looks again after each. Where objects are, an observer tells it. The same call
-    continues an interrupted one, and each episode is made again by its seed.
+    Where objects shall go is drawn by the generator: of 128 layouts or more the most unlike ones with room
+    are kept, and one is chosen. The arm then moves one object after another, by way of free places where
+    they are in each other's way, and looks again after each. Where objects are, an observer tells it. The
+    same call continues an interrupted one, and each episode is made again by its seed.
 
     Args:
       out: the folder; rows are kept there, for each setting apart.
