@@ -34,6 +34,8 @@ MAX_RETRIES = 2
 """Times an object is picked up again because it was lost, or is not where it was put."""
 MAX_WAITS = 2
 """Times an object is put down somewhere else on its way."""
+MAX_BACKS = 6
+"""Times in an episode that what was picked up and finds no place is brought back to where it was."""
 MAX_LAYOUTS = 3
 """Layouts that are tried one after another where there is no way to the one before."""
 _DRAWS = 4
@@ -74,7 +76,7 @@ class Rearranger:
         self._num_moved = task.setting.num_objects
         self._rng = np.random.default_rng(task.seed)
         self.picks = self.fewest = self.waits = self.retries = self.layouts = 0
-        self._times = np.zeros((2, len(task.scene.names)), int)
+        self._times, self._backs = np.zeros((2, len(task.scene.names)), int), 0
         self._why = Failed(Cause.NO_ORDER)
         self.goals, self.layout = task.scene.poses, -1
 
@@ -251,7 +253,10 @@ class Rearranger:
         if is_back:
             self._times[int(is_wait), k] -= 1
             self.waits -= is_wait
+            self._backs += 1
             self._why = Failed(Outcome.NO_PATH, f"{scene.names[k]} from above where it was")
+            if self._backs >= MAX_BACKS:
+                raise self._why
         return not is_back
 
     def _carry(self, mover: Mover, plan: PickPlan, places: np.ndarray) -> int | None:
