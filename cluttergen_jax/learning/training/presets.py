@@ -111,7 +111,7 @@ def paper_code() -> Settings:
 
 
 def paper_cpu() -> Settings:
-    """`paper` as two cores can bear it, and without what keeps it from learning.
+    """`paper` as two cores can bear it; what each change does is in benchmarks/README.md.
 
     A PointNet on clouds of 512 points, every 12th row of the history, many environments, attempts that end as
     soon as they cannot succeed any more; no entropy bonus, and a learning rate that falls from 1e-3 to 0.
