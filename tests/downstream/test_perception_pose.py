@@ -189,29 +189,6 @@ def test_what_floats_or_overlaps_is_not_steady():
     assert check(POSES, np.array([True, False, True])).tolist() == [True, False, True]
 
 
-def test_what_overlaps_side_by_side_is_pushed_apart():
-    check, everything = SteadyCheck(OBJECTS[:2], TABLE), np.ones(2, bool)
-    half = [asset.half_extents for asset in OBJECTS[:2]]
-
-    def beside(overlap, height=0.0):
-        poses = standing((0.0, 0.0, 0.0), (half[0][0] + half[1][0] - overlap, 0.0, 0.0))[:2]
-        return poses + np.array([[0.0] * 7, [0, 0, height, 0, 0, 0, 0]])
-
-    apart = beside(-0.001)
-    assert np.array_equal(check.apart(apart, everything), apart)
-    found = check.apart(beside(0.003), everything)
-    shift = found - beside(0.003)
-    assert np.allclose(shift[:, 0], [-0.0015, 0.0015], atol=2e-4)
-    assert np.allclose(np.delete(shift, 0, axis=1), 0, atol=2e-4)
-    # Nobody goes farther than 5 mm, what is not there is in nobody's way, and what lies on something stays.
-    far = check.apart(beside(0.03), everything) - beside(0.03)
-    assert np.allclose(np.linalg.norm(far[:, :2], axis=1), 0.005)
-    assert np.array_equal(check.apart(beside(0.003), np.array([True, False])), beside(0.003))
-    on_top = standing((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))[:2]
-    on_top[1, 2] += 2 * half[0][2] - 0.002
-    assert np.array_equal(check.apart(on_top, everything), on_top)
-
-
 def test_certainty_is_fitted_to_what_was_right(tmp_path):
     rng = np.random.default_rng(0)
     features = np.column_stack([np.ones(4000), *(rng.uniform(0, 1, (5, 4000)))])

@@ -288,8 +288,13 @@ def test_a_heap_counts_if_the_arm_gets_at_what_lies_on_top():
 
 def test_the_row_tells_which_layout_was_taken_and_by_whom():
     near, far = standing([[0.05, -0.08], [0.05, 0.16]]), standing(PLACES)
-    # There are two, however often layouts are drawn.
-    task = task_of(far, draw=lambda seed, *told: np.stack([near, far])[: 2 if seed == 3 else 0])
+    seeds = []
+
+    def draw(seed, *told):
+        seeds.append(seed)
+        return np.stack([near, far])[: 2 if seed == 3 else 0]
+
+    task = task_of(far, draw=draw)
     asked = []
 
     def person(given, poses, layouts):
@@ -299,6 +304,8 @@ def test_the_row_tells_which_layout_was_taken_and_by_whom():
     # Nothing has to be moved to where all stands.
     result = rearrange_episode(task, RearrangeOptions(), TrueObserver(), ask=person)
     assert (result.outcome, result.layout, result.chosen_by, result.picks) == ("success", 1, "person", 0)
+    # Fewer than three have room, so more were asked for, each time of another seed.
+    assert seeds == [3, 4, 5, 6]
     ((given, poses, number),) = asked
     assert (given, number) == (task, 2)
     assert np.allclose(poses, SCENE.poses)

@@ -116,26 +116,25 @@ class SceneFinder:
         known = [None if near is None or np.isnan(near[k]).any() else near[k] for k in range(len(asked))]
         found = {number: self.estimator(number, looks, at) for number, at in zip(numbers, known, strict=True)}
         estimates = {number: each for number, each in found.items() if each is not None}
-        steady, apart = self._asked_of_physics(estimates)
+        steady = self._steadiness(estimates)
         count = len(asked)
         pose, features = np.tile(np.eye(7)[3], (count, 1)), np.zeros((count, 6))
         visible, certainty = np.zeros(count), np.zeros(count)
         for place, number in enumerate(numbers):
             if number in estimates:
-                pose[place] = apart[number]
+                pose[place] = estimates[number].pose
                 features[place] = features_of(estimates[number], bool(steady[number]))
                 visible[place] = estimates[number].visible
                 certainty[place] = self._certainty(features[place])
         seen = certainty >= LEAST_CERTAIN
         return FoundScene(asked, pose, seen, np.where(seen, certainty, 0.0), features, visible)
 
-    def _asked_of_physics(self, estimates: dict[int, PoseEstimate]) -> tuple[np.ndarray, np.ndarray]:
-        """bool[K], what stays where it is said to be, all others standing where they are said to; and poses
-        f64[K, 7], those that overlap pushed apart."""
+    def _steadiness(self, estimates: dict[int, PoseEstimate]) -> np.ndarray:
+        """bool[K]: what stays where it is said to be, all others standing where they are said to."""
         poses, is_placed = np.tile(np.eye(7)[3], (len(self.names), 1)), np.zeros(len(self.names), bool)
         for number, estimate in estimates.items():
             poses[number], is_placed[number] = estimate.pose, True
-        return self._steady(poses, is_placed), self._steady.apart(poses, is_placed)
+        return self._steady(poses, is_placed)
 
 
 def upright_at_its_place(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
