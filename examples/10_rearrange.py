@@ -9,9 +9,7 @@ import os
 import numpy as np
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.rearrange.observe import SceneEstimate, TrueObserver
-from cluttergen_jax.downstream.rearrange.settings import SETTINGS, RearrangeOptions
-from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
+from cluttergen_jax.downstream.rearrange.observe import TrueObserver
 
 SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 num_episodes = 1 if SMALL else 5
@@ -34,12 +32,13 @@ for row in found.rows:
 
 # %% [markdown]
 # Where objects are the arm is told by an observer: a perfect one, or one that looks through cameras
-# (`observer="perception"`, which needs a trained segmenter). Here is one of your own, that errs by
-# some millimetres. It asks the perfect one; yours would look at `world.picture(camera)`.
+# (`observer="perception"`, extra `perception`; for the household pool a segmenter comes with the package).
+# Here is one of your own, which errs by some millimetres. It asks the perfect one; yours would look at
+# `world.picture(camera)`.
 
 
 # %%
-class Blurred:
+class Blurred(TrueObserver):
     """The true places, off by a few millimetres in plan."""
 
     name = "true poses, 3 mm off"
@@ -47,14 +46,11 @@ class Blurred:
     def __init__(self, sigma):
         self.sigma, self.rng = sigma, np.random.default_rng(0)
 
-    def __call__(self, world, names):
-        true = TrueObserver()(world, names)
-        pose = true.pose.copy()
-        pose[:, :2] += self.rng.normal(0, self.sigma, (len(names), 2))
-        return SceneEstimate(true.names, pose, true.seen, true.certainty)
+    def __call__(self, world, names, known):
+        found = super().__call__(world, names, known)
+        found.pose[:, :2] += self.rng.normal(0, self.sigma, (len(names), 2))
+        return found
 
 
-blurred = run_rearrangements(
-    SETTINGS["paper"], RearrangeOptions(choose="similar"), num_episodes, 0, None, observer=Blurred(0.003)
-)
+blurred = cg.rearrange("blurred", choose="similar", num_episodes=num_episodes, observer=Blurred(0.003))
 print(blurred)

@@ -18,6 +18,7 @@ from cluttergen_jax.config import (
 from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
+    from cluttergen_jax.downstream.rearrange.observe import Observer
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
     from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
     from cluttergen_jax.downstream.rearrange.trials import Rearrangements
@@ -39,7 +40,7 @@ def rearrange(
     relook: bool = True,
     order: PickOrder = "graph",
     one_grasp: bool = False,
-    observer: RobotObserver = "true",
+    observer: RobotObserver | Observer = "true",
     segmenter: str | Path | None = None,
     pick: bool = False,
     show_layouts: bool = False,
@@ -74,7 +75,8 @@ def rearrange(
       order: graph, by what is in whose way; or lowest object first, as in the paper.
       one_grasp: an object has a single grasp, at 0 and 180 degrees, as in the paper.
       observer: true, the true poses; or perception, what cameras over the table and on the hand show, with
-        noise (extra `perception`).
+        noise (extra `perception`); in Python also one of your own
+        (`cluttergen_jax.downstream.rearrange.observe.Observer`), whose attribute `name` is told in the table.
       segmenter: of `perception`: a folder of `perception train`, or a pool's name where one comes with the
         package; the pool's own if not given.
       pick: in each episode a person looks at the layouts in a browser, in the order of the rule, and takes
@@ -121,13 +123,19 @@ def rearrange(
         ("setting", setting, Rearrangement),
         ("choose", choose, LayoutRule),
         ("order", order, PickOrder),
-        ("observer", observer, RobotObserver),
+        ("observer", observer if isinstance(observer, str) else "true", RobotObserver),
     )
     for name, value, known in asked:
         if value not in get_args(known):
             raise ConfigError(f"{name} = {value!r}", ", ".join(get_args(known)))
-    if segmenter is not None and observer == "true":
-        raise ConfigError("`segmenter` with the observer 'true'", "observer='perception'", "leaving it out")
+    if segmenter is not None and observer != "perception":
+        raise ConfigError(
+            f"`segmenter` with observer = {observer!r}", "observer='perception'", "leaving it out"
+        )
+    if not (isinstance(observer, str) or callable(observer)):
+        raise ConfigError(
+            f"observer = {observer!r}", f"{', '.join(get_args(RobotObserver))}, or an `Observer`"
+        )
     if pick and layout is not None:
         raise ConfigError(
             f"`pick` together with layout = {layout}", "one or the other", "leaving out `layout`"
@@ -135,7 +143,7 @@ def rearrange(
     panda_folder()
     if films or show_layouts:
         check_films(film)
-    told = None if observer == "true" else _looking(pool, segmenter, seed)
+    looking = _looking(pool, segmenter, seed) if observer == "perception" else observer
     options = RearrangeOptions(choose, layout, num_layouts, relook, order, one_grasp)
     threads = num_threads or os.cpu_count() or 1
     with _person(choose, host, port, browser, show) if pick else nullcontext() as person:
@@ -146,7 +154,7 @@ def rearrange(
             seed,
             Path(out) / setting,
             pool=str(pool),
-            observer=told,
+            observer=None if isinstance(looking, str) else looking,
             num_threads=threads,
             ask=person,
             films=film if films else None,

@@ -107,8 +107,8 @@ def robot_place(
       out: the folder; rows are kept there.
       bank: whose scenes; if not given, one is made in the folder.
       task: place or lift.
-      placer: of `place`: none, where the generator put the object; drop or guided, which know the whole scene
-        and propose more places where that is not reached; or one that looks, which proposes all of them:
+      placer: of `place`: none, where the generator put the object; drop, guided or policy, which know the whole
+        scene and propose more places where that is not reached; or one that looks, which proposes all of them:
         geometry, geometry-occupied, random, scored, or the folder of a trained one.
       noise: of the depth cameras of a placer that looks, so many times that of a usual one; 1 if not given, 0
         for none.

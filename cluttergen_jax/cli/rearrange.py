@@ -6,9 +6,10 @@ from functools import partial
 
 from cluttergen_jax.api.rearrange import rearrange
 from cluttergen_jax.cli.options import Options, options_from
+from cluttergen_jax.config import RobotObserver
 
 
-@options_from(rearrange)
+@options_from(rearrange, observer=RobotObserver)
 class Rearrange(Options):
     """Let a simulated Franka Panda rearrange the objects of scenes (extra `robot`).
 

@@ -20,7 +20,7 @@ pytest.importorskip("toppra")
 
 import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
+from cluttergen_jax.downstream.rearrange import episode, trials as rearrange_trials
 from cluttergen_jax.downstream.rearrange.episode import draw_layouts, rearrange_episode
 from cluttergen_jax.downstream.rearrange.judge import Judge
 from cluttergen_jax.downstream.rearrange.observe import (
@@ -117,7 +117,8 @@ def test_the_arm_goes_where_the_observer_says(monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_object_that_is_put_back_is_no_retry(monkeypatch):
+@pytest.mark.parametrize("most", [1, 100])
+def test_an_object_that_is_put_back_is_no_retry_and_not_put_back_for_ever(most, monkeypatch):
     place = Mover.place
 
     def back(self, places):
@@ -125,12 +126,13 @@ def test_an_object_that_is_put_back_is_no_retry(monkeypatch):
         return len(places) - 1
 
     monkeypatch.setattr(Mover, "place", back)
+    monkeypatch.setattr(episode, "MAX_BACKS", most)
     goals = standing([[0.05, 0.25], [0.05, 0.08]])
     only_red = replace(SCENE, poses=standing([[0.05, -0.15], [0.05, 0.08]]))
     result = rearrange_episode(task_of(goals, only_red), RearrangeOptions(), TrueObserver())
     assert result.outcome == Outcome.NO_PATH
     assert "red" in result.detail
-    assert result.picks > 1
+    assert (result.picks > 1) == (most > 1)
     assert (result.retries, result.waits) == (0, 0)
     assert result.right == [False, True]
 

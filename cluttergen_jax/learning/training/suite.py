@@ -69,9 +69,9 @@ def plan(
     runs = [run for seed in seeds for run in RUN_SUITES[suite](seed, pools)]
     chosen = [run for run in runs if only is None or fnmatchcase(run.name, only)]
     if not chosen:
-        names = ", ".join(run.name for run in runs[:4])
+        names = ", ".join(run.name for run in runs[:4]) + " and so on"
         raise ConfigError(
-            f"no run of suite {suite!r} is called {only!r}", f"{names} ...", "`suite_list`, which lists them"
+            f"no run of suite {suite!r} is called {only!r}", names, "`suite_list`, which lists them"
         )
     return chosen
 
