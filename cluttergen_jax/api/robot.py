@@ -107,9 +107,9 @@ def robot_place(
       out: the folder; rows are kept there.
       bank: whose scenes; if not given, one is made in the folder.
       task: place or lift.
-      placer: of `place`: none, where the generator put the object; drop, guided or policy, which know the whole
-        scene and propose more places where that is not reached; or one that looks, which proposes all of them:
-        geometry, geometry-occupied, random, scored, or the folder of a trained one.
+      placer: of `place`: none, where the generator put the object; drop, guided or policy, which know the
+        whole scene and propose more places where that is not reached; or one that looks, which proposes them
+        all: geometry, geometry-occupied, random, scored, or the folder of a trained one.
       noise: of the depth cameras of a placer that looks, so many times that of a usual one; 1 if not given, 0
         for none.
       num_episodes: how many; scenes are taken again where the bank has fewer.

@@ -8,7 +8,6 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import jax
 import numpy as np
 
 from cluttergen_jax.cluster import Cluster, each_on
@@ -25,7 +24,7 @@ from cluttergen_jax.evaluation.resolved import (
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.methods import proposer_of, suited
-from cluttergen_jax.physics import make_physics
+from cluttergen_jax.physics import engine_of, make_physics
 from cluttergen_jax.physics.host import SwappablePhysics
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.protocol import Physics
@@ -148,7 +147,7 @@ class Runner:
         """
         missing = [trial for trial in dict.fromkeys(trials) if self.stored_row(trial) is None]
         maker = RowMaker(self.checkpoints, self.engine, self.num_threads or 1)
-        is_on_gpu = self.engine == "warp" or (self.engine == "auto" and jax.default_backend() == "gpu")
+        is_on_gpu = engine_of(self.engine, StabilityConfig()) == "warp"
         with closing(each_on(cluster, maker, missing, "row", maker.num_threads, int(is_on_gpu))) as done:
             for place, (key, found) in done:
                 trial = missing[place]

@@ -141,6 +141,7 @@ def load_bank(
     """
     if num_scenes is not None:
         check_range("num_scenes", num_scenes, 1, _MOST, 1000)
+        check_range("seed", seed, 0, _MOST, 0)
     bank = read_bank(find_bank(path, hub=hub, revision=revision))
     reader = StandingReader(bank)
     wanted = None if num_scenes is None else _drawn(bank, num_scenes, seed)

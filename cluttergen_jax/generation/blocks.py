@@ -20,6 +20,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.learning.methods import Method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
+from cluttergen_jax.physics import engine_of
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_block, sample_blocks
 from cluttergen_jax.placement.scenes import SceneBatch
@@ -44,7 +45,7 @@ def blocks_on(
 ) -> Iterator[tuple[int, pa.Table]]:
     """Likewise, as the workers of a cluster make them."""
     maker, config = BlockMaker.of(setup, method, seed), setup.problem.config
-    is_on_gpu = config.engine == "warp" or (config.engine == "auto" and jax.default_backend() == "gpu")
+    is_on_gpu = engine_of(config.engine, config.stability) == "warp"
     made = each_on(cluster, maker, blocks, "block", maker.config.num_threads, int(is_on_gpu))
     with Progress("placing", sum(rows for _, rows in blocks), "scene") as progress, closing(made):
         if blocks:
@@ -74,7 +75,7 @@ class BlockMaker:
     """What makes the blocks of a bank in another process, assets and weights included: it reads no files.
 
     Attributes:
-      config: of the problem, with as many threads as a worker has cores.
+      config: of the problem, with as many threads as a worker has cores, and this process's engine.
       objects, standing: those that are placed, and those that stand there when an episode begins.
       keep_out, start: of `Setup`, as NumPy arrays.
       weights: the files of the method's checkpoint by name; None for a baseline.
@@ -96,7 +97,11 @@ class BlockMaker:
         config, world = setup.problem.config, setup.problem.world
         first = world.num_objects - setup.problem.rules.num_started
         return cls(
-            config=replace(config, num_threads=config.num_threads or 1),
+            config=replace(
+                config,
+                num_threads=config.num_threads or 1,
+                engine=engine_of(config.engine, config.stability),
+            ),
             objects=world.objects[:first],
             standing=world.objects[first:],
             support=world.support,

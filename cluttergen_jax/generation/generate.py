@@ -20,6 +20,7 @@ from cluttergen_jax.files import writing
 from cluttergen_jax.generation.blocks import Block, blocks_here, blocks_on
 from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.learning.methods import DEFAULT_METHOD, Method, sampler_of
+from cluttergen_jax.physics import engine_of
 from cluttergen_jax.placement.config import placement_record
 from cluttergen_jax.placement.problem import Problem, crowding
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, blocks_of
@@ -116,6 +117,8 @@ def recipe_of(problem: Problem, method: Method) -> dict[str, Any]:
         config.pop(name)
     return {
         **config,
+        # The engine that "auto" stands for: engines make different scenes.
+        "engine": engine_of(problem.config.engine, problem.config.stability),
         "placement": placement_record(problem.config.placement),
         "stability": stability_record(problem.config.stability),
         "region": dataclasses.asdict(problem.region),

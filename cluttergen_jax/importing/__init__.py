@@ -1,6 +1,6 @@
 """Importing: from files to pools of measured bodies.
 
-solo: whether an object stands alone. worker: one object from source to files. cache: what was made before.
-table: a table as a support.
-run: many objects in parallel, and the report.
+readers: of files. planning: which objects will be made. settings: how. processes: each in one of its own.
+solo: whether an object stands alone. cache: what was made before. run: many objects, and the report.
+supports: a table as a support.
 """

@@ -33,16 +33,7 @@ def make_physics(
       ConfigError: unknown engine, or one that cannot tell what is robust.
       MissingExtraError: "warp" without Warp installed.
     """
-    if engine not in ENGINES:
-        raise ConfigError(
-            f"engine = {engine!r}",
-            ", ".join(ENGINES),
-            "engine native, which runs everywhere",
-            closest(engine, ENGINES),
-        )
-    if engine == "auto":
-        is_gpu = jax.default_backend() == "gpu"
-        engine = "warp" if is_gpu and not config.robust_tilt else "native"
+    engine = engine_of(engine, config)
     if engine == "native":
         return NativePhysics(layout, config, num_threads)
     if config.robust_tilt:
@@ -54,3 +45,22 @@ def make_physics(
         from cluttergen_jax.physics.mjx import MjxPhysics
 
     return MjxPhysics(layout, config, engine)
+
+
+def engine_of(engine: str, config: StabilityConfig) -> str:
+    """The engine that is meant: what "auto" stands for on this machine, and every other name itself.
+
+    Raises:
+      ConfigError: there is none of that name.
+    """
+    if engine not in ENGINES:
+        raise ConfigError(
+            f"engine = {engine!r}",
+            ", ".join(ENGINES),
+            "engine native, which runs everywhere",
+            closest(engine, ENGINES),
+        )
+    if engine != "auto":
+        return engine
+    is_gpu = jax.default_backend() == "gpu"
+    return "warp" if is_gpu and not config.robust_tilt else "native"

@@ -93,8 +93,8 @@ class Rules(struct.PyTreeNode, eq=False):
         start = empty_start(self.geometry.num_objects) if start is None else start
         first_slot = start.is_placed.sum().astype(jnp.int32)
         if region is None and self.draw_region is not None:
-            # Orders are those of unchanged regions.
-            region = self.draw_region(jax.random.fold_in(key, 1))
+            # Orders are those of unchanged regions; `fold_in` of 0 or 1 would be a key of the split again.
+            region = self.draw_region(jax.random.fold_in(key, 2))
         return Episode(
             key=key_episode,
             region=self.region if region is None else region,

@@ -20,7 +20,8 @@ pytest.importorskip("toppra")
 
 import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.downstream.rearrange import episode, trials as rearrange_trials
+from cluttergen_jax.downstream.rearrange import episode
+from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
 from cluttergen_jax.downstream.rearrange.episode import draw_layouts, rearrange_episode
 from cluttergen_jax.downstream.rearrange.judge import Judge
 from cluttergen_jax.downstream.rearrange.observe import (

@@ -7,8 +7,7 @@ import cluttergen_jax
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import read_block
-from cluttergen_jax.scene.bank.blocks import block_path
+from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path
 from cluttergen_jax.scene.bank.card import CARD
 from cluttergen_jax.scene.bank.stats import stats_of
 from cluttergen_jax.scene.bank.table import CERTIFICATE
@@ -91,8 +90,12 @@ def test_a_certificate_of_an_older_version_is_shown_and_completed(tmp_path, caps
     assert main(["certify", str(path), "--seconds", "0.1"]) == 0
     now = read_bank(path)
     lines, table = stats_of(now).certificate.lines(), now.table
-    rows = read_block(path, 0).drop_columns(
-        ["num_unsupported", "num_fragile", "margin", "margins", "tilt_1", "tilt_2", "tilt_5", "robust"]
+    rows = (
+        StoredBlocks.of(path)
+        .read(0)
+        .drop_columns(
+            ["num_unsupported", "num_fragile", "margin", "margins", "tilt_1", "tilt_2", "tilt_5", "robust"]
+        )
     )
     record = {name: value for name, value in now.record.items() if name != "num_scenes"}
     write_rows(path, 0, rows, record)

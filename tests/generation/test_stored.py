@@ -130,6 +130,8 @@ def test_a_subset_is_drawn_by_its_seed(path, bank):
     assert len(cg.load_bank(path, num_scenes=10_000)) == len(bank)
     with pytest.raises(ConfigError, match="num_scenes"):
         cg.load_bank(path, num_scenes=0)
+    with pytest.raises(ConfigError, match="seed = -1"):
+        cg.load_bank(path, num_scenes=1, seed=-1)
 
 
 def test_a_bank_opens_without_its_columns_and_a_subset_is_read_from_its_own_blocks(tmp_path, monkeypatch):

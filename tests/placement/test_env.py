@@ -1,5 +1,7 @@
 """The Brax environment: resets by itself, keeps figures, and everything stays in the region."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -52,6 +54,14 @@ def test_regions_change_with_every_episode_and_orders_do_not():
     # A region that is asked for is the one that is taken.
     asked = changing.rules.begin(keys[0], region=plain.rules.region)
     np.testing.assert_array_equal(asked.region.half_extents, plain.rules.region.half_extents)
+
+
+def test_the_key_of_a_region_is_nobody_elses():
+    drawn = []
+    rules, key = made_up_rules(), jax.random.key(0)
+    replace(rules, draw_region=lambda key: drawn.append(key) or rules.region).begin(key)
+    keys = [key, *jax.random.split(key), *drawn]
+    assert len({np.asarray(jax.random.key_data(each)).tobytes() for each in keys}) == 4
 
 
 def test_success_is_kept_after_the_reset():

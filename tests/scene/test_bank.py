@@ -18,6 +18,7 @@ from cluttergen_jax.progress import COMPILING
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.scene.bank import read_bank, verify
 from cluttergen_jax.scene.bank.verify import verify_scene
+from tests.helpers import banks
 from tests.helpers.worlds import trio
 
 
@@ -70,6 +71,16 @@ def test_overwrite_begins_anew(pool, tmp_path):
     assert generate(pool, tmp_path / "b", "-n", "2", "--seed", "5", "--overwrite") == 0
     assert read_bank(tmp_path / "b").table.num_rows == 2
     assert (tmp_path / "b" / "notes.txt").read_text() == "mine"
+
+
+def test_what_is_overwritten_by_the_same_bank_is_continued(tmp_path):
+    path = tmp_path / "bank"
+    with banks.writer(path, 3) as writer:
+        writer.write_block(0, banks.rows(0, 3))
+    with banks.writer(path, 300, overwrite=True) as writer:
+        assert writer.has_block(0, 3)
+    with banks.writer(path, 300, {"seed": 5}, overwrite=True) as writer:
+        assert not writer.has_block(0, 3)
 
 
 @pytest.mark.slow

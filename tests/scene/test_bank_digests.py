@@ -11,7 +11,7 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.bank import index_bytes
-from cluttergen_jax.scene.bank.digests import changes_of
+from cluttergen_jax.scene.bank.digests import Change, changes_of, touched
 from tests.helpers import banks
 
 PART, SCENE = "assets/objects/prism/part-00.obj", "scenes/000000.xml"
@@ -71,6 +71,12 @@ def test_what_was_changed_is_named_does_not_count_and_is_mended(bank, whole, cap
     banks.with_files(bank)
     assert all_bytes(bank) == all_bytes(whole)
     assert verify(bank) == 0
+
+
+def test_every_scene_is_made_of_what_no_object_owns():
+    changes = [Change(name, "gone") for name in (PART, "assets/objects", "assets", SCENE)]
+    assert touched(changes, "000001.xml", ["tall"]) == ["assets/objects", "assets"]
+    assert touched(changes, "000000.xml", ["prism"]) == [each.name for each in changes]
 
 
 def test_what_is_missing_or_was_added_is_named(bank, whole, capsys):

@@ -97,6 +97,16 @@ def test_a_bank_grows_there(url, tmp_path):
     assert contents(url) == files(tmp_path / "bank")
 
 
+def test_a_mirror_follows_what_was_made_anew_there(url, home):
+    write(url)
+    name = next(name for name in contents(url) if name.endswith("object.json"))
+    remote, kept = RemoteFolder.of(url), mirrored(url) / name
+    before = kept.read_bytes()
+    kept.write_bytes(before + b" ")
+    assert read_bank(url).path == mirrored(url)
+    assert kept.read_bytes() == before == remote.open(name).read()
+
+
 def test_other_things_there_are_left_alone(url):
     fsspec.filesystem("memory").pipe(f"{url}/notes.txt", b"mine")
     with pytest.raises(BankError, match="no bank"):

@@ -11,7 +11,7 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import blocks as module
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import read_block, recovered_record
+from cluttergen_jax.scene.bank.bank import recovered_record
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path, merge_shards, shard_path, write_shard
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.hub import check_whole
@@ -136,7 +136,7 @@ def test_blocks_that_are_not_wanted_are_not_read(sharded, tmp_path):
     file.write_bytes(file.read_bytes()[:100])
     wanted, stored = [0, 2, 6, 7, 99], StoredBlocks.of(path)
     found = pa.concat_tables(stored.tables(blocks=wanted))
-    whole = [read_block(sharded, block) for block in (0, 2, 6, 7)]
+    whole = [StoredBlocks.of(sharded).read(block) for block in (0, 2, 6, 7)]
     assert found.equals(pa.concat_tables(whole))
     with pytest.raises(BankError, match="damaged"):
         list(stored.tables(blocks=[5]))
@@ -161,7 +161,7 @@ def test_columns_that_are_added_block_by_block_join_the_shards_when_all_have_the
     record = {name: value for name, value in read_bank(tmp_path).record.items() if name != "num_scenes"}
     names = sorted(each.name for each in tmp_path.glob("*.parquet"))
     for block in range(NUM_BLOCKS):
-        rows = read_block(tmp_path, block)
+        rows = StoredBlocks.of(tmp_path).read(block)
         for field in CERTIFICATE:
             rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
         write_rows(tmp_path, block, rows, record)

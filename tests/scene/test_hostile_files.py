@@ -21,7 +21,8 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, ClutterGenError, PoolError, UnsafePathError
 from cluttergen_jax.files import inside, write_atomically
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import index_bytes, read_block
+from cluttergen_jax.scene.bank.bank import index_bytes
+from cluttergen_jax.scene.bank.blocks import StoredBlocks
 from cluttergen_jax.scene.bank.digests import digests_in
 from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.scene.bank.table import SCHEMA
@@ -73,7 +74,7 @@ def rename_in_bank(bank, old, new):
     record["assets"]["objects"].pop(old)
     record["assets"]["objects"][new] = digest
     record["files"] |= digests_in(bank, "assets")
-    rows = read_block(bank, 0).select(SCHEMA.names).to_pylist()
+    rows = StoredBlocks.of(bank).read(0).select(SCHEMA.names).to_pylist()
     for row in rows:
         row["objects"] = [new if name == old else name for name in row["objects"]]
     write_rows(bank, 0, pa.Table.from_pylist(rows, schema=SCHEMA), record)
@@ -134,7 +135,7 @@ def test_rows_and_records_name_objects_plainly(bank, name):
     with pytest.raises(BankError, match="names an object"):
         read_bank(bank)
     (bank / "bank.json").write_bytes(index_bytes(record))
-    rows = read_block(bank, 0).select(SCHEMA.names).to_pylist()
+    rows = StoredBlocks.of(bank).read(0).select(SCHEMA.names).to_pylist()
     rows[0]["objects"] = [name, name]
     write_rows(bank, 0, pa.Table.from_pylist(rows, schema=SCHEMA), record)
     if name != "mug#2":

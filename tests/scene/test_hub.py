@@ -88,6 +88,12 @@ def test_a_bank_is_loaded_by_its_name_and_pulled_once(bank, folder, monkeypatch)
     shutil.rmtree(folder)
     assert find_bank(NAME) == pulled_path(NAME)
     assert read_bank(find_bank(NAME)).num_scenes == 3
+    # Another hub's bank of that name is another bank, and so is another revision.
+    with pytest.raises(BankError, match="is not a bank"):
+        find_bank(NAME, hub=str(folder / "other"))
+    assert (
+        len({pulled_path(NAME, *asked) for asked in ((), (None, "v1"), ("here", None), ("here", "v1"))}) == 4
+    )
 
 
 def test_a_folder_goes_before_a_name(bank, tmp_path, monkeypatch):

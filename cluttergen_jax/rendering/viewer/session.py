@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import threading
 import time
 from collections.abc import Callable
@@ -147,13 +148,15 @@ class Session:
         recording = self.recording
         last = len(recording.attempts) if recording else 0
         start = int(self._slider.value)
-        for number in range(1 if start >= last else start + 1, last + 1):
-            self._slider.value = number
-            for frame in range(frames := round(_SECONDS_PER_ATTEMPT * _FRAMES_PER_SECOND)):
-                if not self._playing.is_set() or self.recording is not recording:
-                    break
-                self.nodes.at(number, frame / (frames - 1))
-                time.sleep(1 / _FRAMES_PER_SECOND)
+        num_frames = round(_SECONDS_PER_ATTEMPT * _FRAMES_PER_SECOND)
+        numbers = range(1 if start >= last else start + 1, last + 1)
+        for number, frame in itertools.product(numbers, range(num_frames)):
+            if not self._playing.is_set() or self.recording is not recording:
+                break
+            if frame == 0:
+                self._slider.value = number
+            self.nodes.at(number, frame / (num_frames - 1))
+            time.sleep(1 / _FRAMES_PER_SECOND)
         if self.recording is recording:
             self._redraw()
         self._playing.clear()

@@ -158,11 +158,6 @@ def block_numbers(path: Path) -> list[int]:
     return list(StoredBlocks.of(path).places)
 
 
-def read_block(path: Path, block: int) -> pa.Table:
-    """The rows of one block of the bank at `path`; see `StoredBlocks.read`, which is quicker for many."""
-    return StoredBlocks.of(path).read(block)
-
-
 def read_bank(path: str | Path) -> Bank:
     """Opens a bank, in a folder or at a URL.
 

@@ -80,6 +80,6 @@ def touched(changes: Iterable[Change], file: str, objects: Iterable[str]) -> lis
     def is_of_scene(parts: Sequence[str]) -> bool:
         if parts[0] == _SCENES:
             return parts[1:] == [file]
-        return parts[1] != "objects" or parts[2] in names
+        return parts[1:2] != ["objects"] or len(parts) < 3 or parts[2] in names
 
     return [change.name for change in changes if is_of_scene(change.name.split("/"))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import shutil
@@ -48,7 +49,7 @@ def pull(name: str, out: str | Path | None, hub: str | None, revision: str | Non
     """The folder of a bank that was fetched into it; see `cluttergen_jax.pull_bank`."""
     _check_name(name)
     place = hub_of(hub)
-    out = pulled_path(name) if out is None else Path(out)
+    out = pulled_path(name, hub, revision) if out is None else Path(out)
     _check_place(out, overwrite)
     scratch = out.with_name(f".{out.name}{PARTIAL}")
     with writing(out):
@@ -62,9 +63,11 @@ def pull(name: str, out: str | Path | None, hub: str | None, revision: str | Non
     return out
 
 
-def pulled_path(name: str) -> Path:
-    """Where `load_bank` keeps a bank that it has pulled."""
-    return inside(user_root().parent / "banks", name)
+def pulled_path(name: str, hub: str | None = None, revision: str | None = None) -> Path:
+    """Where `load_bank` keeps a bank that it has pulled; each hub and revision has a folder of its own."""
+    asked = (hub or os.environ.get(HUB_VARIABLE) or "", revision or "")
+    other = f"@{hashlib.sha256(repr(asked).encode()).hexdigest()[:12]}" if any(asked) else ""
+    return inside(user_root().parent / "banks", name + other)
 
 
 def find_bank(path: str | Path, *, hub: str | None = None, revision: str | None = None) -> Path:
@@ -78,7 +81,7 @@ def find_bank(path: str | Path, *, hub: str | None = None, revision: str | None 
         return mirrored(str(path))
     if Path(path).exists() or not isinstance(path, str) or not _DATASET.fullmatch(path):
         return Path(path)
-    stored = pulled_path(path)
+    stored = pulled_path(path, hub)
     if revision is None and (stored / INDEX).is_file():
         return stored
     try:

@@ -8,6 +8,7 @@ Losing it loses those alone. S3 and Google Cloud Storage are spoken by pyarrow, 
 from __future__ import annotations
 
 import hashlib
+import json
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -146,11 +147,29 @@ def mirrored(url: str) -> Path:
     if _INDEX not in names:
         # Of a bank that was removed there.
         (folder / _INDEX).unlink(missing_ok=True)
-    for name in sorted(name for name in names if name.startswith(_SMALL)):
-        # Assets do not change; what is damaged on this machine is noticed by its digest, and named.
-        if not name.startswith("assets/") or not inside(folder, name).is_file():
+    small = sorted(name for name in names if name.startswith(_SMALL))
+    assets = [name for name in small if name.startswith("assets/")]
+    for name in small:
+        if name not in assets:
+            remote.fetch(name, folder)
+    listed = _listed(folder)
+    for name in assets:
+        if not (listed and _digest(inside(folder, name)) == listed.get(name)):
             remote.fetch(name, folder)
     return folder
+
+
+def _listed(folder: Path) -> dict[str, str]:
+    """The digests of files in the index of a mirror; none if it is damaged."""
+    try:
+        files = json.loads((folder / _INDEX).read_bytes())["files"]
+    except (OSError, ValueError, LookupError, TypeError):
+        return {}
+    return files if isinstance(files, dict) else {}
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
 
 
 def fetch_scenes(path: Path) -> None:

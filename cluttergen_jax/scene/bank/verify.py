@@ -99,8 +99,9 @@ class VerificationReport:
                 "stands": bool(stands),
                 "changed_files": list(changed),
                 "shift_m_and_turn_rad": {
-                    name: [float(shift), float(turn)]
-                    for name, shift, turn in zip(scene.objects, scene.shift, scene.turn, strict=True)
+                    # JSON has no numbers for what diverged.
+                    name: [float(each) if np.isfinite(each) else None for each in moved]
+                    for name, *moved in zip(scene.objects, scene.shift, scene.turn, strict=True)
                 },
             }
             for scene, stands, changed in zip(self.scenes, self.stands, self.changed_files, strict=True)

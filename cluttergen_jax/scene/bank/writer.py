@@ -52,7 +52,7 @@ class BankWriter:
       recipe: JSON values that decide what the scenes are: two banks of equal recipes hold equal scenes.
       num_scenes: how many; a bank may be continued to a larger number.
       objects, support: stored once; damaged copies in the bank are mended.
-      overwrite: begin anew if the folder holds another bank.
+      overwrite: begin anew if the folder holds another bank; the same one is continued.
       shard_blocks: how many blocks go into one file once all of them are there.
 
     Raises:
@@ -189,7 +189,7 @@ class BankWriter:
 
     def _begin(self, num_scenes: int, overwrite: bool) -> None:
         remove_partial(self.path)
-        if overwrite:
+        if overwrite and not self._is_to_be_continued():
             _remove_bank(self.path)
         theirs = self._stored_record()
         if theirs is not None:
@@ -206,6 +206,16 @@ class BankWriter:
         }
         self._files: dict[str, str] = (theirs or {}).get("files", {})
         self._write_index()
+
+    def _is_to_be_continued(self) -> bool:
+        """Whether what the folder holds is the beginning of this very bank."""
+        try:
+            theirs = self._stored_record()
+            if theirs is not None:
+                _check_same(self.path, self._record, theirs)
+        except BankError:
+            return False
+        return theirs is not None
 
     def _stored_record(self) -> dict[str, Any] | None:
         """What the folder says it holds: `bank.json`, or a block in its stead if that is damaged or lost."""
