@@ -158,7 +158,7 @@ def test_where_the_scenes_own_object_rests_a_proposal_is_good_by_every_count(mad
     yaw = 2 * np.arctan2(labels.target[:, 6], labels.target[:, 3])
     own = np.column_stack([labels.target[:, :3], yaw])
     own[:, 2] += CLEARANCE
-    wrong = own + np.array([0.5, 0, 0, 0])
+    wrong = own + np.array([0.8, 0, 0, 0])
     pose = np.stack([wrong, own, own], axis=1).astype(np.float32)
     outcome = bench.judge(Proposals(pose, np.zeros(pose.shape[:2], np.float32)))
     assert (outcome.verdict[:, 0] != int(Verdict.STABLE)).all()
