@@ -214,7 +214,8 @@ class Trials:
         # The published code leaves out pairs where the scene's own pose does not count either.
         is_asked = outcome.is_quiet | self._is_own_quiet
         figures = figures_of(outcome, labels, self._bench.problem.world.names)
-        figures["paper_without_invalid"] = proportion(outcome.is_quiet[is_asked])
+        num_asked = int(is_asked.sum())
+        figures["paper_without_invalid"] = proportion(outcome.is_quiet[is_asked]) | {"queries": num_asked}
         figures["stands_without"] = float(self._stands_alone.mean())
         return figures, outcome
 
