@@ -45,7 +45,7 @@ class ByHeight:
             mask = found == each
             if mask.sum() > 60:
                 label[mask] = FIRST_OBJECT + (np.percentile(height[mask], 80) > 0.11)
-        return Segmentation(self.names, label, np.ones(2))
+        return Segmentation(self.names, label)
 
 
 @pytest.fixture(scope="module")
