@@ -362,6 +362,19 @@ def test_no_joints_are_sought_for_a_place_that_the_hand_alone_cannot_leave_upwar
     assert blocked != Mode.TRAVEL or np.ptp(heights) > 0.11
 
 
+def test_what_is_lifted_is_looked_at_as_it_lies_in_the_hand(world, grasps, kinematics, monkeypatch):
+    held = pose_of(matrix_of(grasps.held) @ matrix_of(np.array([0, 0, 0, np.cos(0.1), 0, 0, np.sin(0.1)])))
+    seen, hold = [], world.hold
+    monkeypatch.setattr(
+        world, "hold", lambda T_tool_object: (seen.append(T_tool_object), hold(T_tool_object))
+    )
+    execution = EpisodeWorld(SCENE, TARGET, (), 0).execution
+    mover = Mover(execution, world, kinematics, TARGET, 0, lambda only: SCENE.poses)
+    plan = mover.find_pick(replace(grasps, held=held))
+    assert np.allclose(seen[-1], plan.grip.T_tool_object)
+    assert not np.allclose(seen[-1], inverse(plan.grip.T_object_tool), atol=0.01)
+
+
 def test_what_finds_no_place_is_put_back(grasps, kinematics):
     episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
     world = PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE))

@@ -201,7 +201,8 @@ class Mover:
         back = self._back(joints, matrix_of(stood) @ grip.T_object_tool, opening)
         if back is None:
             return None
-        self.world.hold(inverse(grip.T_object_tool))
+        # The fingers turn an object as they close.
+        self.world.hold(grip.T_tool_object)
         lifts = (self._lifting(joints, opening, height) for height in (LIFT, 2 * LIFT))
         # What lies around something tall must be lifted off it before it can go anywhere.
         lift = next(
