@@ -341,23 +341,33 @@ def test_what_touches_something_too_early_has_slipped(grasps, kinematics):
     assert failure.value.outcome == Outcome.SLIP
 
 
-@pytest.mark.parametrize("blocked", [Mode.CARRY, Mode.CLEAR, Mode.TRAVEL])
-def test_no_joints_are_sought_for_a_place_that_the_hand_alone_cannot_leave_upwards(
-    world, grasps, kinematics, monkeypatch, blocked
+@pytest.mark.parametrize(
+    ("blocked", "where", "outcome"),
+    [
+        (Mode.CARRY, 0.2, Outcome.NO_PLACE),
+        (Mode.CLEAR, 0.2, Outcome.NO_PLACE),
+        (Mode.TRAVEL, 0.2, Outcome.NO_PLACE),
+        (Mode.CARRY, 0.0, Outcome.NO_PATH),
+        (Mode.CLEAR, 0.0, Outcome.NO_PATH),
+    ],
+)
+def test_no_joints_are_sought_where_the_hand_alone_cannot_leave_upwards(
+    world, grasps, kinematics, monkeypatch, blocked, where, outcome
 ):
+    """Where the object shall stand, and where it stands."""
     place = matrix_of(np.array(standing(-0.15, 0.2, CUBE)))
     heights = []
 
     def is_hand_free(T_world_tool, opening, mode):
         heights.append(T_world_tool[2, 3])
-        return mode != blocked
+        return mode != blocked or abs(T_world_tool[1, 3] - where) > 0.1
 
     mover = Mover(None, world, kinematics, TARGET, 0, lambda only: SCENE.poses)
     monkeypatch.setattr(world, "is_hand_free", is_hand_free)
     monkeypatch.setattr(kinematics, "solutions", None)
     with pytest.raises(Failed) as failure:
         mover.find_pick(grasps, place[None])
-    assert failure.value.outcome == Outcome.NO_PLACE
+    assert failure.value.outcome == outcome
     # Where only the end of the way is blocked, every centimetre of it was looked at.
     assert blocked != Mode.TRAVEL or np.ptp(heights) > 0.11
 

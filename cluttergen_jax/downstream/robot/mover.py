@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -46,6 +46,8 @@ _HEIGHTS = np.arange(TOUCH, LIFT, TOUCH)
 """Metres above a place at which the hand alone is looked at, before the arm's joints for it are sought."""
 _PLACES = 4
 """Places that are tried with one grasp."""
+_ENDS = (Outcome.NO_GRASP, Outcome.NO_PATH, Outcome.NO_PLACE, Outcome.NO_IK, Outcome.NO_PATH)
+"""Why there is no pick, by how far a grasp came: free, left upwards by the hand, for a place, with joints."""
 See = Callable[[int | None], np.ndarray]
 """f64[N, 7], T_world_object of a scene's objects as far as they are known; a number asks for one alone."""
 
@@ -86,8 +88,7 @@ class Mover:
         self._rng, self._seed = np.random.default_rng(seed), seed
         self._above = Mode.APART if is_apart else Mode.CLEAR
         self._prefers_room, self._feels = prefers_room, feels
-        self._opening = 0.0
-        self._T_tool_object = self._grasped = np.eye(4)
+        self._opening, self._T_tool_object, self._grasped = 0.0, np.eye(4), np.eye(4)
         self.fitting: int | None = None
         self._joints: np.ndarray | None = None
 
@@ -109,8 +110,8 @@ class Mover:
         """
         stood = self._survey()
         T_world_object = matrix_of(stood)
-        has_free = has_place = has_joints = False
         self.fitting = self._joints = None
+        furthest = 0
         rooms = (True, False) if self._prefers_room else (False,)
         for needs_room, grip in product(rooms, ranked(grasps, T_world_object)):
             self.world.needs_room = needs_room
@@ -118,28 +119,27 @@ class Mover:
             opening = float(opening_of(np.array(grip.width)))
             if not self.world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
-            has_free, fitting = True, list[int]()
-            if places is not None:
-                fitting = self._hand_fits(grip.T_tool_object, places, opening, stood)
-                if not fitting:
-                    continue
-            has_place = True
+            furthest = max(furthest, 1)
+            self.world.hold(grip.T_tool_object)
+            is_lifted = self._hand_leaves(T_world_tool, opening)
+            self.world.release(stood)
+            if not is_lifted:
+                continue
+            furthest = max(furthest, 2)
+            fitting = self._hand_fits(grip.T_tool_object, places, opening, stood)
+            if places is not None and not fitting:
+                continue
+            furthest = max(furthest, 3)
             for joints in self.kinematics.solutions(T_world_tool, _ARMS, self._rng):
-                has_joints = True
+                furthest = 4
                 if not self.world.is_free(joints, opening, Mode.COME):
                     continue
-                if places is not None and not self._fits(grip.T_tool_object, places, fitting, opening, stood):
+                if places is not None and not self._fits(grip.T_tool_object, fitting, opening, stood):
                     break
                 plan = self._pick_plan(joints, grip, stood, opening, places is not None)
                 if plan is not None:
                     return plan
-        if not has_free:
-            raise Failed(Outcome.NO_GRASP)
-        if not has_place:
-            raise Failed(Outcome.NO_PLACE, "for which the hand has room")
-        if not has_joints:
-            raise Failed(Outcome.NO_IK)
-        raise Failed(Outcome.NO_PATH, "to pick it up")
+        raise Failed(_ENDS[furthest], "to pick it up")
 
     def pick(self, plan: PickPlan) -> None:
         """Runs it: the object is lifted by `LIFT` afterwards.
@@ -160,35 +160,35 @@ class Mover:
         self._carry(rest, before)
 
     def _hand_fits(
-        self, T_tool_object: np.ndarray, places: np.ndarray, opening: float, stood: np.ndarray
-    ) -> list[int]:
-        """The first few of the places where the hand alone could put the object down, from above."""
-        looks = [(0.0, Mode.CARRY), *((height, self._above) for height in _HEIGHTS), (LIFT, Mode.TRAVEL)]
-        found = []
+        self, T_tool_object: np.ndarray, places: np.ndarray | None, opening: float, stood: np.ndarray
+    ) -> dict[int, np.ndarray]:
+        """The first few of the places where the hand alone could put the object down from above."""
+        found: dict[int, np.ndarray] = {}
         self.world.hold(T_tool_object)
-        for number, place in enumerate(places):
+        for number, place in enumerate(() if places is None else places):
             target = _tool_at(place, T_tool_object)
-            if all(self.world.is_hand_free(raised(target, height), opening, mode) for height, mode in looks):
-                found.append(number)
+            top = raised(target, LIFT)
+            if self._hand_leaves(target, opening) and self.world.is_hand_free(top, opening, Mode.TRAVEL):
+                found[number] = place
             if len(found) == _PLACES:
                 break
         self.world.release(stood)
         return found
 
+    def _hand_leaves(self, T_world_tool: np.ndarray, opening: float) -> bool:
+        """Whether the hand alone, with what it holds, gets straight up from there."""
+        looks = [(0.0, Mode.CARRY), *((height, self._above) for height in _HEIGHTS)]
+        return all(self.world.is_hand_free(raised(T_world_tool, up), opening, mode) for up, mode in looks)
+
     def _fits(
-        self,
-        T_tool_object: np.ndarray,
-        places: np.ndarray,
-        numbers: Sequence[int],
-        opening: float,
-        stood: np.ndarray,
+        self, T_tool_object: np.ndarray, places: dict[int, np.ndarray], opening: float, stood: np.ndarray
     ) -> bool:
         """Whether the arm can put the object down at one of some places, and leave it there; keeps how."""
         try:
-            for number in numbers:
-                target = _tool_at(places[number], T_tool_object)
+            for number, place in places.items():
+                target = _tool_at(place, T_tool_object)
                 for joints in self.kinematics.solutions(target, _ARMS, self._rng):
-                    if self._lowering(joints, places[number], T_tool_object, opening) is not None:
+                    if self._lowering(joints, place, T_tool_object, opening) is not None:
                         self.fitting, self._joints = number, joints
                         return True
             return False
