@@ -257,12 +257,30 @@ class ContactConfig:
             check_positive(self, "noslip_iterations")
 
 
+MAX_SECONDS = 3600.0
+"""Of the simulation of one scene, in checks and certificates."""
+
+
+def check_seconds(argument: str, seconds: object) -> None:
+    """Refuses a time for which no scene is simulated.
+
+    Raises:
+      ConfigError: it names the argument.
+    """
+    if not (_is_positive(seconds) and float(seconds) <= MAX_SECONDS):  # type: ignore[arg-type]
+        raise ConfigError(
+            f"{argument} = {seconds!r}",
+            f"a finite number above zero, {MAX_SECONDS:g} at most",
+            "leaving seconds at its default",
+        )
+
+
 @dataclass(frozen=True)
 class VerifyConfig:
     """What it takes to stand in the independent check of saved files (docs/contract.md).
 
     Attributes:
-      seconds: how long the scene is simulated.
+      seconds: how long the scene is simulated, 3600 at most.
       max_shift: metres any object may be from its start at any time.
       max_turn_deg: degrees any object may have turned.
     """
@@ -272,4 +290,5 @@ class VerifyConfig:
     max_turn_deg: float = 5.0
 
     def __post_init__(self) -> None:
-        check_positive(self, "seconds", "max_shift", "max_turn_deg")
+        check_positive(self, "max_shift", "max_turn_deg")
+        check_seconds("VerifyConfig.seconds", self.seconds)

@@ -51,7 +51,7 @@ def perception_data(
       arm: share of the views with the robot's arm in them; more than 0 needs the extra `robot`.
       seed: of all that is drawn, 0 to 999999.
       num_threads: of the simulation; 0 takes every core.
-      overwrite: begin the split anew if the folder holds others of it.
+      overwrite: begin the split, and the banks made along, anew if the folder holds others of it.
 
     Returns:
       The views.
@@ -95,6 +95,7 @@ def perception_data(
             max_files=0,
             seed=config.seed,
             num_threads=num_threads,
+            overwrite=overwrite,
         )
         for method, usual in _METHODS.items()
     }

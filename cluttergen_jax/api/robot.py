@@ -139,7 +139,6 @@ def robot_place(
     from typing import Any, get_args
 
     from cluttergen_jax.api.generate import generate
-    from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.downstream.placer.heads.trained import folder_hash, placer_folder
     from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
     from cluttergen_jax.downstream.robot.film import check_films
@@ -148,7 +147,7 @@ def robot_place(
     from cluttergen_jax.downstream.robot.trials import own_place, run_trials
     from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
-    from cluttergen_jax.scene.bank.scene import read_scenes
+    from cluttergen_jax.scene.bank.scene import read_scenes, region_of
 
     check_workers("num_threads", num_threads)
     check_range("num_episodes", num_episodes, 1, _MOST_EPISODES, 40)
@@ -175,13 +174,11 @@ def robot_place(
     else:
         found = read_bank(bank)
     recipe = found.record["recipe"]
-    asked_region = recipe["region"]
-    center, half_extents = tuple(asked_region["center"]), tuple(asked_region["half_extents"])
-    queried = Rectangle(center, half_extents, asked_region["yaw"])
+    queried = region_of(found)
     scenes = [replace(scene, support=replace(scene.support, region=queried)) for scene in read_scenes(found)]
     # Of another bank's scenes the rows would not be comparable.
     made = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
-    rows = {"task": task, "placer": str(placer), "seed": seed, "pool": recipe["pool"], "bank": made}
+    rows = {"task": task, "placer": str(placer), "seed": seed, "pool": recipe.get("pool"), "bank": made}
     threads = num_threads or os.cpu_count() or 1
     places: Any = own_place
     if task == "place" and looking is not None:

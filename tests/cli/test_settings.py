@@ -69,16 +69,19 @@ def test_contact_parameters_are_checked(wrong):
         ContactConfig(**wrong)
 
 
-@pytest.mark.parametrize("seconds", [math.nan, math.inf, 0.0])
+@pytest.mark.parametrize("seconds", [math.nan, math.inf, 0.0, 1e12])
 def test_certify_refuses_a_horizon_before_it_writes(tmp_path, capsys, seconds):
     bank = tmp_path / "bank"
     two_scenes(bank)
     before = {path: path.read_bytes() for path in bank.rglob("*") if path.is_file()}
     assert main(["certify", str(bank), "--seconds", str(seconds)]) == 2
-    assert "ascending times above zero" in capsys.readouterr().err
+    assert f"--seconds {seconds}. Allowed: a finite number above zero, 3600" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in bank.rglob("*") if path.is_file()} == before
-    with pytest.raises(ConfigError):
-        horizons_of((1.0, seconds))
+    assert main(["verify", str(bank), "--seconds", str(seconds)]) == 2
+    assert "3600" in capsys.readouterr().err
+    if seconds < 1:
+        with pytest.raises(ConfigError):
+            horizons_of((1.0, seconds))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
