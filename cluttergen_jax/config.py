@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, Literal, get_args
 
 from cluttergen_jax.errors import ConfigError, closest
@@ -108,9 +108,11 @@ def check_workers(argument: str, number: int) -> None:
     Raises:
       ConfigError: it names the argument.
     """
-    if not 0 <= number <= MAX_WORKERS:
+    if isinstance(number, bool) or not isinstance(number, Integral) or not 0 <= number <= MAX_WORKERS:
         raise ConfigError(
-            f"{argument} = {number}", f"0 to {MAX_WORKERS}", f"{argument}=0, which takes every core"
+            f"{argument} = {number!r}",
+            f"0 to {MAX_WORKERS}, a whole number",
+            f"{argument}=0, which takes every core",
         )
 
 

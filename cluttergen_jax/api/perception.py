@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.config import SegmenterInput, Split, check_workers
 from cluttergen_jax.errors import ConfigError
 
@@ -70,6 +71,7 @@ def perception_data(
     from cluttergen_jax.downstream.splits import SPLITS
     from cluttergen_jax.placement.setup import check_range
 
+    check_folder(out)
     check_workers("num_threads", num_threads)
     check_range("seed", seed, 0, _MOST_SEED, 0)
     check_range("num_views", num_views, 1, _MOST_VIEWS, 3000)
@@ -201,6 +203,7 @@ def perception_eval(
     from cluttergen_jax.downstream.perception.views.stored import read_views
     from cluttergen_jax.placement.setup import check_range
 
+    check_folder(out)
     check_range("seed", seed, 0, _MOST_SEED, 0)
     if not cameras or set(cameras) - {1, 2}:
         raise ConfigError(f"cameras = {tuple(cameras)!r}", "1, 2 or both", "cameras=(1, 2)")

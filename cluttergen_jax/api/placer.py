@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.config import Method, SensedFrom, Split, check_workers
 from cluttergen_jax.errors import BankError, ConfigError
 
@@ -67,6 +68,7 @@ def placer_data(
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
     from cluttergen_jax.scene.bank.blocks import AGAIN
 
+    check_folder(out)
     check_workers("num_threads", num_threads)
     check_range("seed", seed, 0, _MOST_SEED, 0)
     if num_pairs is not None:
@@ -143,6 +145,7 @@ def placer_eval(
     from cluttergen_jax.downstream.placer.pairs.stored import read_pairs
     from cluttergen_jax.evaluation.store import Store
 
+    check_folder(out)
     check_workers("num_threads", num_threads)
     if isinstance(placers, str) or not placers:
         raise ConfigError(f"placers = {placers!r}", "a sequence of names", "placers=('geometry',)")

@@ -99,7 +99,10 @@ def hub_of(text: str | None) -> Hub:
     text = text or os.environ.get(HUB_VARIABLE) or None
     if text is None or text.startswith(("https://", "http://")):
         return HuggingFaceHub(text)
-    return FolderHub(Path(text.removeprefix("file://")))
+    place = text.removeprefix("file://")
+    if is_url(place):
+        raise BankError(f"no hub at {text}", "a folder that exists, or https://...", "another `hub`")
+    return FolderHub(Path(place))
 
 
 def check_whole(bank: Bank) -> None:
