@@ -2,7 +2,8 @@
 
     python -m benchmarks.ablation --write
 
-A row that has been trained is kept in `--out` and not trained again; Ctrl-C and the same command go on.
+A row that has been trained is kept in `--out` and not trained again; Ctrl-C and the same command go on. A row
+that was trained with other settings is refused.
 """
 
 from __future__ import annotations
@@ -16,12 +17,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.section import prose, report, table
-from benchmarks.trained import WINDOW
+from benchmarks.trained import WINDOW, success_of
 from cluttergen_jax.config import Preset
-from cluttergen_jax.learning.ppo.checkpoint import read_record
+from cluttergen_jax.learning.ppo.checkpoint import check_folder, has_state, read_record
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.metrics_log import read_rows
-from cluttergen_jax.learning.training.train import TrainConfig, run_training
+from cluttergen_jax.learning.training.presets import Settings
+from cluttergen_jax.learning.training.train import TrainConfig, recipe_of, run_training
 
 
 @dataclass(frozen=True)
@@ -77,11 +79,24 @@ def train(
     interrupt: Interrupt | None = None,
     **given: Any,
 ) -> None:
-    """Trains and evaluates one row, or takes it up again.
+    """Trains and evaluates one row, or takes it up again; one that is finished is left alone.
 
     Args:
       interrupt: see `run_training`; given: further fields of `TrainConfig`.
+
+    Raises:
+      ConfigError: its folder holds a run with other settings.
     """
+    config, settings = settings_of(row, out, pool, num_attempts, seed, encoder, **given)
+    check_folder(config.folder, recipe_of(config, settings))
+    if not is_finished(config.folder):
+        run_training(config, settings, interrupt=interrupt)
+
+
+def settings_of(
+    row: Row, out: Path, pool: str, num_attempts: int, seed: int, encoder: str | None, **given: Any
+) -> tuple[TrainConfig, Settings]:
+    """What a row's run is given; see `train`."""
     config = TrainConfig(
         pool=pool,
         preset=row.preset,
@@ -99,11 +114,14 @@ def train(
         ppo=replace(settings.ppo, **row.ppo),
         placement=replace(settings.placement, **row.placement),
     )
-    run_training(
-        replace(config, encoder_weights=None) if "scene_encoder" in row.network else config,
-        settings,
-        interrupt=interrupt,
-    )
+    return replace(config, encoder_weights=None) if "scene_encoder" in row.network else config, settings
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether a run was trained to its end: its policy is evaluated last of all."""
+    policy = folder / "policy"
+    is_there = has_state(folder / "last") and (policy / "record.json").exists()
+    return is_there and "evaluation" in read_record(policy)
 
 
 def cells(row: Row, out: Path) -> list[str]:
@@ -111,8 +129,7 @@ def cells(row: Row, out: Path) -> list[str]:
     rows = read_rows(out / row.name / "progress.csv")
     success = np.array([each["success"] for each in rows])
     ends = [-(-len(rows) * part // 4) for part in (1, 2, 4)]
-    found = read_record(out / row.name / "policy")["evaluation"]
-    interval = f"{found['success']:.3f} [{found['low95']:.3f}, {found['high95']:.3f}]"
+    interval = success_of(read_record(out / row.name / "policy"))
     means = [f"{success[max(end - WINDOW, 0) : end].mean():.2f}" for end in ends]
     return [row.title, *means, interval, f"{rows[-1]['entropy']:.1f}"]
 
@@ -130,8 +147,7 @@ def compare(
     parser.add_argument("--write", action="store_true", help="put the section into benchmarks/README.md")
     args = parser.parse_args()
     for row in rows:
-        if not (args.out / row.name / "policy" / "record.json").exists():
-            train(row, args.out, args.pool, args.num_attempts, args.seed, args.encoder_weights)
+        train(row, args.out, args.pool, args.num_attempts, args.seed, args.encoder_weights)
     body = prose(
         f"""Ten objects of {args.pool} on the paper's table, {args.num_attempts:,} attempts each, seed
         {args.seed}; one thing differs from the first row in each unless it says otherwise. While training:

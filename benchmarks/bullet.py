@@ -21,7 +21,8 @@ from cluttergen_jax.evaluation.measures.bullet_world import (
     BodyFrames,
     add_object,
     add_support,
-    body_friction,
+    object_friction,
+    support_friction,
     write_compound,
 )
 from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing
@@ -237,10 +238,17 @@ class BulletPhysics:
         client = pybullet.connect(pybullet.DIRECT)
         pybullet.setGravity(0, 0, -self._contact.gravity, physicsClientId=client)
         pybullet.setTimeStep(self.config.timestep, physicsClientId=client)
-        friction = body_friction(self._contact)
-        add_support(pybullet, client, self._world.support, friction)
+        add_support(pybullet, client, self._world.support, support_friction(self._contact))
         bodies = [
-            add_object(pybullet, client, mesh, asset.mass, inertia, friction, is_rigid=self._tuned)
+            add_object(
+                pybullet,
+                client,
+                mesh,
+                asset.mass,
+                inertia,
+                object_friction(asset, self._contact),
+                is_rigid=self._tuned,
+            )
             for asset, mesh, inertia in zip(
                 self._world.objects, self._meshes, self._frames.inertia, strict=True
             )

@@ -4,7 +4,8 @@
     python -m benchmarks.gpu --write
 
 A row is stored in `--out` as soon as it is made, and not made again. A call ends between two rows, before its
-minutes are over; the same command goes on. `--small` is the miniature that any machine can run.
+minutes are over; the same command goes on. `--small` is the miniature that any machine can run; its rows and
+runs lie in `small/` below `--out`, apart from those of full size.
 """
 
 from __future__ import annotations
@@ -54,6 +55,11 @@ class Gpu:
     small: bool = False
     retry: bool = False
     write: bool = False
+
+    @property
+    def folder(self) -> Path:
+        """Of rows and runs: those of a miniature bear the same names as those of full size."""
+        return self.out / "small" if self.small else self.out
 
 
 @dataclass(frozen=True)
@@ -146,9 +152,9 @@ def measure(args: Gpu) -> Rows:
     for part in args.parts:
         if part not in PARTS:
             raise ConfigError(f"part {part!r}", ", ".join(PARTS), meant=closest(part, PARTS))
-    args.out.mkdir(parents=True, exist_ok=True)
-    rows = Rows(args.out / "rows.json", args.minutes, args.retry, say=_say)
-    scales = small(args.out) if args.small else Scales()
+    args.folder.mkdir(parents=True, exist_ok=True)
+    rows = Rows(args.folder / "rows.json", args.minutes, args.retry, say=_say)
+    scales = small(args.folder) if args.small else Scales()
     if args.lanes:
         scales = replace(scales, engines=replace(scales.engines, lanes=args.lanes))
     cases = parts_of(scales, rows, args.small)
@@ -263,7 +269,7 @@ def main(args: Gpu, readme: Path = README) -> None:
     if not args.write:
         measure(args)
         return
-    body = body_of(Rows(args.out / "rows.json"))
+    body = body_of(Rows(args.folder / "rows.json"))
     print(body)
     replace_section(readme, "gpu", body)
 

@@ -3,7 +3,8 @@
     cluttergen pretrain --encoder pointnet --features 256 --object-points 256 --out encoder
     python -m benchmarks.paper_method --encoder-weights encoder --write
 
-A row that has been trained is kept in `--out` and not trained again; Ctrl-C and the same command go on.
+A row that has been trained is kept in `--out` and not trained again; Ctrl-C and the same command go on. A row
+that was trained with other settings is refused.
 """
 
 from __future__ import annotations

@@ -75,7 +75,8 @@ def file_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     Folders are made as needed; if the block fails, nothing is left behind.
     """
     path = Path(path)
-    with _replacing(path, path.with_name(f".{path.name}{PARTIAL}{path.suffix}")) as fresh:
+    # Two commands may write the same file of a cache at once.
+    with _replacing(path, path.with_name(f".{path.name}.{os.getpid()}{PARTIAL}{path.suffix}")) as fresh:
         yield fresh
 
 

@@ -56,7 +56,7 @@ class FromFile:
 
     def __call__(self, rgb, depth, camera):
         label = np.asarray(Image.open(folder / "labels.png"))
-        return Segmentation(self.names, label, np.ones(len(self.names)))
+        return Segmentation(self.names, label)
 
 
 segmenter = load_segmenter("household") if "household" in embedded_segmenters() else FromFile()

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 _MOST_VIEWS = 1_000_000
 _MOST_SEED = 999_999
 _MOST_NOISE = 10.0
-_VIEWS_A_SCENE = 4
 _METHODS = {"random": 5, "clear": 8, "drop": 8}
 """How scenes of views are made, and objects in each: rejection sampling fills few tables with more."""
 
@@ -46,7 +45,7 @@ def perception_data(
       pool: a pool's name or folder, or several joined by +.
       support: the table, by name or folder.
       num_views: how many.
-      split: train, val or test; the last two have table textures that training does not see.
+      split: train, val or test; each has table textures that no other has.
       num_objects: in each scene at most; 5 by `random` and 8 by the others if not given. Views show the
         first so many of them.
       arm: share of the views with the robot's arm in them; more than 0 needs the extra `robot`.
@@ -66,7 +65,8 @@ def perception_data(
     """
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.assets.pool import find_pool
-    from cluttergen_jax.downstream.perception.views.maker import ViewConfig, write_views
+    from cluttergen_jax.downstream.perception.views.maker import VIEWS_A_SCENE, ViewConfig, write_views
+    from cluttergen_jax.downstream.perception.views.stored import VIEWS
     from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.downstream.splits import SPLITS
     from cluttergen_jax.placement.setup import check_range
@@ -77,13 +77,14 @@ def perception_data(
     check_range("num_views", num_views, 1, _MOST_VIEWS, 3000)
     if split not in SPLITS:
         raise ConfigError(f"split = {split!r}", ", ".join(SPLITS))
-    config = ViewConfig(seed=SPLITS[split] + seed, arm=arm, held_out=split != "train")
+    config = ViewConfig(seed=SPLITS[split] + seed, arm=arm)
     if arm:
         panda_folder()
     most = len(find_pool(pool).objects)
     if num_objects is not None:
         check_range("num_objects", num_objects, 1, most, min(8, most))
-    num_scenes = -(-num_views // (_VIEWS_A_SCENE * len(_METHODS)))
+    num_scenes = -(-num_views // (VIEWS_A_SCENE * len(_METHODS)))
+    VIEWS.check_place(Path(out))
     banks: dict[str, Any] = {
         method: generate(
             Path(out) / f"bank-{split}-{method}",

@@ -63,6 +63,7 @@ def placer_data(
     """
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
+    from cluttergen_jax.downstream.placer.pairs.stored import PAIRS
     from cluttergen_jax.downstream.splits import SPLITS
     from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
@@ -85,6 +86,7 @@ def placer_data(
     given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     if bank is None:
         name = split or "train"
+        PAIRS.check_place(Path(out))
         settings = {"pool": "household", "num_scenes": 500, **given, "seed": SPLITS[name] + seed}
         place = Path(out) / f"bank-{name}"
         settings |= {"num_threads": num_threads, "overwrite": overwrite}
@@ -127,7 +129,7 @@ def placer_eval(
         which pairs of the camera "free" alone allow.
       chains: tables that each placer fills by itself besides, object after object by what the camera sees
         after the last; as many as the split has scenes at most.
-      seed: of noise and proposals.
+      seed: of noise and proposals, 0 to 999999.
       num_threads: 0 takes every core.
       fresh: make rows again that are at hand.
       out: where everything goes: tables, and rows, which are not made again. With None a function writes
@@ -144,9 +146,13 @@ def placer_eval(
     from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials, compare_placers
     from cluttergen_jax.downstream.placer.pairs.stored import read_pairs
     from cluttergen_jax.evaluation.store import Store
+    from cluttergen_jax.placement.setup import check_range
 
     check_folder(out)
     check_workers("num_threads", num_threads)
+    check_range("seed", seed, 0, _MOST_SEED, 0)
+    if num_pairs is not None:
+        check_range("num_pairs", num_pairs, 1, _MOST_PAIRS, 1000)
     if isinstance(placers, str) or not placers:
         raise ConfigError(f"placers = {placers!r}", "a sequence of names", "placers=('geometry',)")
     if not noise or not all(0 <= each <= _MOST_NOISE for each in noise):

@@ -230,7 +230,9 @@ def _factor(noise: float | None, task: str, is_looking: bool) -> float:
     if noise is None:
         return 1.0
     if task != "place":
-        raise ConfigError(f"noise = {noise!r} with task = {task!r}", "noise of cameras", "task='place'")
+        raise ConfigError(
+            f"noise = {noise!r} with task = {task!r}", "place, and a placer that looks", "task='place'"
+        )
     if not is_looking:
         raise ConfigError(f"noise = {noise!r} where nothing looks", "a placer that looks", "placer='scored'")
     if not (isinstance(noise, Real) and 0 <= noise <= _MOST_NOISE):

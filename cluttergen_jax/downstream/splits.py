@@ -22,12 +22,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cluttergen_jax.errors import BankError, ConfigError, closest
-from cluttergen_jax.files import folder_whole, write_atomically
+from cluttergen_jax.files import PARTIAL, folder_whole, write_atomically, writing
 from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.lock import LOCK
 
 FORMAT = 1
 SPLITS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
-"""The first seed of the banks of each split: scenes of different splits have different keys."""
+"""The first seed of each split, of its banks and of all else that is drawn for it: nothing is drawn twice."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,23 @@ class SplitFormat:
     def number(self) -> str:
         """The record's name for how many rows a split has."""
         return f"num_{self.kind}"
+
+    def check_place(self, path: Path) -> None:
+        """Refuses a folder that holds something else.
+
+        Raises:
+          BankError: it does.
+        """
+        if not path.exists() or (path / self.index).exists():
+            return
+        begun = (LOCK, f".{self.index}{PARTIAL}", "assets", f".assets{PARTIAL}")
+        banks = tuple(f"bank-{split}" for split in SPLITS)
+        with writing(path):
+            names = [each.name for each in path.iterdir()] if path.is_dir() else [""]
+        if any(name not in begun and not name.startswith(banks) for name in names):
+            raise BankError(
+                f"{path} exists and holds no {self.kind}", "a new or empty folder", "another `out`"
+            )
 
     def read_record(self, path: Path) -> dict[str, Any]:
         """The record of a folder.

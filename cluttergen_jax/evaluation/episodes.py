@@ -145,10 +145,10 @@ def figures_of(outcome: Outcome, has_last_check: bool = True) -> dict[str, Any]:
         "placed_histogram": np.bincount(placed, minlength=num_slots + 1).tolist(),
         "attempts": int(counts.attempts.sum()),
         "within": within(good, counts.attempts.sum(1), num_slots),
-        "attempts_per_valid_scene": float(counts.attempts.sum() / max(valid, 1)),
+        "attempts_per_valid_scene": per_scene(int(counts.attempts.sum()), valid),
         "attempts_histogram": _attempts_histogram(scenes.is_placed, counts.attempts),
         "simulated_steps": simulated,
-        "simulated_steps_per_valid_scene": simulated / max(valid, 1),
+        "simulated_steps_per_valid_scene": per_scene(simulated, valid),
         "stack": spread_of(np.sum(np.asarray(scenes.level) > 0, axis=1)[good]),
         "stable_steps": spread_of(counts.steps[scenes.is_placed]),
         "rest_steps": spread_of(counts.rest_steps[scenes.is_placed]),
@@ -161,6 +161,11 @@ def figures_of(outcome: Outcome, has_last_check: bool = True) -> dict[str, Any]:
         "valid_scenes_per_second": valid / outcome.seconds,
         "valid_scenes_per_cpu_second": valid / outcome.cpu_seconds if outcome.cpu_seconds else None,
     }
+
+
+def per_scene(total: int, num_scenes: int) -> float | None:
+    """What each scene has cost; None where there is none."""
+    return total / num_scenes if num_scenes else None
 
 
 WITHIN = (1.0, 1.5, 5.0)

@@ -1,9 +1,12 @@
-"""Provenance of a table: versions, and the machine on which speeds depend."""
+"""Provenance of a table: versions, the day, and the machine on which speeds depend."""
 
 from __future__ import annotations
 
+import datetime
+import json
 import os
 import platform
+from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -30,8 +33,42 @@ def machine() -> dict[str, Any]:
     }
 
 
+def origin() -> dict[str, Any]:
+    """When and where something is made: `date` and `machine` of now and here."""
+    return {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), "machine": machine()}
+
+
+def origins_of(made: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """When and where several things were made: an entry for each machine, the latest first.
+
+    Args:
+      made: things with what `origin` said of them; those that older versions kept lack it.
+
+    Returns:
+      `date`, a day or "FIRST to LAST", and `machine`; both None, and last, for things that lack them.
+    """
+    machines: dict[str, dict[str, Any]] = {}
+    days: dict[str, list[str]] = {}
+    is_unknown = False
+    for each in made:
+        if "machine" not in each:
+            is_unknown = True
+            continue
+        name = json.dumps(each["machine"], sort_keys=True)
+        machines[name] = each["machine"]
+        days.setdefault(name, []).append(each["date"])
+    latest_first = sorted(days, key=lambda name: max(days[name]), reverse=True)
+    known = [{"date": _span(days[name]), "machine": machines[name]} for name in latest_first]
+    return known + ([{"date": None, "machine": None}] if is_unknown else [])
+
+
+def _span(days: list[str]) -> str:
+    first, last = min(days), max(days)
+    return first if first == last else f"{first} to {last}"
+
+
 def sentence(facts: dict[str, Any]) -> str:
-    """The same for people."""
+    """A machine for people."""
     parts = [f"{facts['cores']} {'core' if facts['cores'] == 1 else 'cores'} of {facts['cpu']}"]
     parts += [facts["accelerator"]] if facts["accelerator"] else []
     parts += [f"Python {facts['python']}", *(f"{name} {v}" for name, v in facts["versions"].items())]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from cluttergen_jax.evaluation.rivals import OURS, TWIN, tally
 from cluttergen_jax.evaluation.store import FORMAT, json_bytes
 from cluttergen_jax.evaluation.studies.study import Scale
 from cluttergen_jax.evaluation.suites import FORMER_NAMES, STUDIES
+from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.tables import Table
 
@@ -53,9 +55,14 @@ def provenance(result: Result) -> str:
 
 def _made(result: Result) -> str:
     trials = " or ".join(f"{each:,}" for each in result["trials"])
-    return (
-        f"`{result['command']}`, {trials} trials a row, {result['date']}, on {sentence(result['machine'])}."
-    )
+    others = "".join(f"; other rows {_when_and_where(each)}" for each in result.get("also_made", ()))
+    return f"`{result['command']}`, {trials} trials a row, {_when_and_where(result)}{others}."
+
+
+def _when_and_where(origin: dict[str, Any]) -> str:
+    if origin["machine"] is None:
+        return "kept by an older version, which did not note when and where it made them"
+    return f"{origin['date']}, on {sentence(origin['machine'])}"
 
 
 def with_earlier_rows(result: Result, earlier: Result) -> Result:
@@ -77,13 +84,14 @@ def with_earlier_rows(result: Result, earlier: Result) -> Result:
     asked = {trial.method for trial in STUDIES[result["name"]].trials(Scale())}
     made = [row for row in result["records"] if "figures" in row]
     before = [row for row in earlier["records"] if "figures" in row and row["trial"]["method"] in asked]
-    # An earlier version may have named fewer of a trial's settings.
-    names = sorted(set.intersection(*(set(row["trial"]) for row in (*before, *made))))
-    rows = {json.dumps([row["trial"][name] for name in names]): row for row in (*before, *made)}
+    # An earlier version may have named fewer of a trial's settings: it knew of no others than the defaults.
+    usual = asdict(Trial())
+    rows = {json.dumps(usual | row["trial"], sort_keys=True): row for row in (*before, *made)}
     if len(rows) == len(made):
         return result
     pools = list(dict.fromkeys(row["trial"].get("pool") for row in rows.values()))
-    told = {name: earlier[name] for name in ("command", "trials", "date", "machine")}
+    names = ("command", "trials", "date", "machine", "also_made")
+    told = {name: earlier[name] for name in names if name in earlier}
     return result | {
         "records": sorted(rows.values(), key=lambda row: pools.index(row["trial"].get("pool"))),
         "earlier": [told, *earlier.get("earlier", ())],

@@ -14,6 +14,7 @@ from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.episodes import Outcome, arrays_of, attempts_of, figures_of, run_episodes
+from cluttergen_jax.evaluation.machine import origin
 from cluttergen_jax.evaluation.resolved import (
     Checkpoints,
     MissingCheckpointError,
@@ -47,6 +48,7 @@ class Runner:
       checkpoints: where policies are.
       engine: "auto", "native", "warp" or "jax"; num_threads: of the native engine, 0 for every core.
       is_fresh: do not use rows that were kept.
+      measured_at: when and where the findings that `measured` has returned were made (`machine.origin`).
     """
 
     store: Store
@@ -64,6 +66,7 @@ class Runner:
         self._made: set[str] = set()
         self._rows: dict[str, Row] = {}
         self._num_rows = self._num_done = 0
+        self.measured_at: list[Row] = []
 
     def plan(self, trials: Iterable[Trial]) -> None:
         """Counts the rows that are to be made and says so; progress is shown from now on.
@@ -104,8 +107,9 @@ class Runner:
         """The trial's row: from disk, or made now.
 
         Returns:
-          `trial`, `sources`, `policy` and `figures` (`episodes.figures_of`; `paper` among them is the looser
-          count); or `trial`, `missing` and `hint` if its checkpoint is missing.
+          `trial`, `sources`, `policy`, `figures` (`episodes.figures_of`; `paper` among them is the looser
+          count), and `date` and `machine` of its making, which rows of older versions lack; or `trial`,
+          `missing` and `hint` if its checkpoint is missing.
         """
         known = self.stored_row(trial)
         if known is not None:
@@ -134,6 +138,7 @@ class Runner:
             "trial": resolved.trial.shown(),
             "sources": resolved.sources,
             "policy": resolved.policy,
+            **origin(),
             "figures": figures,
         }
         return row, arrays_of(strict)
@@ -203,9 +208,12 @@ class Runner:
         key, title = self.resolve(trial).key, f"{what} of {trial.title}"
         known = None if self.is_fresh else self.store.read(title, key)
         if known is not None:
+            self.measured_at.append({name: known[name] for name in ("date", "machine") if name in known})
             return known["figures"]
         self.begin(title)
-        figures = self.store.keep(title, key, interruptible(make))
+        found = interruptible(make)
+        self.measured_at.append(origin())
+        figures = self.store.keep(title, key, found, self.measured_at[-1])
         self.say(f"{title}: done")
         return figures
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import hashlib
 import json
 import shlex
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import find_pool, list_pools
-from cluttergen_jax.evaluation.machine import machine
+from cluttergen_jax.evaluation.machine import origin, origins_of
 from cluttergen_jax.evaluation.report import document, write_report
 from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
@@ -97,8 +96,9 @@ def run_study(
     runner.say(f"{study.name}: {study.title}")
     rows = [] if study.measure else [runner.row(trial) for trial in trials]
     measure = study.measure or study.renders
-    findings = _findings(runner, study, trials, folder, measure) if measure else None
+    findings, measured = _findings(runner, study, trials, folder, measure) if measure else (None, [])
     made = [row for row in rows if "figures" in row]
+    latest, *others = origins_of(made or measured) or [origin()]
     plots = study.plot(made, folder / study.name) if study.plot and made else []
     return {
         "format": FORMAT,
@@ -109,8 +109,8 @@ def run_study(
         "quick": quick,
         "size": study.size,
         "trials": sorted({trial.trials for trial in trials}),
-        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "machine": machine(),
+        **latest,
+        **({"also_made": others} if others else {}),
         "records": [{name: row[name] for name in _SHOWN if name in row} for row in rows],
         "measure": findings,
         "pictures": [*(findings["pictures"] if findings else []), *plots],
@@ -119,17 +119,24 @@ def run_study(
 
 def _findings(
     runner: Runner, study: Study, trials: Sequence[Trial], folder: Path, measure: Measure
-) -> dict[str, Any]:
-    """The measure's findings: those that were kept if they are of the same trials, else made now."""
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The measure's findings: those that were kept if they are of the same trials, else made now.
+
+    Returns:
+      The findings, and when and where they were made.
+    """
     stem = folder / study.name
     if study.keeps_each:
-        return asdict(measure(runner, trials, stem))
+        runner.measured_at.clear()
+        return asdict(measure(runner, trials, stem)), list(runner.measured_at)
     key, title = _findings_key(runner, study, trials), f"measure {study.name}"
     stored = None if runner.is_fresh else runner.store.read(title, key)
     if stored and all(inside(folder, name).is_file() for name in stored["figures"]["pictures"]):
-        return stored["figures"]
+        return stored["figures"], [stored]
     runner.begin(f"measuring {study.name}")
-    return runner.store.keep(title, key, asdict(measure(runner, trials, stem)))
+    found = asdict(measure(runner, trials, stem))
+    made = origin()
+    return runner.store.keep(title, key, found, made), [made]
 
 
 def _findings_key(runner: Runner, study: Study, trials: Sequence[Trial]) -> str:

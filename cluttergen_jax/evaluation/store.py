@@ -84,10 +84,14 @@ class Store:
             write_atomically(path, json_bytes(stored))
         return stored
 
-    def keep(self, title: str, key: str, figures: Any) -> Any:
-        """Stores a finding that has no scenes of its own. Returns what was stored."""
+    def keep(self, title: str, key: str, figures: Any, made: Mapping[str, Any] | None = None) -> Any:
+        """Stores a finding that has no scenes of its own. Returns the figures as they were stored.
+
+        Args:
+          made: when and where it was (`machine.origin`), stored beside the figures.
+        """
         if self.root is not None:
-            stored = {"format": FORMAT, "key": key, "figures": figures}
+            stored = {"format": FORMAT, "key": key, **(made or {}), "figures": figures}
             write_atomically(self.path(title, key), json_bytes(stored))
         return json.loads(json.dumps(figures))
 

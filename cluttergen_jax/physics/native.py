@@ -133,7 +133,8 @@ class NativePhysics(HostPhysics):
         moved = np.flatnonzero(is_moved)
         margin[moved] = self._probe.margins(moved)
         touches, bears = depths[focus, :-1] > 0, self._probe.bearers(focus)
-        if deepest <= self.config.max_added_penetration:
+        # No pair is allowed less than this, whatever it overlapped by before.
+        if deepest <= min(self.config.max_added_penetration, self.config.max_penetration):
             return AtRest(False, deepest, margin, touches, bears)
         depths_before = self._probe.depths(before, is_placed & (np.arange(len(is_placed)) != focus))
         if depths_before is None:

@@ -27,7 +27,7 @@ from cluttergen_jax.files import folder_whole, write_atomically
 from cluttergen_jax.geometry import rotation_matrix
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
-from cluttergen_jax.rendering.sensors import depth_png
+from cluttergen_jax.rendering.sensors import depth_png, png_of
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.instances import Instance, InstanceSensor
 
@@ -82,7 +82,7 @@ class BopDataset:
                 renderer.camera = camera
                 rgb = renderer.picture([RenderStyle(pose) for pose in poses])
                 image, instances = sensor.sense(poses, camera)
-                write_atomically(fresh / "rgb" / f"{view:06d}.png", _png(rgb))
+                write_atomically(fresh / "rgb" / f"{view:06d}.png", png_of(Image.fromarray(rgb)))
                 data = depth_png(image.depth, DEPTH_SCALE / 1000)
                 write_atomically(fresh / "depth" / f"{view:06d}.png", data)
                 _write_masks(fresh, view, instances)
@@ -212,13 +212,8 @@ def _box(left: int, right: int, upper: int, lower: int) -> list[int]:
 def _write_masks(folder: Path, view: int, instances: Sequence[Instance]) -> None:
     for index, instance in enumerate(instances):
         for name, mask in (("mask", instance.mask), ("mask_visib", instance.visible)):
-            write_atomically(folder / name / f"{view:06d}_{index:06d}.png", _png(mask.astype(np.uint8) * 255))
-
-
-def _png(pixels: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, format="PNG")
-    return buffer.getvalue()
+            picture = Image.fromarray(mask.astype(np.uint8) * 255)
+            write_atomically(folder / name / f"{view:06d}_{index:06d}.png", png_of(picture))
 
 
 def _lines(record: Mapping[Any, Any]) -> bytes:

@@ -17,7 +17,6 @@ from cluttergen_jax.rendering.overlay import with_caption
 from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.scene_renderer import RED, PictureConfig, RenderStyle, scene_renderer, swept
 
-_STEPS_PER_SECOND = 240
 _TINT = 0.72
 
 
@@ -39,8 +38,8 @@ class _Segment:
     seconds: float
 
 
-def _segments(attempt: Attempt, config: FilmConfig) -> list[_Segment]:
-    settling = config.slowdown * attempt.num_steps / _STEPS_PER_SECOND
+def _segments(attempt: Attempt, timestep: float, config: FilmConfig) -> list[_Segment]:
+    settling = config.slowdown * attempt.num_steps * timestep
     begin = [_Segment("approach", 0.3), _Segment("settle", settling)]
     if attempt.is_stable:
         return [*begin, _Segment("rest", 0.15)]
@@ -62,13 +61,14 @@ def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[F
             "a scene of a bank whose recipe is whole",
             "the bank's folder instead of a single file",
         )
-    natural = sum(segment.seconds for each in recording.attempts for segment in _segments(each, config))
+    segments = [_segments(each, recording.timestep, config) for each in recording.attempts]
+    natural = sum(segment.seconds for each in segments for segment in each)
     hold = min(1.5, 0.2 * config.seconds)
     speedup = max(1.0, natural / max(config.seconds - hold, 1e-6))
     frames: list[Frame] = []
     clock = 0.0
-    for place, attempt in enumerate(recording.attempts):
-        for segment in _segments(attempt, config):
+    for place, of_attempt in enumerate(segments):
+        for segment in of_attempt:
             # Rounding the clock, not each segment, keeps the film as long as it was meant to be.
             first, clock = round(clock * config.fps), clock + segment.seconds / speedup
             count = round(clock * config.fps) - first

@@ -70,7 +70,7 @@ def depth_png(depth: np.ndarray, step: float = 0.001) -> bytes:
       step: metres that each grey level stands for, if not a millimetre.
     """
     levels = np.where(np.isfinite(depth), np.round(depth / step), 0.0)
-    return _png(Image.fromarray(np.where(levels <= 65535, levels, 0).astype(np.uint16)))
+    return png_of(Image.fromarray(np.where(levels <= 65535, levels, 0).astype(np.uint16)))
 
 
 def segmentation_png(labels: np.ndarray) -> bytes:
@@ -83,7 +83,7 @@ def segmentation_png(labels: np.ndarray) -> bytes:
         raise ConfigError(f"a segmentation PNG of {labels.max() + 1} labels", "256 at most", "the NPZ file")
     image = Image.fromarray(labels.astype(np.uint8), mode="P")
     image.putpalette(palette().ravel().tolist())
-    return _png(image)
+    return png_of(image)
 
 
 def palette() -> np.ndarray:
@@ -128,7 +128,8 @@ def camera_json(sensed: Sensed) -> bytes:
     return json.dumps(record, indent=1).encode() + b"\n"
 
 
-def _png(image: Image.Image) -> bytes:
+def png_of(image: Image.Image) -> bytes:
+    """An image as a PNG file."""
     buffer = io.BytesIO()
     image.save(buffer, format="PNG")
     return buffer.getvalue()

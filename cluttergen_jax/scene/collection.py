@@ -50,6 +50,12 @@ class SceneModel:
         qpos[scene, object_index[scene, slot]] = poses[scene, slot]
         return qpos.reshape(len(object_index), -1)
 
+    @property
+    def lift(self) -> np.ndarray:
+        """f64[K, 3], newtons: the force that holds each object in the air."""
+        model = self.model
+        return -model.opt.gravity * model.body_mass[model.jnt_bodyid, None]
+
     def is_present(self, object_index: np.ndarray) -> np.ndarray:
         """bool[S, K]: the objects that belong to each scene."""
         is_present = np.zeros((len(object_index), len(self.names)), bool)
@@ -137,8 +143,7 @@ class SceneCollection:
         """f64[S, nbody, 6]."""
         model = self.model
         force = np.zeros((len(self.object_index), model.nbody, 6))
-        weight = -model.opt.gravity * model.body_mass[model.jnt_bodyid, None]
-        force[:, model.jnt_bodyid, :3] = np.where(self.is_present[..., None], 0.0, weight)
+        force[:, model.jnt_bodyid, :3] = np.where(self.is_present[..., None], 0.0, self.compiled.lift)
         return force
 
     def reset(self, data: mujoco.MjData, scene: int) -> None:

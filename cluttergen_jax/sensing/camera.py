@@ -37,7 +37,8 @@ class Camera:
       T_world_camera: f64[4, 4], metres.
 
     Raises:
-      ConfigError: a picture without pixels, intrinsics of no camera, or a pose that is no rigid transform.
+      ConfigError: a picture without pixels, intrinsics of no camera, or a pose that is no rigid transform:
+        a mirrored one is none.
     """
 
     width: int
@@ -51,8 +52,12 @@ class Camera:
             raise ConfigError(f"a camera of {self.width} x {self.height} pixels", "1 pixel or more a side")
         if K.shape != (3, 3) or not (np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0):
             raise ConfigError(f"intrinsics {K.tolist()}", "a 3 x 3 matrix with focal lengths above 0")
-        if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-5):
-            raise ConfigError(f"a camera's pose {T.tolist()}", "a 4 x 4 rigid transform")
+        if not _is_rigid(T):
+            raise ConfigError(
+                f"a camera's pose {T.tolist()}",
+                "a 4 x 4 rigid transform of finite numbers, not mirrored",
+                "x right, y down, z forward in the camera's own frame",
+            )
         object.__setattr__(self, "K", K)
         object.__setattr__(self, "T_world_camera", T)
 
@@ -120,6 +125,14 @@ class Camera:
         """f64[H, W, 3]: the world points that the pixels' middles show at depths f[H, W]; nan without one."""
         metres = np.where(np.isfinite(depth), depth, np.nan).astype(np.float64)
         return self.eye + self.directions * metres[..., None]
+
+
+def _is_rigid(T: np.ndarray) -> bool:
+    """Whether it is f[4, 4], a turn and a shift."""
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        return False
+    turn = T[:3, :3]
+    return bool(np.allclose(turn @ turn.T, np.eye(3), atol=1e-5) and np.linalg.det(turn) > 0)
 
 
 @lru_cache(maxsize=16)

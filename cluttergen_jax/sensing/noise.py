@@ -65,7 +65,10 @@ class NoiseConfig:
             )
 
     def scaled(self, factor: float) -> NoiseConfig:
-        """The same noise, every length, angle and share `factor` times as large; shares end at 1."""
+        """The same noise, every error and every share `factor` times as large; shares end at 1.
+
+        `axial_reference`, `jump` and `quantum` stay as they are; by a factor of 0 no depth is rounded either.
+        """
         names = ("axial", "axial_growth", "lateral", "position", "orientation")
         shares = ("edge_dropout", "bleeding", "patch")
         larger = {name: factor * getattr(self, name) for name in names}

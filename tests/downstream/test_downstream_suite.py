@@ -21,7 +21,7 @@ from cluttergen_jax.downstream.studies import perception, rearrangement, robot
 from cluttergen_jax.downstream.studies.placement import PLACEMENT, found_of
 from cluttergen_jax.downstream.studies.protocol import PROTOCOL, _table
 from cluttergen_jax.downstream.studies.study import SETS, Found, Scale
-from cluttergen_jax.downstream.studies.trained import grouped, mean_figures, table_of
+from cluttergen_jax.downstream.studies.trained import SEEDS_NOTE, grouped, mean_figures, pooled, table_of
 from cluttergen_jax.downstream.suite import STUDIES, command_of, result_of
 from cluttergen_jax.errors import BankError, ConfigError, MissingExtraError
 from cluttergen_jax.evaluation import suites
@@ -78,7 +78,8 @@ def test_seeds_of_one_variant_are_told_in_one_line():
     assert [len(each) for each in grouped(rows)] == [3, 3, 1]
     table = table_of("title", rows)
     assert table.columns[:5] == ("head", "noise", "seeds", "stands [95 %]", "each seed")
-    low, high = wilson(270, 300)
+    # All answer the same queries: three seeds are no more trials than one.
+    low, high = wilson(90, 100)
     assert table.rows[0][:5] == ("scored", "0", "3", f"0.900 [{low:.3f}, {high:.3f}]", "0.900 0.800 1.000")
     assert table.rows[2][:5] == ("random", "0", "-", f"0.600 [{wilson(60, 100)[0]:.3f}, 0.691]", "-")
     # One row alone is told as it is.
@@ -93,6 +94,14 @@ def test_the_papers_protocol_stands_beside_the_strict_count():
     assert table.rows[0][2].startswith("0.975 [")
     assert table.rows[0][4].startswith("0.900 [")
     assert table.rows[0][5].startswith("0.700 [")
+
+
+def test_a_share_of_fewer_queries_has_the_interval_of_so_many():
+    shares = [proportion(np.arange(number) < number // 2) | {"queries": number} for number in (40, 20, 60)]
+    assert pooled(shares, 100) == proportion(np.arange(20) < 10)
+    assert pooled([{"share": None, "queries": 0}] * 2, 100)["share"] is None
+    table = _table([[trained_row(seed, 90) for seed in range(3)]], [[trained_row(0, 70)]])
+    assert SEEDS_NOTE in table.notes
 
 
 def test_a_studys_command_says_what_was_asked():
@@ -148,6 +157,8 @@ def test_moments_are_counted_over_all_their_objects():
     row = PerceptionRow(1, 1.0, (moment, moment), ("mug",))
     figures = perception.row_of(PerceptionResult("household", (row,)), row)["figures"]
     assert (figures["found"]["share"], figures["false"]["share"]) == (0.5, 0.5)
+    (told,) = PerceptionResult("household", (row,))._by_object()
+    assert told == ("mug", "2", "1.000", "0.000", "0.000"), "of what is well seen"
     # Of the two objects only the one that is well seen counts.
     assert (figures["adds"]["share"], figures["turn"]["share"], figures["both"]["share"]) == (1, 0, 0)
     assert figures["mean_iou"] == pytest.approx(np.mean([1, 4 / 6, 2 / 4]))

@@ -10,8 +10,9 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.downstream.fitting.fit import FitConfig
-from cluttergen_jax.downstream.perception.certainty import Certainty, read_certainty
+from cluttergen_jax.downstream.perception.certainty import Certainty, read_certainty, write_certainty
 from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
+from cluttergen_jax.downstream.perception.evaluation.evaluate import evaluate_perception
 from cluttergen_jax.downstream.perception.segment.examples import example_of
 from cluttergen_jax.downstream.perception.segment.network import (
     HEIGHT,
@@ -37,6 +38,7 @@ from cluttergen_jax.downstream.perception.segment.trained import (
     agreeing,
     embedded_segmenters,
     load_segmenter,
+    network_hash,
     segmenter_folder,
 )
 from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining
@@ -296,6 +298,19 @@ def test_a_stored_segmenter_is_read_and_damaged_ones_are_refused(tmp_path):
         load_segmenter(stored(tmp_path / "names", names=["a"]))
     with pytest.raises(PoolError, match="does not say what network"):
         load_segmenter(stored(tmp_path / "sizes", network={"num_objects": 3}))
+
+
+def test_a_segmenter_is_known_by_weights_and_record_but_not_by_its_certainty(tmp_path):
+    folders = [stored(tmp_path / "one"), stored(tmp_path / "same"), stored(tmp_path / "other", top=0.5)]
+    write_certainty(folders[1], Certainty())
+    one, same, other = map(network_hash, folders)
+    assert one == same != other
+
+
+def test_true_masks_are_not_calibrated_with():
+    """Said before anything is judged: there are no views here."""
+    with pytest.raises(ConfigError, match="calibration with true masks"):
+        evaluate_perception(None, "val", "true", (1,), (0.0,), None, 0, None, calibrate=True)
 
 
 @pytest.mark.parametrize(

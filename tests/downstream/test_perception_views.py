@@ -13,10 +13,15 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.perception.classes import ARM, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
-from cluttergen_jax.downstream.perception.views import stored
-from cluttergen_jax.downstream.perception.views.appearance import NUM_TEXTURES, exposed, table_texture
+from cluttergen_jax.downstream.perception.views import maker, stored
+from cluttergen_jax.downstream.perception.views.appearance import (
+    NUM_TEXTURES,
+    TEXTURES_OF,
+    exposed,
+    table_texture,
+)
 from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE, wrist_camera
-from cluttergen_jax.downstream.perception.views.maker import ViewConfig, write_views
+from cluttergen_jax.downstream.perception.views.maker import StandingScenes, ViewConfig, write_views
 from cluttergen_jax.downstream.perception.views.stored import VIEWS, read_views, row_of
 from cluttergen_jax.downstream.robot.frames import made
 from cluttergen_jax.errors import BankError, ConfigError
@@ -41,7 +46,7 @@ def bank(tmp_path_factory):
 def views(tmp_path_factory, bank):
     if not renderer_status()[0]:
         pytest.skip("nothing here can draw")
-    return write_views(tmp_path_factory.mktemp("views"), {"made": bank}, "train", 4, CONFIG)
+    return write_views(tmp_path_factory.mktemp("views"), {"made": bank}, "train", 6, CONFIG)
 
 
 # What is drawn
@@ -115,26 +120,64 @@ def test_labels_lie_where_objects_are(views):
 
 @needs_gl
 def test_views_of_a_pair_show_the_same_moment_in_different_light(views):
-    first, second, third, _ = views.views("train")
+    first, second, *_, later, _ = views.views("train")
     assert np.array_equal(first.poses, second.poses)
     assert not np.array_equal(first.view.camera.eye, second.view.camera.eye)
     assert not np.array_equal(first.view.rgb, second.view.rgb)
-    assert first.poses.shape != third.poses.shape or not np.allclose(first.poses, third.poses)
+    assert first.poses.shape != later.poses.shape or not np.allclose(first.poses, later.poses)
 
 
 @needs_gl
 def test_the_same_settings_make_the_same_views_and_more_goes_on(views, bank, tmp_path):
     again = write_views(tmp_path / "more", {"made": bank}, "train", 2, CONFIG)
     short = list(again.views("train"))
-    more = write_views(tmp_path / "more", {"made": bank}, "train", 4, CONFIG)
+    more = write_views(tmp_path / "more", {"made": bank}, "train", 6, CONFIG)
     assert rows_of(more.path) == rows_of(views.path)
     assert np.array_equal(short[1].view.rgb, list(more.views("train"))[1].view.rgb)
     with pytest.raises(BankError, match="another seed"):
-        write_views(more.path, {"made": bank}, "train", 4, ViewConfig(seed=6, arm=0.0))
+        write_views(more.path, {"made": bank}, "train", 6, ViewConfig(seed=6, arm=0.0))
     record = json.loads((more.path / VIEWS.index).read_text())
     (more.path / VIEWS.index).write_text(json.dumps(record | {"names": ["a"]}))
     with pytest.raises(BankError, match="other objects"):
-        write_views(more.path, {"made": bank}, "train", 4, CONFIG)
+        write_views(more.path, {"made": bank}, "train", 6, CONFIG)
+
+
+def test_a_view_shows_the_same_scene_however_many_the_bank_has(tmp_path):
+    shown = []
+    for number in (2, 5):
+        found = write_bank(tmp_path / f"bank-{number}", number)
+        scenes = StandingScenes(found)
+        # What does not stand is passed over, and what comes behind changes nothing.
+        scenes.number = np.delete(scenes.number, 1)
+        shown.append([int(scenes.number[scenes.row(scene)]) for scene in range(number)])
+    assert shown == [[0, 0], [0, 0, 2, 3, 4]]
+
+
+def test_each_split_has_textures_of_its_own():
+    assert sorted(number for numbers in TEXTURES_OF.values() for number in numbers) == list(
+        range(NUM_TEXTURES)
+    )
+
+
+def test_a_folder_of_something_else_is_left_alone(bank, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(BankError, match="holds no views"):
+        write_views(tmp_path, {"made": bank}, "train", 2, CONFIG)
+    with pytest.raises(BankError, match="holds no views"):
+        cg.perception_data(tmp_path, arm=0.0)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+@needs_gl
+def test_fewer_views_than_an_interrupted_call_asked_for_are_a_whole_folder(
+    views, bank, tmp_path, monkeypatch
+):
+    with monkeypatch.context() as patch:
+        patch.setattr(maker, "_write_blocks", lambda *asked: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            write_views(tmp_path / "views", {"made": bank}, "train", 6, CONFIG)
+    fewer = write_views(tmp_path / "views", {"made": bank}, "train", 2, CONFIG)
+    assert rows_of(fewer.path) == rows_of(views.path)
 
 
 @needs_gl

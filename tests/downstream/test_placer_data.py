@@ -25,6 +25,7 @@ from cluttergen_jax.downstream.placer.pairs.stored import (
     read_pairs,
 )
 from cluttergen_jax.downstream.placer.query import Proposals
+from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.downstream.placer.training.examples import TESTING, ExampleSource
 from cluttergen_jax.downstream.splits import SPLITS
 from cluttergen_jax.errors import BankError, ConfigError
@@ -98,6 +99,42 @@ def test_the_first_pairs_are_the_same_however_many_are_made(bank, made, tmp_path
     ).slice(0, 3)
     more = cg.placer_data(tmp_path / "few", bank.path, camera="overhead", num_pairs=12)
     assert blocks(more.path) == blocks(made.path)
+
+
+def test_fewer_pairs_than_an_interrupted_call_asked_for_are_a_whole_folder(bank, made, tmp_path, monkeypatch):
+    block = data.PairMaker.block
+    with monkeypatch.context() as patch:
+        patch.setattr(data.PairMaker, "block", lambda *asked: block(*asked) if asked[1] == 0 else 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            cg.placer_data(tmp_path / "pairs", bank.path, camera="overhead")
+    cg.placer_data(tmp_path / "pairs", bank.path, camera="overhead", num_pairs=3)
+    assert blocks(tmp_path / "pairs") == blocks(made.path)
+
+
+def test_splits_share_neither_cameras_nor_noise(bank, tmp_path, monkeypatch):
+    train = write_bank(tmp_path / "train")
+    for each in (bank, train):
+        both = cg.placer_data(tmp_path / "pairs", each.path, num_pairs=4)
+    cameras = [next(iter(both.tables(split)))["T_region_camera"].to_pylist() for split in both.splits]
+    assert both.splits == ("test", "train")
+    assert not any(one == other for one, other in zip(*cameras, strict=True))
+    see, streams = QueryMaker.see_all, []
+
+    def spied(maker, views, noise, rng):
+        streams.append(rng.bit_generator.seed_seq.entropy)
+        return see(maker, views, noise, rng)
+
+    monkeypatch.setattr(QueryMaker, "see_all", spied)
+    for split in both.splits:
+        load_queries(both, REALSENSE, 0, split)
+    assert len(set(streams)) == 8
+    assert set(streams) > {(0, pair) for pair in range(4)}, "training sees what it always saw"
+    # As an earlier version made them: with the draws of the training split.
+    record = json.loads((both.path / "pairs.json").read_text())
+    record["splits"]["test"]["seed"] = 0
+    (both.path / "pairs.json").write_text(json.dumps(record))
+    with pytest.raises(BankError, match=r"made with another seed.*overwrite"):
+        cg.placer_data(both.path, bank.path, num_pairs=4)
 
 
 def test_a_pair_tells_of_the_scene_that_it_is_of(bank, made):
@@ -218,6 +255,9 @@ def test_a_folder_of_something_else_is_left_alone(bank, made, tmp_path):
     (tmp_path / "mine" / "notes.txt").write_text("mine")
     with pytest.raises(BankError, match="holds no pairs"):
         cg.placer_data(tmp_path / "mine", bank.path)
+    with pytest.raises(BankError, match="holds no pairs"):
+        cg.placer_data(tmp_path / "mine")
+    assert len(list((tmp_path / "mine").iterdir())) == 1, "nor is a bank made in it"
     with pytest.raises(BankError, match="made with another camera"):
         cg.placer_data(made.path, bank.path, camera="free")
 

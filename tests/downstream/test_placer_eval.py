@@ -112,7 +112,7 @@ def test_a_query_of_two_cameras_is_their_two_maps_merged(made, seen):
         poses, is_placed = np.zeros((3, 7)), np.zeros(3, bool)
         for name, pose in list(zip(scene.objects, scene.poses, strict=True))[:number]:
             poses[names.index(name)], is_placed[names.index(name)] = pose, True
-        (second,) = cameras.further(poses, is_placed, (0, int(labels.pair[row])), 2)
+        (second,) = cameras.further(poses, is_placed, (SPLITS["test"], int(labels.pair[row])), 2)
         assert np.abs(second.camera.eye - first.camera.eye).max() > 0.01
         both = merged([PartialMap.of(*view, maker.grid) for view in (first, second)])
         # Poses of pairs are single precision, in another frame.
@@ -158,7 +158,7 @@ def test_where_the_scenes_own_object_rests_a_proposal_is_good_by_every_count(mad
     yaw = 2 * np.arctan2(labels.target[:, 6], labels.target[:, 3])
     own = np.column_stack([labels.target[:, :3], yaw])
     own[:, 2] += CLEARANCE
-    wrong = own + np.array([0.5, 0, 0, 0])
+    wrong = own + np.array([0.8, 0, 0, 0])
     pose = np.stack([wrong, own, own], axis=1).astype(np.float32)
     outcome = bench.judge(Proposals(pose, np.zeros(pose.shape[:2], np.float32)))
     assert (outcome.verdict[:, 0] != int(Verdict.STABLE)).all()
@@ -262,6 +262,9 @@ def test_what_cannot_be_compared_is_refused(made, tmp_path):
         cg.placer_eval(made.path, ("random", "nobody"))
     with pytest.raises(ConfigError, match="noise = "):
         cg.placer_eval(made.path, noise=(-1.0,))
+    for given in ({"num_pairs": 0}, {"seed": -1}):
+        with pytest.raises(ConfigError, match=next(iter(given))):
+            cg.placer_eval(made.path, ("random",), **given)
     with pytest.raises(ConfigError, match="no pairs of the split 'val'"):
         cg.placer_eval(made.path, split="val")
     with pytest.raises(ConfigError, match="a sequence of names"):

@@ -15,7 +15,14 @@ from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.downstream.robot import execute as robot_execute
 from cluttergen_jax.downstream.robot import plan as robot_plan
 from cluttergen_jax.downstream.robot.collision import CLEARANCE, ROOM, Kind, Mode, PlanningWorld
-from cluttergen_jax.downstream.robot.episode import EpisodeWorld, lift_episode, place_episode, stand_beside
+from cluttergen_jax.downstream.robot.episode import (
+    EpisodeWorld,
+    Put,
+    _ended,
+    lift_episode,
+    place_episode,
+    stand_beside,
+)
 from cluttergen_jax.downstream.robot.execute import Phase
 from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
@@ -281,9 +288,15 @@ def test_what_moved_and_what_does_not_stay_are_found():
     assert (told.value.outcome, told.value.detail) == (Outcome.DISPLACED, "low")
     episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
     episode_world.execution.data.xfrc_applied[episode_world.execution.model.body("cube").id, 0] = 3.0
-    with pytest.raises(Failed) as told:
+
+    def put():
+        episode_world.put = Put(2, episode_world.execution.pose(TARGET))
         episode_world.check_stands()
-    assert told.value.outcome == Outcome.UNSTABLE
+
+    # How far it went is told of what failed, too.
+    result = _ended(episode_world, put)
+    assert (result.outcome, result.proposal) == (Outcome.UNSTABLE, 2)
+    assert result.error > 0.004
 
 
 def test_room_is_kept_besides_where_it_is_asked_for(world, kinematics):
@@ -344,9 +357,22 @@ def test_no_joints_are_sought_for_a_place_that_the_hand_alone_cannot_leave_upwar
     monkeypatch.setattr(kinematics, "solutions", None)
     with pytest.raises(Failed) as failure:
         mover.find_pick(grasps, place[None])
-    assert failure.value.outcome == Outcome.NO_GRASP
+    assert failure.value.outcome == Outcome.NO_PLACE
     # Where only the end of the way is blocked, every centimetre of it was looked at.
     assert blocked != Mode.TRAVEL or np.ptp(heights) > 0.11
+
+
+def test_what_is_lifted_is_looked_at_as_it_lies_in_the_hand(world, grasps, kinematics, monkeypatch):
+    held = pose_of(matrix_of(grasps.held) @ matrix_of(np.array([0, 0, 0, np.cos(0.1), 0, 0, np.sin(0.1)])))
+    seen, hold = [], world.hold
+    monkeypatch.setattr(
+        world, "hold", lambda T_tool_object: (seen.append(T_tool_object), hold(T_tool_object))
+    )
+    execution = EpisodeWorld(SCENE, TARGET, (), 0).execution
+    mover = Mover(execution, world, kinematics, TARGET, 0, lambda only: SCENE.poses)
+    plan = mover.find_pick(replace(grasps, held=held))
+    assert np.allclose(seen[-1], plan.grip.T_tool_object)
+    assert not np.allclose(seen[-1], inverse(plan.grip.T_object_tool), atol=0.01)
 
 
 def test_what_finds_no_place_is_put_back(grasps, kinematics):
@@ -356,8 +382,10 @@ def test_what_finds_no_place_is_put_back(grasps, kinematics):
     plan = mover.find_pick(grasps)
     mover.pick(plan)
     assert episode_world.execution.poses()[TARGET, 2] > SCENE.poses[TARGET, 2] + 0.1
-    with pytest.raises(Failed):
+    with pytest.raises(Failed) as told:
         mover.place(matrix_of(np.array(standing(0.6, 0.0, CUBE)))[None])
+    # It was picked up: this is no lack of a grasp that can be reached.
+    assert told.value.outcome == Outcome.NO_PATH
     mover.put_back(plan)
     assert mover.go_home()
     assert np.abs(episode_world.execution.poses()[TARGET] - SCENE.poses[TARGET]).max() < 0.003

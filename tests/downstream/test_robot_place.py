@@ -90,6 +90,15 @@ def test_strange_rows_are_damaged(content, tmp_path):
         RowFile(tmp_path / EPISODES, {}, EpisodeResult, "robot place").read()
 
 
+def test_rows_of_other_scenes_are_not_taken_up(bank, made, tmp_path):
+    scenes = list(read_scenes(bank))[:2]
+    first = run_trials(scenes, "lift", 3, 0, tmp_path, {"seed": 0})
+    numbers = [scene.origin.index for scene in scenes]
+    assert [row.scene for row in first.rows] == [*numbers, numbers[0]]
+    with pytest.raises(BankError, match=f"episode 0 is of scene {numbers[0]}"):
+        run_trials(scenes[1:], "lift", 4, 0, tmp_path, {"seed": 0})
+
+
 def test_without_scenes_it_is_said(tmp_path):
     with pytest.raises(BankError, match="no scene"):
         run_trials([], "lift", 3, 0, tmp_path, {})

@@ -191,7 +191,7 @@ def withheld(monkeypatch):
         return poses(self)
 
     monkeypatch.setattr(Execution, "poses", asked)
-    for name in ("check_others", "check_near", "check_stands", "check_region", "errors"):
+    for name in ("moved_others", "check_near", "check_stands", "check_region", "errors"):
         check = getattr(Referee, name)
 
         def checked(self, *given, check=check):
@@ -225,12 +225,11 @@ def test_what_is_seen_decides_where_it_is_put(scene, placer):
     """Pictures of a table with and without the others; the truth is the same."""
     others = Execution(scene, 2)
     alone = Execution(Scene(scene.names[2:], scene.objects[2:], scene.poses[2:], scene.support), 0)
-    camera, nothing = placer.overhead, np.zeros((240, 320), bool)
+    camera = placer.overhead
     for each in (others, alone):
         each.data.qpos[each.panda.qpos[0]] -= 1.3
     seen, bare = (
-        placer.measured(each.depth(camera), camera, nothing, np.random.default_rng(0))
-        for each in (others, alone)
+        placer.measured(each.depth(camera), camera, np.random.default_rng(0)) for each in (others, alone)
     )
     assert len(placer.columns([seen]).seen) > len(placer.columns([bare]).seen)
     proposed, same = (placer.propose([seen], "box", 0) for _ in range(2))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.evaluation import cells, comparison
 from cluttergen_jax.evaluation.episodes import (
     Attempts,
     attempts_of,
@@ -18,6 +19,7 @@ from cluttergen_jax.evaluation.episodes import (
     within,
 )
 from cluttergen_jax.evaluation.studies.fig1a import at_least
+from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_blocks
 from tests.helpers.problems import HalfTable, made_up_rules
 
@@ -70,6 +72,19 @@ def test_figures_by_hand(made_up):
     assert shares == sorted(shares, reverse=True)
     assert shares[-1] == figures["filled"]
     json.dumps(figures, allow_nan=False)
+
+
+def test_nothing_is_said_of_a_scene_where_none_is_valid(made_up):
+    scenes = made_up[1].scenes
+    none = dataclasses.replace(made_up[1], scenes=scenes.replace(is_success=np.zeros_like(scenes.is_success)))
+    figures = figures_of(none)
+    names = ("attempts_per_valid_scene", "simulated_steps_per_valid_scene")
+    assert [figures[name] for name in names] == [None, None]
+    row = {"trial": dataclasses.asdict(Trial()), "figures": figures}
+    assert [cells.per_valid_scene(row, name, 1) for name in ("attempts", "simulated_steps")] == ["-", "-"]
+    flat = comparison._flat(row)
+    assert [flat[name] for name in names] == [None, None]
+    assert "-" in comparison._table([row]).rows[0]
 
 
 def test_steps_count_placements_that_took_three_attempts():

@@ -251,6 +251,10 @@ def test_values_read_off_the_papers_pictures_stand_below_ours():
     )
     # A row without a memory that falls says that the fall is selection.
     assert any("kitchen 202 to 99" in note and "selection" in note for note in table.notes)
+    # One that does not fall says nothing.
+    made["paper"]["steps_by_attempt"][1]["mean"] = 300.0
+    (table,) = tables_of(json.loads(json.dumps(result_of(study, asked))))
+    assert not any("selection" in note for note in table.notes)
 
 
 def test_results_page_agrees_with_its_json():
@@ -324,6 +328,10 @@ def test_seeds_that_were_trained_in_another_way_have_a_row_of_their_own():
     missing = {"trial": one["trial"], "missing": "no checkpoint", "hint": "train it"}
     (table,) = table1.tables(result | {"records": [one, other, alike, missing]})
     assert [row[2] for row in table.rows] == ["2", "1"]
+    # Scenes of several trainings are not as many trials of the method: a note says what the interval is of.
+    assert any("success of several seeds" in note for note in table.notes)
+    (table,) = table1.tables(result | {"records": [one, other]})
+    assert not any("success of several seeds" in note for note in table.notes)
     (table,) = table1.tables(result | {"records": [missing]})
     assert len(table.rows) == 1
 
@@ -336,8 +344,11 @@ def test_rows_that_were_not_made_again_stay_with_where_they_come_from():
     )
     of_before = first | {"trial": first["trial"] | {"method": "beta"}}
     earlier = earlier | {"records": [first, of_before, *others]}
+    # As an older version wrote it, which knew of no other order.
+    first = first | {"trial": {name: value for name, value in first["trial"].items() if name != "order"}}
+    earlier = earlier | {"records": [first, *earlier["records"][1:]]}
     again = first | {
-        "trial": first["trial"] | {"order": None},
+        "trial": first["trial"] | {"order": "random"},
         "figures": first["figures"] | {"success": 0.5},
     }
     fresh = first | {"trial": again["trial"] | {"method": "guided"}}
@@ -353,6 +364,10 @@ def test_rows_that_were_not_made_again_stay_with_where_they_come_from():
     assert f"did not make again: `{earlier['command']}`" in told
     assert tables_of(merged)
     assert with_earlier_rows(earlier, made | {"records": [first]}) is earlier
+    # What the older version did not know of sets new rows apart.
+    largest = again | {"trial": again["trial"] | {"order": "largest"}}
+    merged = with_earlier_rows(made | {"records": [again, largest]}, earlier | {"records": [first, *others]})
+    assert len(merged["records"]) == len(others) + 2
     robot = next(each for each in read_results(DOCS / "results") if each["name"] == "robot")
     with pytest.raises(ConfigError, match="'robot' to be kept"):
         with_earlier_rows(robot, robot)

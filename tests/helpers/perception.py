@@ -75,4 +75,4 @@ class ByColour:
 
     def __call__(self, rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> Segmentation:
         distance = np.abs(rgb[:, :, None].astype(int) - COLOURS).sum(-1)
-        return Segmentation(self.names, distance.argmin(-1).astype(np.uint8), np.ones(len(self.names)))
+        return Segmentation(self.names, distance.argmin(-1).astype(np.uint8))

@@ -265,8 +265,9 @@ def test_a_slow_topple_is_seen_awake_to_the_end(layout, engine):
     np.testing.assert_allclose(standing.shift[0], [0, 0, farthest], rtol=1e-3)
 
 
-def test_the_depth_that_a_pair_may_have_is_the_configs(layout):
-    strict = NativePhysics(layout, StabilityConfig(max_added_penetration=1e-6))
+@pytest.mark.parametrize("name", ["max_added_penetration", "max_penetration"])
+def test_the_depth_that_a_pair_may_have_is_the_configs(layout, name):
+    strict = NativePhysics(layout, StabilityConfig(**{name: 1e-6}))
     one = scene(layout, {0: (0, 0, TOP + 0.0501)})
     assert verdicts(settle(strict, one)) == [Verdict.PENETRATING]
     relaxed = settle(NativePhysics(layout, CONFIG), one)

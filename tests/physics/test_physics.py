@@ -77,7 +77,7 @@ def assert_close(first, second, exactly):
         else:
             # XLA adds in another order for another batch size: velocities differ by rounding over a step.
             is_motion = field.name in ("trajectory", "motion_sum", "speed_sum")
-            rtol, atol = (1e-2, 2e-3) if is_motion else (1e-3, 1e-5)
+            rtol, atol = (2e-2, 2e-3) if is_motion else (1e-3, 1e-5)
             np.testing.assert_allclose(ours, theirs, rtol=rtol, atol=atol, err_msg=field.name)
 
 

@@ -1,9 +1,22 @@
 """The benchmarks run at their smallest, and the README's sections are replaced as they should be."""
 
+import json
+
 import numpy as np
 import pytest
 
-from benchmarks import bank_reading, bullet, contact, engines, gpu, last_check, other_mujoco, profile
+from benchmarks import (
+    ablation,
+    bank_reading,
+    bullet,
+    contact,
+    engines,
+    gpu,
+    last_check,
+    other_mujoco,
+    profile,
+    trained,
+)
 from benchmarks.bodies import apple, box
 from benchmarks.contact_drops import drops
 from benchmarks.contact_scenes import small_scenes
@@ -13,6 +26,7 @@ from benchmarks.section import prose, provenance, replace_section, table
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.learning.training.train import recipe_of
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.types import Verdict
@@ -208,6 +222,50 @@ def test_no_row_is_begun_without_time(tmp_path):
     assert not rows.file.exists()
 
 
+def left_by(out, row, **known):
+    """What a run of the row leaves: `known` of its policy."""
+    recipe = recipe_of(*ablation.settings_of(row, out, "dining", 1000, 0, None))
+    for name, record in (("last", {"num_updates": 3}), ("policy", known)):
+        (out / row.name / name).mkdir(parents=True, exist_ok=True)
+        text = json.dumps({"format": 1, **recipe, **record})
+        (out / row.name / name / "record.json").write_text(text)
+    lines = "update,attempts,attempts_per_second,success,entropy\n0,100,50.0,1.0,2.0\n"
+    (out / row.name / "progress.csv").write_text(lines)
+
+
+EVALUATION = {"success": 0.5, "low95": 0.4, "high95": 0.6}
+
+
+def test_a_row_is_trained_until_it_has_been_evaluated(tmp_path, monkeypatch):
+    trainings = []
+
+    def run_training(config, settings, interrupt):
+        trainings.append(config.folder.name)
+
+    monkeypatch.setattr(ablation, "run_training", run_training)
+    stopped, whole = ablation.Row("stopped", "Stopped"), ablation.Row("whole", "Whole", variant="beta")
+    left_by(tmp_path, stopped)
+    left_by(tmp_path, whole, evaluation=EVALUATION)
+    for row in (stopped, whole, ablation.Row("new", "New")):
+        ablation.train(row, tmp_path, "dining", 1000, 0, None)
+    assert trainings == ["stopped", "new"]
+    assert ablation.cells(whole, tmp_path)[-2] == "0.500 [0.400, 0.600]"
+    for other in ({"num_attempts": 2000}, {"seed": 1}, {"pool": "study"}):
+        asked = {"pool": "dining", "num_attempts": 1000, "seed": 0} | other
+        with pytest.raises(ConfigError, match="whole holds a run with another"):
+            ablation.train(whole, tmp_path, encoder=None, **asked)
+
+
+def test_runs_are_named_by_what_is_not_usual_and_may_lack_an_evaluation(tmp_path):
+    usual, other = (ablation.Row(name, "", preset=name) for name in ("cpu", "gpu"))
+    left_by(tmp_path, usual)
+    left_by(tmp_path, other, evaluation=EVALUATION)
+    name, *_, success = trained.cells(tmp_path / "cpu")
+    assert ("preset" in name, success) == (False, "-")
+    name, *_, success = trained.cells(tmp_path / "gpu")
+    assert ("preset gpu" in name, success) == (True, "0.500 [0.400, 0.600]")
+
+
 def test_gpu_is_measured_in_miniature_and_written(tmp_path, capsys):
     args = gpu.Gpu(parts=("doctor",), out=tmp_path / "out", small=True)
     readme = tmp_path / "README.md"
@@ -216,7 +274,9 @@ def test_gpu_is_measured_in_miniature_and_written(tmp_path, capsys):
     said = capsys.readouterr().out
     assert said.count("doctor: machine: kept") == 1
     assert not readme.exists()
-    rows = Rows(args.out / "rows.json")
+    # A miniature's rows are not taken for those of full size.
+    assert not (args.out / "rows.json").exists()
+    rows = Rows(args.folder / "rows.json")
     rows.parts["steps"] = {
         "warp, 2": {"lanes": 2, "steps/s awake": 12345.6},
         "warp, 4": {"failed": "no room"},
@@ -227,8 +287,8 @@ def test_gpu_is_measured_in_miniature_and_written(tmp_path, capsys):
     assert "- steps: warp, 4: no room" in text
     assert rows.of("doctor")["machine"]["machine"] in text
     assert "miniature" in text
-    gpu.main(gpu.Gpu(out=args.out, write=True), readme)
-    assert "## GPU" in readme.read_text()
+    gpu.main(gpu.Gpu(out=args.out, small=True, write=True), readme)
+    assert "miniature" in readme.read_text()
 
 
 def test_gpu_says_which_parts_there_are(tmp_path):

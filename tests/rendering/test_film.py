@@ -57,6 +57,13 @@ def test_replay_keeps_its_time(fps, seconds):
     assert len(frames) == pytest.approx(expected, abs=2)
 
 
+def test_smaller_steps_are_shown_as_fast_as_they_are():
+    config = FilmConfig(fps=50, seconds=60)
+    usual, fine = (len(replay_frames(replace(cubes(), timestep=1 / rate), config)) for rate in (240, 480))
+    # Half the settling time of the cubes' 168 steps.
+    assert usual - fine == pytest.approx(50 * config.slowdown * 168 / 480, abs=2)
+
+
 def test_replay_shows_the_trajectory_and_only_what_stood():
     recording = cubes()
     frames = replay_frames(recording, FilmConfig(fps=40, seconds=60))

@@ -101,6 +101,11 @@ def test_bad_cameras_are_refused():
         Camera(0, 10, intrinsics(0, 10, 5), np.eye(4))
     with pytest.raises(ConfigError, match="focal"):
         Camera(10, 10, np.zeros((3, 3)), np.eye(4))
+    mirrored, nowhere = np.diag([1.0, -1.0, 1.0, 1.0]), np.eye(4)
+    nowhere[0, 3] = np.nan
+    for pose in (mirrored, nowhere):
+        with pytest.raises(ConfigError, match="rigid"):
+            Camera(4, 4, np.eye(3), pose)
     with pytest.raises(ConfigError, match="rigid"):
         Camera(10, 10, intrinsics(10, 10, 5), 2 * np.eye(4))
     with pytest.raises(ConfigError, match="overhead, side, free"):

@@ -36,6 +36,12 @@ class Learner(Protocol):
         ...
 
 
+def blank_params(learner: Learner) -> Any:
+    """Weights of a network's shapes, all zero."""
+    shapes = jax.eval_shape(learner.init, jax.random.key(0))
+    return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
+
+
 @dataclass(frozen=True)
 class FitConfig:
     """How a network is fitted.

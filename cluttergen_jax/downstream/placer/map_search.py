@@ -42,11 +42,6 @@ class MapCandidates(struct.PyTreeNode):
         height = self.scores.fit.rest + CLEARANCE
         return jnp.column_stack([self.candidates.xy, height, self.candidates.yaw])
 
-    def take(self, index: Array) -> MapCandidates:
-        """The candidates at `index`, i32[M]."""
-        # One of the leaves, the attempt, is a single number for all candidates.
-        return jax.tree.map(lambda leaf: leaf[index] if leaf.ndim else leaf, self)
-
 
 def draw(key: Array, query: PlacementQuery, number: int) -> Candidates:
     """Uniform over one turn and over the query's region."""

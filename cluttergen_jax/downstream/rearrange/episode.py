@@ -147,7 +147,9 @@ class Rearranger:
         if self._ask is not None:
             return [self._ask(self._task, self._sight.poses, found)]
         if self._options.layout is not None:
-            return [self._options.layout % len(found)]
+            if self._options.layout >= len(found):
+                raise Failed(Cause.NO_LAYOUT, f"number {self._options.layout} of {len(found)}")
+            return [self._options.layout]
         return found.ranked(self._options.choose).tolist()
 
     def _reach_layout(self, goals: np.ndarray) -> bool:
@@ -158,8 +160,7 @@ class Rearranger:
         if waiting is None:
             self._why = Failed(Cause.NO_ORDER)
             return False
-        if self.layouts == 1:
-            self.fewest = len(pending) + len(waiting)
+        self.fewest += len(pending) + len(waiting)
         while pending:
             if not self._step(goals, pending):
                 return False
@@ -251,8 +252,10 @@ class Rearranger:
         self._look(is_home=mover.go_home())
         self._judge.check_others(k)
         if is_back:
+            # It counts as a pick, and as nothing else.
             self._times[int(is_wait), k] -= 1
             self.waits -= is_wait
+            self.retries -= not is_wait and bool(self._times[0, k])
             self._backs += 1
             self._why = Failed(Outcome.NO_PATH, f"{scene.names[k]} from above where it was")
             if self._backs >= MAX_BACKS:
@@ -283,13 +286,15 @@ class Rearranger:
 
     def _put(self, mover: Mover, plan: PickPlan, places: np.ndarray) -> int:
         """Puts down what is held at one of places, the last of which is where it was, and says at which."""
-        try:
-            return mover.place(places)
-        except Failed as failure:
-            if failure.outcome not in (Outcome.NO_PATH, Outcome.NO_IK):
-                raise
+        last = len(places) - 1
+        for part, first in ((places[:last], 0), (places[last:], last)):
+            try:
+                return first + mover.place(part)
+            except Failed as failure:
+                if failure.outcome != Outcome.NO_PATH:
+                    raise
         mover.put_back(plan)
-        return len(places) - 1
+        return last
 
     def _count(self, k: int, is_wait: bool) -> None:
         """Counts a pick.
@@ -297,13 +302,13 @@ class Rearranger:
         Raises:
           Failed: it is one too many.
         """
+        is_retry = not is_wait and bool(self._times[0, k])
+        if is_retry and self._times[0, k] > MAX_RETRIES:
+            raise Failed(Cause.MISPLACED, f"{self._scene.names[k]} after {MAX_RETRIES} retries")
         self.picks += 1
         self.waits += is_wait
+        self.retries += is_retry
         self._times[int(is_wait), k] += 1
-        if not is_wait and self._times[0, k] > 1:
-            self.retries += 1
-        if self._times[0, k] > 1 + MAX_RETRIES:
-            raise Failed(Cause.MISPLACED, f"{self._scene.names[k]} after {MAX_RETRIES} retries")
 
     def _grasps(self, k: int) -> Grasps:
         grasps = self._task.grasps[k]
@@ -331,8 +336,8 @@ def _opened(
     """An episode before its first look."""
     execution = Execution(task.scene, 0, trace=trace, sleeps=True)
     judge = Judge(execution, task.scene, task.setting.num_objects, task.symmetry)
-    with EpisodeView(execution, task.scene.names) as view:
-        sight = ObjectTracker(observer, view, options.relook)
+    with EpisodeView(execution, task.scene.names, task.seed) as view:
+        sight = ObjectTracker(observer, view, options.relook, task.symmetry)
         yield Rearranger(task, options, execution, sight, judge, ask), execution, judge, sight
 
 
@@ -368,7 +373,8 @@ def rearrange_episode(
             judge.check_end(worker.goals)
         except Failed as failure:
             outcome, detail = str(failure.outcome), failure.detail
-    right = judge.is_right(worker.goals)
+    # Where no layout was chosen nothing is where it should be.
+    right = judge.is_right(worker.goals) & (worker.layout >= 0)
     errors = judge.errors(worker.goals)[right]
     error, turn_error = errors.max(0) if right.any() else (np.nan, np.nan)
     return RearrangeResult(

@@ -14,8 +14,9 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
+from cluttergen_jax.downstream.perception.symmetry import offset
 from cluttergen_jax.downstream.robot.execute import Execution
-from cluttergen_jax.downstream.robot.frames import angle_between, matrix_of, pose_of
+from cluttergen_jax.downstream.robot.frames import matrix_of, pose_of
 from cluttergen_jax.downstream.robot.outcome import Failed
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.config import CameraView
@@ -79,10 +80,11 @@ class EpisodeView:
 
     Args:
       execution: the simulation. names: of the scene's objects, in its order.
+      seed: of the episode, for whatever an observer draws.
     """
 
-    def __init__(self, execution: Execution, names: Sequence[str]) -> None:
-        self._execution, self.names = execution, tuple(names)
+    def __init__(self, execution: Execution, names: Sequence[str], seed: int = 0) -> None:
+        self._execution, self.names, self.seed = execution, tuple(names), seed
         self._renderer: Renderer | None = None
         self._open = ExitStack()
 
@@ -183,13 +185,21 @@ class ObjectTracker:
 
     Args:
       relook: False looks once, and then goes by what the hand has done.
+      symmetry: of each object (`perception.symmetry.turn_symmetry`); none if not given.
 
     Attributes:
       num_looks: how often all objects were looked for.
     """
 
-    def __init__(self, observer: Observer, view: EpisodeView, relook: bool = True) -> None:
+    def __init__(
+        self,
+        observer: Observer,
+        view: EpisodeView,
+        relook: bool = True,
+        symmetry: Sequence[int] | None = None,
+    ) -> None:
         self._observer, self._view, self._relook = observer, view, relook
+        self._symmetry = symmetry or [1] * len(view.names)
         self.num_looks, self._looked_at = 0, -1.0
         self._held, self._T_tool_object = -1, np.eye(4)
         self._carried: set[int] = set()
@@ -222,6 +232,7 @@ class ObjectTracker:
             for number, pose, is_seen, certainty in told:
                 if is_seen and certainty >= self._least(number, pose):
                     self._poses[number] = pose
+                    self._carried.discard(number)
         if (unseen := np.isnan(self._poses[:, 0])).any():
             raise Failed(Cause.NOT_SEEN, self._view.names[int(unseen.argmax())])
         return self.poses
@@ -240,8 +251,8 @@ class ObjectTracker:
         known = self._poses[number]
         if np.isnan(known[0]):
             return 0.0
-        shift = float(np.linalg.norm(pose[:3] - known[:3]))
-        if shift <= NEAR and angle_between(matrix_of(pose), matrix_of(known)) <= NEAR_TURN:
+        shift, turn = offset(matrix_of(pose), matrix_of(known), self._symmetry[number])
+        if shift <= NEAR and turn <= NEAR_TURN:
             return AGREEING
         return OTHERWISE
 
@@ -251,7 +262,6 @@ class ObjectTracker:
         names = [self._view.names[number] for number in numbers]
         known = self._poses[list(numbers)]
         known[[number in self._carried for number in numbers]] = np.nan
-        self._carried -= set(numbers)
         return self._observer(self._view, names, known)
 
     def _follow(self) -> None:

@@ -33,22 +33,25 @@ class PerceptionObserver:
 
     Args:
       finder: of the objects. support: the table.
-      noise: of the depth cameras. seed: of the noise.
-
-    Attributes:
-      num_pictures: taken so far.
+      noise: of the depth cameras. seed: of the noise, with that of the episode.
+      weights: which network and rule of certainty the finder has; rows of others are not taken up.
     """
 
     name = "perception"
     sees_held = False
 
     def __init__(
-        self, finder: SceneFinder, support: SupportAsset, noise: NoiseConfig = REALSENSE, seed: int = 0
+        self,
+        finder: SceneFinder,
+        support: SupportAsset,
+        noise: NoiseConfig = REALSENSE,
+        seed: int = 0,
+        weights: str = "",
     ) -> None:
         self._finder, self._support, self._noise, self._seed = finder, support, noise, seed
         self._silhouette = ArmSilhouette(base_pose(support))
         self._glances: list[Look] = []
-        self.num_pictures = 0
+        self.weights = weights
 
     def glance(self, world: EpisodeView) -> None:
         """See `observe.Observer`."""
@@ -72,12 +75,11 @@ class PerceptionObserver:
     def _look(self, world: EpisodeView, camera: Camera, number: int) -> list[Look]:
         """The picture of that number from here; none where nothing was measured."""
         rgb, depth = world.picture(camera)
-        is_own = self._silhouette(camera, world.joints, world.opening)
         moment = round(world.time * _MILLISECONDS)
-        rng = np.random.default_rng((self._seed, moment, number))
-        self.num_pictures += 1
+        rng = np.random.default_rng((self._seed, world.seed, moment, number))
         if self._noise != NOISE_OFF:
             depth, camera = noisy(depth, camera, self._noise, rng)
+        is_own = self._silhouette(camera, world.joints, world.opening)
         try:
             return [self._finder.look(rgb, depth, camera, is_own)]
         except ConfigError:

@@ -47,7 +47,8 @@ class RearrangeResult:
     Attributes:
       outcome: "success", an `Outcome` or a `Cause`, as text; detail: of what, in words.
       setting: its name. objects: that were to be moved; right: which of them are where they should be.
-      picks: how often an object was picked up; fewest: the fewest that could do.
+      picks: how often an object was picked up; fewest: the fewest that could do, for all layouts that were
+        tried.
       waits: how often one was put down elsewhere; retries: picked up again because something went wrong.
       looks: how often all objects were looked for. layouts: how many were tried.
       error, turn_error: the largest of metres and radians from the layout among those that are right; nan if

@@ -29,6 +29,7 @@ from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.rows import RowFile, share_of
 from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
@@ -221,6 +222,7 @@ def run_rearrangements(
     observer = observer or TrueObserver()
     told = getattr(observer, "name", type(observer).__name__)
     recipe = {"setting": setting.name, "pool": pool, "seed": seed, "observer": told, **asdict(options)}
+    recipe |= {"weights": getattr(observer, "weights", ""), "versions": versions()}
     if ask is not None:
         recipe["choose"] = "person"
     file = RowFile(None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange")

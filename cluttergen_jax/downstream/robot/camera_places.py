@@ -56,17 +56,9 @@ class CameraPlacer:
         self._world: Any = jax.jit(jax.vmap(world_pose, in_axes=(None, 0)))
         self._region = problem.rules.region
 
-    def measured(
-        self, depth: np.ndarray, camera: Camera, is_own: np.ndarray, rng: np.random.Generator
-    ) -> View:
-        """A picture with noise, its stated pose corrected by the table's top.
-
-        Args:
-          depth: f32[H, W], exact.
-          is_own: bool[H, W], pixels of the arm and what it brings, which are left out.
-        """
-        depth, camera = self._maker.measured(depth, camera, self._noise, rng)
-        return np.where(is_own, np.float32(np.nan), depth), camera
+    def measured(self, depth: np.ndarray, camera: Camera, rng: np.random.Generator) -> View:
+        """A picture f32[H, W] with noise, its stated pose corrected by the table's top."""
+        return self._maker.measured(depth, camera, self._noise, rng)
 
     def columns(self, views: Sequence[View]) -> Columns:
         """What the arm has to avoid."""

@@ -38,12 +38,13 @@ class EpisodeResult:
     Attributes:
       outcome: an `Outcome`, as text; detail: of what, in words.
       object: the name of the object that was moved; num_others: objects besides it.
-      error, turn_error: metres in plan and radians about z from where it was meant to stand; nan if it is not
-        there. z_error: metres.
+      error, turn_error: metres in plan and radians in the end from where it was put; nan if it never was.
+        z_error: metres.
       displaced: metres that another object moved at most.
-      proposal: which of the proposed places was used, -1 if none was.
+      proposal: which of the places proposed in the region was used, -1 if none was.
       seconds: of the simulated time. cpu: seconds of this process.
       placer: what proposed the places. looks: pictures that the arm's cameras took.
+      scene: the number of the scene in its bank, -1 where it is not known.
     """
 
     outcome: str
@@ -59,6 +60,7 @@ class EpisodeResult:
     cpu: float
     placer: str = "none"
     looks: int = 0
+    scene: int = -1
 
     @property
     def is_success(self) -> bool:
@@ -92,6 +94,10 @@ class Referee:
       target: the number of the one that is to be moved.
       stands: more boxes that objects can stand on.
       trace: see `Execution`.
+
+    Attributes:
+      put: where the object was put, once it was.
+      displaced: metres that another object was seen to have moved at most.
     """
 
     def __init__(
@@ -102,6 +108,7 @@ class Referee:
         config: PandaConfig | None = None,
         trace: Trace | None = None,
     ) -> None:
+        self.put: Put | None = None
         self.scene, self.target = scene, target
         self.execution = Execution(scene, target, stands, config, trace)
         self._others = [k for k in range(len(scene.names)) if k != target]
@@ -113,14 +120,18 @@ class Referee:
         Raises:
           Failed: one has moved by more than `StabilityConfig` allows of neighbours.
         """
+        if moved := self.moved_others():
+            raise Failed(Outcome.DISPLACED, self.scene.names[moved[0]])
+
+    def moved_others(self) -> list[int]:
+        """The numbers of the other objects that have moved too far; keeps how far one has at most."""
         limits = StabilityConfig()
         now, then = self.execution.poses()[self._others], self.scene.poses[self._others]
         shift = np.linalg.norm(now[:, :3] - then[:, :3], axis=1)
         turn = angle_between(matrix_of(now), matrix_of(then)) if self._others else shift
         self.displaced = max(self.displaced, float(shift.max(initial=0.0)))
-        moved = np.flatnonzero((shift > limits.max_shift) | (turn > limits.max_turn))
-        if moved.size:
-            raise Failed(Outcome.DISPLACED, self.scene.names[self._others[int(moved[0])]])
+        is_far = (shift > limits.max_shift) | (turn > limits.max_turn)
+        return [number for number, far in zip(self._others, is_far, strict=True) if far]
 
     def check_stands(self) -> None:
         """Waits, and looks whether the object stays where it was let go.
@@ -224,14 +235,14 @@ def place_episode(
     world = EpisodeWorld(scene, target, (stand,), seed, trace=trace)
     wanted = matrix_of(places)
 
-    def run() -> Put:
+    def run() -> None:
         world.mover.pick(world.mover.find_pick(grasps, wanted))
         world.check_others()
         used = world.mover.place(wanted)
+        world.put = Put(used, wanted[used])
         world.check_others()
         world.check_stands()
         world.check_region()
-        return Put(used, wanted[used])
 
     return _ended(world, run)
 
@@ -250,16 +261,15 @@ def sensed_place_episode(
     asset, start = scene.objects[target], scene.poses[target]
     arm = SeeingArm(world.execution, asset, start, scene.support, stand, placer, scene.names[target], seed)
 
-    def run() -> Put:
+    def run() -> None:
         mover = arm.pick(grasps)
         world.check_others()
         world.check_near(arm.believed, Outcome.SLIP)
-        put = Put(*arm.put(mover))
+        world.put = Put(*arm.put(mover))
         world.check_others()
-        world.check_near(put.place, Outcome.UNSTABLE)
+        world.check_near(world.put.place, Outcome.UNSTABLE)
         world.check_stands()
         world.check_region()
-        return put
 
     return replace(_ended(world, run), placer=placer.name, looks=arm.looks)
 
@@ -274,13 +284,15 @@ def _on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
     return replace(scene, poses=poses), stand
 
 
-def _ended(world: Referee, run: Callable[[], Put | None]) -> EpisodeResult:
-    begun, put = time.process_time(), None
+def _ended(world: Referee, run: Callable[[], None]) -> EpisodeResult:
+    begun = time.process_time()
     try:
-        put = run()
+        run()
         outcome, detail = str(Outcome.SUCCESS), ""
     except Failed as failure:
         outcome, detail = str(failure.outcome), failure.detail
+    world.moved_others()
+    put = world.put
     error, turn_error, z_error = (float("nan"),) * 3 if put is None else world.errors(put.place)
     return EpisodeResult(
         outcome=outcome,

@@ -63,6 +63,9 @@ class Mover:
         moves a little as the fingers close.
       see: tells where objects are, asked whenever something may have moved; the true poses if not given.
         Nothing else tells the mover.
+
+    Attributes:
+      fitting: the number of the place that the last grasp of `find_pick` was found to fit; None if none was.
     """
 
     def __init__(
@@ -85,16 +88,12 @@ class Mover:
         self._prefers_room, self._feels = prefers_room, feels
         self._opening = 0.0
         self._T_tool_object = self._grasped = np.eye(4)
-        self._known: tuple[int, np.ndarray] | None = None
+        self.fitting: int | None = None
+        self._joints: np.ndarray | None = None
 
     def plan_in(self, world: PlanningWorld) -> None:
         """From now on this is what is known of the world; the object's number in it is the same."""
         self.world = self.planner.world = world
-
-    @property
-    def fitting(self) -> int | None:
-        """The number of the place that the last grasp of `find_pick` was found to fit."""
-        return None if self._known is None else self._known[0]
 
     # Picking up
 
@@ -106,26 +105,25 @@ class Mover:
             grasp must be possible too.
 
         Raises:
-          Failed: no grasp, no joints for one, or no path to one.
+          Failed: no grasp, none that fits a place, no joints for one, or no path to one.
         """
         stood = self._survey()
         T_world_object = matrix_of(stood)
-        has_free = has_joints = False
+        has_free = has_place = has_joints = False
+        self.fitting = self._joints = None
         rooms = (True, False) if self._prefers_room else (False,)
         for needs_room, grip in product(rooms, ranked(grasps, T_world_object)):
             self.world.needs_room = needs_room
-            T_world_tool, opening = (
-                T_world_object @ grip.T_object_tool,
-                float(opening_of(np.array(grip.width))),
-            )
+            T_world_tool = T_world_object @ grip.T_object_tool
+            opening = float(opening_of(np.array(grip.width)))
             if not self.world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
-            fitting: list[int] = []
+            has_free, fitting = True, list[int]()
             if places is not None:
                 fitting = self._hand_fits(grip.T_tool_object, places, opening, stood)
                 if not fitting:
                     continue
-            has_free = True
+            has_place = True
             for joints in self.kinematics.solutions(T_world_tool, _ARMS, self._rng):
                 has_joints = True
                 if not self.world.is_free(joints, opening, Mode.COME):
@@ -137,6 +135,8 @@ class Mover:
                     return plan
         if not has_free:
             raise Failed(Outcome.NO_GRASP)
+        if not has_place:
+            raise Failed(Outcome.NO_PLACE, "for which the hand has room")
         if not has_joints:
             raise Failed(Outcome.NO_IK)
         raise Failed(Outcome.NO_PATH, "to pick it up")
@@ -189,7 +189,7 @@ class Mover:
                 target = _tool_at(places[number], T_tool_object)
                 for joints in self.kinematics.solutions(target, _ARMS, self._rng):
                     if self._lowering(joints, places[number], T_tool_object, opening) is not None:
-                        self._known = number, joints
+                        self.fitting, self._joints = number, joints
                         return True
             return False
         finally:
@@ -201,7 +201,8 @@ class Mover:
         back = self._back(joints, matrix_of(stood) @ grip.T_object_tool, opening)
         if back is None:
             return None
-        self.world.hold(inverse(grip.T_object_tool))
+        # The fingers turn an object as they close.
+        self.world.hold(grip.T_tool_object)
         lifts = (self._lifting(joints, opening, height) for height in (LIFT, 2 * LIFT))
         # What lies around something tall must be lifted off it before it can go anywhere.
         lift = next(
@@ -230,20 +231,18 @@ class Mover:
         rooms = (True, False) if self.world.needs_room else (False,)
         for needs_room, (number, place) in product(rooms, enumerate(places)):
             self.world.needs_room = needs_room
-            for joints in self._arms(number, _tool_at(place, self._T_tool_object)):
+            for joints in self._arms(_tool_at(place, self._T_tool_object)):
                 has_joints = True
                 found = self._place_plan(joints, place)
                 if found is not None:
                     self._carry(found.path, self._T_tool_object)
                     self._put_down(self._corrected(found.lower, place), found.leave, place)
                     return number
-        raise Failed(Outcome.NO_PATH if has_joints else Outcome.NO_IK, "to put it down")
+        raise Failed(Outcome.NO_PATH, "to put it down" if has_joints else "no joints to put it down")
 
-    def _arms(self, number: int, T_world_tool: np.ndarray) -> list[np.ndarray]:
-        """Joints f64[7] that put the object down at a place, those first that were found beforehand."""
-        known = None
-        if self._known is not None and self._known[0] == number:
-            known = self.kinematics.solve(T_world_tool, self._known[1])
+    def _arms(self, T_world_tool: np.ndarray) -> list[np.ndarray]:
+        """Joints f64[7] for a pose of the tool, those first that are like what was found beforehand."""
+        known = None if self._joints is None else self.kinematics.solve(T_world_tool, self._joints)
         others = self.kinematics.solutions(T_world_tool, 2 * _ARMS, self._rng)
         return others if known is None else [known, *others]
 
@@ -304,12 +303,13 @@ class Mover:
     def _widest(self, leave: np.ndarray, place: np.ndarray) -> float:
         """How far the fingers can open and leave: what hung askew between them rocks as it is let go."""
         self.world.release(pose_of(place))
-        self.world.needs_room = True
+        needed, self.world.needs_room = self.world.needs_room, True
         wide, axis = min(MAX_OPENING, self._opening + WIDE), self.execution.tool[:3, 1]
         # One of two fingers that are not level goes down as they open.
         is_free = abs(axis[2]) < _LEVEL and all(
             self.world.is_free(joints, wide, Mode.COME) for joints in leave[:: len(leave) // 6 or 1]
         )
+        self.world.needs_room = needed
         return wide if is_free else self._opening
 
     def _corrected(self, lower: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -333,6 +333,7 @@ class Mover:
     def go_home(self) -> bool:
         """Brings the empty hand back to where it starts; whether there was a path."""
         self.world.release(self._see(self.target)[self.target])
+        self.world.needs_room = False
         run, home = self.execution, self.kinematics.home
         path = self.planner.connect(run.set_point, home, self._opening, self._next_seed())
         if path is not None:

@@ -8,10 +8,11 @@ from enum import StrEnum
 class Outcome(StrEnum):
     """The end of an episode; all but the first are failures, in the order in which they can come.
 
-    NO_GRASP: no grasp of the object is free of contact. NO_IK: the arm does not reach. NO_PATH: no path was
-    found. NO_PLACE: a placer proposed no place in the region. CONTACT: the arm or what it held touched what
-    it should not, by more than 2 N. SLIP: the object was lost, or slipped in the hand. DISPLACED: another
-    object moved. UNSTABLE: something did not stay. OUTSIDE: the object does not stand where it should.
+    NO_GRASP: no grasp of the object is free of contact. NO_IK: the arm does not reach it. NO_PATH: there was
+    no way to it or with it. NO_PLACE: no place was proposed in the region, or none for which the hand has
+    room. CONTACT: the arm or what it held touched what it should not, by more than 2 N. SLIP: the object was
+    lost, or slipped in the hand. DISPLACED: another object moved. UNSTABLE: something did not stay. OUTSIDE:
+    the object does not stand where it should.
     """
 
     SUCCESS = "success"

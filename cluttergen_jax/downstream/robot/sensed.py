@@ -134,8 +134,9 @@ class SeeingArm:
     def _look(self, camera: Camera) -> None:
         """Takes a picture; what it shows of the arm and the object is left out."""
         run = self._execution
+        depth, camera = self._placer.measured(run.depth(camera), camera, self._rng)
         is_own = self._silhouette(camera, run.joints, run.opening, self._object()[0])
-        self._views.append(self._placer.measured(run.depth(camera), camera, is_own, self._rng))
+        self._views.append((np.where(is_own, np.float32(np.nan), depth), camera))
         self.looks += 1
 
     def _swing_aside(self) -> None:

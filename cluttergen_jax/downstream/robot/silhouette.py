@@ -43,6 +43,7 @@ class ArmSilhouette:
         """bool[H, W]: pixels that may show them.
 
         Args:
+          camera: where it is believed to stand.
           joints: f64[7]; opening: metres of each finger from the middle; pose: f64[7],
             T_world_object, where there is one.
         """

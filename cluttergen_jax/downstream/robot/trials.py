@@ -117,20 +117,29 @@ def run_trials(
       films: film the first episode of each outcome in the folder `films` of `out` (`film_firsts`).
 
     Raises:
-      BankError: there is no scene, the folder holds rows of another recipe, or a film shows another end.
+      BankError: there is no scene, the folder holds rows of another recipe or of other scenes, or a film
+        shows another end.
       RendererError: films are asked for, and nothing here can draw.
     """
     if not scenes:
         raise BankError("no scene stands", "one or more", "more scenes")
     file = RowFile(None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place")
     rows = file.read()[:number]
+    for index, row in enumerate(rows):
+        if row.scene not in (-1, number_now := _number_of(scenes, index)):
+            raise BankError(
+                f"{out}: episode {index} is of scene {row.scene}, and would now be of {number_now}",
+                "the bank that the rows are of, with as many scenes",
+                "another folder",
+            )
     assets = {scene.objects[-1].name: scene.objects[-1] for scene in islice(cycle(scenes), number)}
     found = grasps_of(list(assets.values()), num_threads=num_threads)
     grasps: dict[str, Grasps] = dict(zip(assets, found, strict=True))
 
     def run(index: int, trace: Trace | None = None) -> EpisodeResult:
         scene = scenes[index % len(scenes)]
-        return _episode(scene, task, grasps[scene.objects[-1].name], places, index, seed, trace)
+        row = _episode(scene, task, grasps[scene.objects[-1].name], places, index, seed, trace)
+        return replace(row, scene=_number_of(scenes, index))
 
     with Progress(task, number, "episode", kept=len(rows)) as progress:
         for index in range(len(rows), number):
@@ -142,6 +151,12 @@ def run_trials(
     if out is not None and films is not None:
         film_firsts(rows, run, out / FILMS, films, task)
     return RobotTrials(task, tuple(rows))
+
+
+def _number_of(scenes: Sequence[Scene], index: int) -> int:
+    """The number, in its bank, of the scene of an episode."""
+    origin = scenes[index % len(scenes)].origin
+    return -1 if origin is None else origin.index
 
 
 def _episode(

@@ -8,7 +8,7 @@ from typing import Any
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
 from cluttergen_jax.downstream.placer.training.examples import TESTING
 from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
-from cluttergen_jax.downstream.studies.trained import Variant, grouped, pooled, rows_of
+from cluttergen_jax.downstream.studies.trained import SEEDS_NOTE, Variant, grouped, pooled, rows_of
 from cluttergen_jax.tables import Table
 
 _NOTES = (
@@ -59,7 +59,7 @@ def _table(shared: Sequence[list[Row]], apart: Sequence[list[Row]]) -> Table:
     ]
     asked, others = shared[0][0]["trial"], apart[0][0]["trial"]
     title = f"{asked['queries']} test pairs of the paper's protocol, {others['queries']} of scenes never seen"
-    return Table(title, columns, tuple(cells), _NOTES)
+    return Table(title, columns, tuple(cells), (*_NOTES, SEEDS_NOTE))
 
 
 def _told(rows: list[Row], name: str) -> str:

@@ -15,8 +15,8 @@ from cluttergen_jax.proportions import wilson
 from cluttergen_jax.tables import Table
 
 SEEDS_NOTE = (
-    "stands: the mean over training seeds; the interval is that of all their queries together and knows "
-    "nothing of what differs from seed to seed, which stands beside it"
+    "of several training seeds the mean; its interval is that of the queries that each was asked, since all "
+    "were asked the same, and knows nothing of what differs from seed to seed"
 )
 
 
@@ -88,17 +88,21 @@ def mean_figures(rows: Sequence[Row]) -> dict[str, Any]:
     errors = [each["z_error"]["median"] for each in figures]
     return {
         **{name: pooled([each[name] for each in figures], queries) for name in shares},
-        "many": pooled([each["many"] for each in figures], figures[0]["many"]["queries"]),
+        "many": pooled([each["many"] for each in figures], queries),
         "z_error": {"median": None if None in errors else float(np.mean(errors))},
         "verdicts": {name: float(np.mean([each[name] for each in verdicts])) for name in verdicts[0]},
     }
 
 
 def pooled(shares: Sequence[dict[str, Any]], queries: int) -> dict[str, Any]:
-    """The mean of shares of so many queries each, with the interval of all of them together."""
+    """The mean of shares of the same queries, with the interval of a share of so many.
+
+    Args:
+      queries: where a share does not say itself of how many it is; where these differ, the fewest count.
+    """
     told = [each["share"] for each in shares]
     if None in told:
         return {"share": None, "low95": None, "high95": None}
-    mean, number = float(np.mean(told)), len(told) * queries
+    mean, number = float(np.mean(told)), min(int(each.get("queries", queries)) for each in shares)
     low, high = wilson(round(mean * number), number)
     return {"share": mean, "low95": low, "high95": high}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.geometry import conjugate, product, rotate
+from cluttergen_jax.scene.export.friction import factor_of, friction_of
 
 
 def load_pybullet(purpose: str) -> ModuleType:
@@ -45,6 +45,8 @@ class BodyFrames:
     @staticmethod
     def of(objects: Sequence[ObjectAsset]) -> BodyFrames:
         """The frames of K objects."""
+        # Not the frames of the exports (`scene.export.frames`): Bullet's contacts depend on how axes lie, and
+        # published figures were made with these.
         inertia, axes = np.linalg.eigh(np.stack([asset.inertia for asset in objects]))
         axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
         turn = Rotation.from_matrix(axes).as_quat(scalar_first=True)
@@ -64,9 +66,14 @@ class BodyFrames:
         return np.c_[bodies[:, :3] - rotate(np, turn, self.center[objects]), turn]
 
 
-def body_friction(contact: ContactConfig) -> float:
-    """Each body's coefficient: PyBullet multiplies those of two bodies, MuJoCo takes the larger."""
-    return math.sqrt(contact.friction[0])
+def support_friction(contact: ContactConfig) -> float:
+    """The support's coefficient: PyBullet multiplies those of two bodies."""
+    return factor_of(contact.friction[0], contact.friction[0])
+
+
+def object_friction(asset: ObjectAsset, contact: ContactConfig) -> float:
+    """An object's: on the support its own friction, or the contact's; see `scene.export.friction`."""
+    return factor_of(friction_of(asset, contact)[0], contact.friction[0])
 
 
 def write_compound(path: Path, asset: ObjectAsset, frames: BodyFrames, index: int) -> None:

@@ -12,17 +12,16 @@ import numpy as np
 from cluttergen_jax.assets.obj import mesh_text
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-
-HYDROELASTIC_MODULUS = 1e9
-"""Pascals: of hard plastic. As soft as rubber (1e7), tables give way at edges, and what overhangs tips."""
+from cluttergen_jax.scene.export.friction import friction_of, harmonic_of
+from cluttergen_jax.scene.export.sdf import HYDROELASTIC_MODULUS
 
 
 class DrakePeer:
     """Drake's discrete plant: a fresh simulator for every scene.
 
-    Hulls and boxes are compliant hydroelastic bodies (`HYDROELASTIC_MODULUS`), so that they touch over areas:
-    Drake's point contact has one point for each two hulls, on which nothing flat can stand still. Where a
-    simulation diverges, poses are NaN from then on.
+    Hulls and boxes are compliant hydroelastic bodies (`HYDROELASTIC_MODULUS`, as in the SDF export), so that
+    they touch over areas: Drake's point contact has one point for each two hulls, on which nothing flat can
+    stand still. Where a simulation diverges, poses are NaN from then on.
     """
 
     def __init__(self, models: SceneModels) -> None:
@@ -78,12 +77,12 @@ class DrakePeer:
         return config
 
     def _add_support(self, plant: Any) -> None:
-        drake = self._drake
+        drake, sliding = self._drake, self._models.contact.friction[0]
         for number, box in enumerate(self._models.world.support.boxes):
             place = drake.RigidTransform(drake.RollPitchYaw(0, 0, box.yaw), box.center)
             shape = drake.Box(*(2 * side for side in box.half_extents))
             plant.RegisterCollisionGeometry(
-                plant.world_body(), place, shape, f"support-{number}", self._friction()
+                plant.world_body(), place, shape, f"support-{number}", self._friction(sliding)
             )
 
     def _add_object(self, plant: Any, k: int) -> Any:
@@ -96,16 +95,17 @@ class DrakePeer:
         body = plant.AddRigidBody(
             self._models.world.names[k], drake.SpatialInertia(mass, center, about_origin)
         )
+        friction = self._friction(friction_of(asset, self._models.contact)[0])
         for number, path in enumerate(self._hulls(k)):
             plant.RegisterCollisionGeometry(
-                body, drake.RigidTransform(), drake.Convex(str(path)), f"part-{number}", self._friction()
+                body, drake.RigidTransform(), drake.Convex(str(path)), f"part-{number}", friction
             )
         return body
 
-    def _friction(self) -> Any:
-        """Drake takes the harmonic mean of two bodies, so that equal ones keep their own."""
-        sliding = self._models.contact.friction[0]
-        return self._drake.CoulombFriction(sliding, sliding)
+    def _friction(self, wanted: float) -> Any:
+        """Of a body that is to have this coefficient with the support; see `scene.export.friction`."""
+        own = harmonic_of(wanted, self._models.contact.friction[0])
+        return self._drake.CoulombFriction(own, own)
 
     def _hulls(self, k: int) -> list[Path]:
         folder = Path(self._files.name)

@@ -62,8 +62,9 @@ def movement_elsewhere(
 ) -> Movement:
     """How far objects move in another engine; `Movement.survives` says which scenes stand (5 mm, 5 deg).
 
-    Hulls, masses, inertias, sliding friction, gravity and time step are the scene's own; everything else is
-    the other engine's default but for the hulls' margin in PyBullet (`BULLET_MARGIN`, metres) and the bodies'
+    Hulls, masses, inertias, sliding friction, gravity and time step are the scene's own (two objects that
+    both have a friction of their own slide by the engine's rule for two bodies); everything else is the other
+    engine's default but for the hulls' margin in PyBullet (`BULLET_MARGIN`, metres) and the bodies'
     stiffness in Drake (`drake_world.HYDROELASTIC_MODULUS`).
 
     Args:
@@ -115,12 +116,14 @@ class BulletPeer:
         client = self._client = bullet.connect(bullet.DIRECT)
         bullet.setGravity(0, 0, -models.contact.gravity, physicsClientId=client)
         bullet.setTimeStep(models.stability.timestep, physicsClientId=client)
-        friction = bullet_world.body_friction(models.contact)
-        bullet_world.add_support(bullet, client, models.world.support, friction)
+        on_support = bullet_world.support_friction(models.contact)
+        bullet_world.add_support(bullet, client, models.world.support, on_support)
         places = self._frames.body_poses(objects.tolist(), poses).tolist()
         bodies = []
         for k, place in zip(objects.tolist(), places, strict=True):
-            mass = models.world.objects[k].mass * models.mass_scale[k]
+            asset = models.world.objects[k]
+            mass = asset.mass * models.mass_scale[k]
+            friction = bullet_world.object_friction(asset, models.contact)
             inertia = self._frames.inertia[k] * models.mass_scale[k]
             body = bullet_world.add_object(bullet, client, self._compound(k), mass, inertia, friction)
             never = bullet.ACTIVATION_STATE_DISABLE_SLEEPING

@@ -17,6 +17,7 @@ from cluttergen_jax.evaluation.cells import (
     share,
     table_of,
 )
+from cluttergen_jax.evaluation.episodes import per_scene
 from cluttergen_jax.evaluation.rivals import success_notes
 from cluttergen_jax.evaluation.studies.contact_sheets import renders
 from cluttergen_jax.evaluation.studies.density import table_sizes
@@ -140,13 +141,13 @@ def _pooled_row(name: str, support: str, rows: list[Row]) -> Row:
         for each in ("num_success", "trials", "attempts", "simulated_steps")
     }
     low, high = wilson(sums["num_success"], sums["trials"])
-    valid = max(sums["num_success"], 1)
+    valid = sums["num_success"]
     figures = sums | {
         "success": sums["num_success"] / sums["trials"],
         "low95": low,
         "high95": high,
-        "attempts_per_valid_scene": sums["attempts"] / valid,
-        "simulated_steps_per_valid_scene": sums["simulated_steps"] / valid,
+        "attempts_per_valid_scene": per_scene(sums["attempts"], valid),
+        "simulated_steps_per_valid_scene": per_scene(sums["simulated_steps"], valid),
     }
     return head | {"figures": figures}
 

@@ -54,12 +54,13 @@ def tables(result: Result) -> list[Table]:
 
 
 def _selection(rows: list[Row]) -> list[str]:
-    """What the row without a memory says of that fall."""
+    """What the row without a memory says of that fall, where its own steps fall."""
     falls = [
         f"{row['trial']['pool']} {steps[0]:.0f} to {steps[-1]:.0f}"
         for row in rows
         if row["trial"]["method"] == "random" and "figures" in row
         if len(steps := [each["mean"] for each in _steps(row).values() if each["count"] >= _FEWEST]) > 1
+        if steps[-1] < steps[0]
     ]
     if not falls:
         return []

@@ -72,6 +72,7 @@ class Recorder:
             verdict=Verdict(int(after.verdict)).label,
             drift=float(after.drift),
             keep_out=_boxes(after),
+            timestep=self.sampler.rules.physics.config.timestep,
         )
 
     def _proposals(self, before: Any, seed: int, number: int) -> np.ndarray | None:

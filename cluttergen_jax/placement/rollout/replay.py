@@ -8,6 +8,7 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.types import Verdict
 
 
@@ -60,6 +61,7 @@ class Replay:
       is_success: every slot is filled and the scene stands; verdict: the last word on it.
       drift: metres, the largest movement in the last check; 0 if there was none.
       attempts: in the order in which they were made; empty if nobody knows.
+      timestep: seconds between two rows of an attempt's trajectory.
     """
 
     title: str
@@ -74,6 +76,7 @@ class Replay:
     drift: float = 0.0
     attempts: tuple[Attempt, ...] = ()
     keep_out: tuple[Rectangle, ...] = ()
+    timestep: float = StabilityConfig().timestep
 
     @property
     def placed(self) -> np.ndarray:

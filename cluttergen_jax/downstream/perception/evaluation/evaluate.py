@@ -28,10 +28,15 @@ from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
 from cluttergen_jax.downstream.perception.segment.scores import iou_of
 from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation, Segmenter
-from cluttergen_jax.downstream.perception.segment.trained import load_segmenter, segmenter_folder
+from cluttergen_jax.downstream.perception.segment.trained import (
+    load_segmenter,
+    network_hash,
+    segmenter_folder,
+)
 from cluttergen_jax.downstream.perception.views.stored import StoredView, ViewSet
 from cluttergen_jax.downstream.robot.rows import RowFile, share_of
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import REALSENSE
@@ -51,7 +56,7 @@ class _NoSegmenter:
         self.names = names
 
     def __call__(self, rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> Segmentation:
-        return Segmentation(self.names, np.zeros(depth.shape, np.uint8), np.zeros(len(self.names)))
+        return Segmentation(self.names, np.zeros(depth.shape, np.uint8))
 
 
 @dataclass(frozen=True)
@@ -75,13 +80,17 @@ class PerceptionRow:
         confused = np.sum([each.confused for each in self.moments], axis=0).reshape(number, number)
         return float(np.nanmean(iou_of(confused)))
 
-    def right(self, low: float = WELL_SEEN, high: float = np.inf) -> np.ndarray:
-        """bool[n, 3] of objects with a visible share in [low, high): ADD-S, turn, and both are good."""
+    def right(self, low: float = WELL_SEEN, high: float = np.inf, only: str | None = None) -> np.ndarray:
+        """bool[n, 3] of objects with a visible share in [low, high): ADD-S, turn, and both are good.
+
+        Args:
+          only: one object's name; all if None.
+        """
         rows = [
             (adds is not None and adds < GOOD_ADDS, turn is not None and turn < GOOD_TURN)
             for each in self.moments
-            for share, adds, turn in zip(each.share, each.adds, each.turn, strict=True)
-            if low <= share < high
+            for name, share, adds, turn in zip(each.objects, each.share, each.adds, each.turn, strict=True)
+            if low <= share < high and only in (None, name)
         ]
         found = np.array(rows, bool).reshape(-1, 2)
         return np.column_stack([found, found.all(1)])
@@ -151,20 +160,9 @@ class PerceptionResult:
         """Of each object, all settings together, where it is well seen."""
         rows = []
         for name in self.rows[0].names:
-            right = [
-                (adds is not None and adds < GOOD_ADDS, turn is not None and turn < GOOD_TURN)
-                for row in self.rows
-                for each in row.moments
-                for known, share, adds, turn in zip(
-                    each.objects, each.share, each.adds, each.turn, strict=True
-                )
-                if known == name and share >= WELL_SEEN
-            ]
-            found = np.array(right, bool).reshape(-1, 2)
-            both = found.all(1)
+            found = np.concatenate([row.right(only=name) for row in self.rows])
             if len(found):
-                told = [f"{each.mean():.3f}" for each in (found[:, 0], found[:, 1], both)]
-                rows.append((name, str(len(found)), *told))
+                rows.append((name, str(len(found)), *(f"{each.mean():.3f}" for each in found.T)))
         return rows
 
 
@@ -195,17 +193,20 @@ def evaluate_perception(
 ) -> PerceptionResult:
     """See `cluttergen_jax.perception_eval`."""
     true_masks = segmenter == TRUE_MASKS
+    if true_masks and calibrate:
+        # Before an hour of work.
+        raise ConfigError("calibration with true masks", "a trained segmenter", "segmenter='runs/segmenter'")
     folder = None if true_masks else segmenter_folder(segmenter)
     known: Segmenter = _NoSegmenter(views.names) if folder is None else load_segmenter(folder)
     certainty = Certainty() if folder is None else read_certainty(folder)
     estimator = RegistrationEstimator(views.objects, views.support)
     finder = SceneFinder(views.objects, views.support, known, estimator, certainty)
-    weights = TRUE_MASKS if folder is None else (folder / "weights.npz").read_bytes()
     recipe = {
         "views": views.digest(split),
-        "segmenter": hashlib.sha256(weights if isinstance(weights, bytes) else weights.encode()).hexdigest(),
+        "segmenter": TRUE_MASKS if folder is None else network_hash(folder),
         "certainty": list(certainty.weights),
         "seed": seed,
+        "versions": versions(),
     }
     rows = []
     for number in cameras:
@@ -218,7 +219,7 @@ def evaluate_perception(
             moments = _judge_all(views, split, number, factor, num_views, seed, finder, file, true_masks)
             rows.append(PerceptionRow(number, factor, tuple(moments), views.names))
     result = PerceptionResult(segmenter, tuple(rows))
-    if calibrate:
+    if calibrate and folder is not None:
         _calibrate(result, folder)
     return result
 
@@ -259,10 +260,8 @@ def _moments(views: ViewSet, split: str, cameras: int, total: int) -> Iterator[l
         yield moment
 
 
-def _calibrate(result: PerceptionResult, folder: Path | None) -> None:
+def _calibrate(result: PerceptionResult, folder: Path) -> None:
     """Fits the rule of certainty to all poses, and stores it beside the segmenter."""
-    if folder is None:
-        raise ConfigError("calibration with true masks", "a trained segmenter", "segmenter='runs/segmenter'")
     parts = [row.certainties()[1:] for row in result.rows]
     features = np.concatenate([each[0] for each in parts])
     right = np.concatenate([each[1] for each in parts])

@@ -7,7 +7,6 @@ from typing import Protocol
 
 import numpy as np
 
-from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing.camera import Camera
 
@@ -16,21 +15,15 @@ _FARTHEST = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """What each pixel shows. H rows, W columns, K objects.
+    """What each pixel shows. H rows, W columns.
 
     Attributes:
       names: of the objects.
       label: u8[H, W], see `classes`.
-      score: f32[K], mean probability of the pixels of each object; 0 where it has none.
     """
 
     names: tuple[str, ...]
     label: np.ndarray
-    score: np.ndarray
-
-    def mask(self, index: int) -> np.ndarray:
-        """bool[H, W]: the pixels of one object."""
-        return self.label == FIRST_OBJECT + index
 
 
 class Segmenter(Protocol):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from cluttergen_jax.assets.pool import embedded_root
+from cluttergen_jax.downstream.fitting.fit import blank_params
 from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
 from cluttergen_jax.downstream.perception.segment.network import (
     HEIGHT,
@@ -80,15 +82,13 @@ class NetworkSegmenter:
         chance = with_raised(by_pieces(chance, depth, height), height)
         center = enlarged(centers[0], depth.shape)
         label = chance.argmax(-1).astype(np.uint8)
-        score = np.zeros(len(self._names), np.float32)
         for index in range(len(self._names)):
             mask = label == FIRST_OBJECT + index
             if mask.any():
                 keeps = mask.copy()
                 keeps[mask] = agreeing(center[mask])
                 label[mask & ~keeps] = 0
-                score[index] = chance[keeps, FIRST_OBJECT + index].mean()
-        return Segmentation(self._names, fitted_to_depth(label, height), score)
+        return Segmentation(self._names, fitted_to_depth(label, height))
 
 
 def agreeing(votes: np.ndarray) -> np.ndarray:
@@ -142,7 +142,7 @@ def load_segmenter(segmenter: str | Path) -> NetworkSegmenter:
         names, top = tuple(map(str, record["names"])), float(record["top"])
         if len(names) != config.num_objects or len(config.widths) != len(set(SegmentConfig(1).widths)):
             raise ValueError(f"{len(names)} names, widths {config.widths}")
-        blank = _blank(SegmentLearner(config))
+        blank = blank_params(SegmentLearner(config))
     except (TypeError, KeyError, ValueError) as error:
         raise PoolError(
             f"{path / 'record.json'} does not say what network it holds ({error})", hint=_HINT
@@ -150,7 +150,7 @@ def load_segmenter(segmenter: str | Path) -> NetworkSegmenter:
     return NetworkSegmenter(names, read_policy(path, blank), config, top)
 
 
-def _blank(learner: SegmentLearner) -> Any:
-    """Weights of the learner's shapes, all zero."""
-    shapes = jax.eval_shape(learner.init, jax.random.key(0))
-    return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
+def network_hash(folder: Path) -> str:
+    """The digest of a segmenter's own files, without the rule of certainty beside them."""
+    parts = [(folder / name).read_bytes() for name in ("record.json", "weights.npz")]
+    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()

@@ -12,8 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from cluttergen_jax.downstream.perception.views.appearance import (
-    HELD_OUT_TEXTURES,
-    NUM_TEXTURES,
+    TEXTURES_OF,
     draw_light,
     jittered,
 )
@@ -39,6 +38,8 @@ _ROBOT = 0.6
 _ROBOTS: tuple[Kind, Kind] = ("overhead", "wrist")
 _CAMERAS, _SEEN = 8, 0.4
 """Cameras that are drawn until so large a share of the objects is in the picture."""
+VIEWS_A_SCENE = 4
+"""Of two moments; of a bank with fewer scenes than that asks for they come again."""
 _COLUMNS = ("index", "is_success", "object_index", "poses")
 
 
@@ -48,12 +49,10 @@ class ViewConfig:
 
     Attributes:
       seed: of all that is drawn. arm: share of the views with the arm in them, in [0, 1].
-      held_out: table textures that training does not see.
     """
 
     seed: int = 0
     arm: float = 1 / 3
-    held_out: bool = False
 
     def __post_init__(self) -> None:
         if not 0 <= self.arm <= 1:
@@ -78,6 +77,14 @@ class StandingScenes:
         self.number = np.array([row["index"] for row in rows])
         self.objects = np.array([row["object_index"] for row in rows])
         self.poses = np.array([row["poses"] for row in rows], np.float64)
+        self._num_scenes = bank.num_scenes
+
+    def row(self, scene: int) -> int:
+        """Of a scene of the bank; of the last one before it that stands (else of the first) if it does not.
+
+        So what is behind a scene does not matter, and a bank may go on.
+        """
+        return max(0, int(np.searchsorted(self.number, scene % self._num_scenes, side="right")) - 1)
 
 
 class ViewMaker:
@@ -85,6 +92,7 @@ class ViewMaker:
 
     Args:
       scenes: of each bank; all of the same objects and support. stage, materials: see `open_stage`.
+      split: whose textures are drawn.
     """
 
     def __init__(
@@ -93,12 +101,12 @@ class ViewMaker:
         stage: Stage,
         materials: Sequence[str],
         config: ViewConfig,
+        split: str,
         support: Any,
         num_objects: int,
     ) -> None:
         self._scenes, self._stage, self._config = tuple(scenes), stage, config
-        first = NUM_TEXTURES - HELD_OUT_TEXTURES
-        self._textures = range(first, NUM_TEXTURES) if config.held_out else range(first)
+        self._textures = TEXTURES_OF[split]
         self._materials = [stage.material(name) for name in materials]
         self._support, self._num_objects = support, num_objects
 
@@ -110,8 +118,9 @@ class ViewMaker:
         pair, place = divmod(number, 2)
         rng = np.random.default_rng((self._config.seed, pair, 3))
         stage, support = self._stage, self._support
-        scenes = self._scenes[pair % len(self._scenes)]
-        row = int(rng.integers(len(scenes.number)))
+        turn, bank = divmod(pair, len(self._scenes))
+        scenes = self._scenes[bank]
+        row = scenes.row(turn // (VIEWS_A_SCENE // 2))
         placed = scenes.objects[row][scenes.objects[row] >= 0]
         # What was placed first stands without what came later, not the other way round.
         placed = placed[: 1 + int(len(placed) * np.sqrt(rng.uniform()))]
@@ -167,10 +176,13 @@ def write_views(
         "arm": config.arm,
         "block_size": VIEWS.block_size,
         "size": list(SIZE),
+        "views_a_scene": VIEWS_A_SCENE,
+        "textures": list(TEXTURES_OF[split]),
         "recipes": [bank.record["recipe"] for bank in banks.values()],
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco")},
     }
     with writing(path):
+        VIEWS.check_place(path)
         path.mkdir(parents=True, exist_ok=True)
         lock = BankLock(path)
     try:
@@ -181,7 +193,8 @@ def write_views(
             store_assets(path, first)
             VIEWS.write_record(path, record)
             views = ViewSet(path, record)
-            _write_blocks(views, scenes, split, num_views, config)
+            # More than were asked for, where an earlier call that was interrupted asked for more.
+            _write_blocks(views, scenes, split, record["splits"][split][VIEWS.number], config)
     finally:
         lock.release()
     return views
@@ -200,7 +213,7 @@ def _write_blocks(
         Progress(f"views of {split}", num_views, "view", kept) as progress,
         open_stage(views.objects, views.support, config.arm > 0) as (stage, materials),
     ):
-        maker = ViewMaker(scenes, stage, materials, config, views.support, len(views.objects))
+        maker = ViewMaker(scenes, stage, materials, config, split, views.support, len(views.objects))
         for block in missing:
             rows = list(_rows(maker, block, sizes[block], progress.update))
             table = pa.Table.from_pylist(rows, schema=SCHEMA)

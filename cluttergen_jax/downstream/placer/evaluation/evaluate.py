@@ -22,6 +22,7 @@ from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import FullState, find_placer
 from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer
 from cluttergen_jax.downstream.placer.scene_cameras import check_cameras
+from cluttergen_jax.downstream.splits import SPLITS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.store import Store, json_bytes
@@ -88,7 +89,7 @@ class Trials:
         self.pairs, self.split, self.made = pairs, split, pairs.split(split)
         check_cameras(num_cameras, self.made["camera"])
         self.num_cameras, self.tenth = num_cameras, tenth
-        self.num_pairs = num_pairs or int(self.made["num_pairs"])
+        self.num_pairs = int(self.made["num_pairs"]) if num_pairs is None else num_pairs
         self.seed, self.store, self.is_fresh, self._num_threads = seed, store, fresh, num_threads
         self._seen: tuple[float, PlacementQuery, PairLabels] | None = None
 
@@ -203,6 +204,7 @@ class Trials:
         return {
             "pairs": hashlib.sha256(text.encode()).hexdigest(),
             "placer": weights,
+            "noise_seed": SPLITS[self.split] + self.seed,
             "versions": versions(),
         }
 
@@ -212,7 +214,8 @@ class Trials:
         # The published code leaves out pairs where the scene's own pose does not count either.
         is_asked = outcome.is_quiet | self._is_own_quiet
         figures = figures_of(outcome, labels, self._bench.problem.world.names)
-        figures["paper_without_invalid"] = proportion(outcome.is_quiet[is_asked])
+        num_asked = int(is_asked.sum())
+        figures["paper_without_invalid"] = proportion(outcome.is_quiet[is_asked]) | {"queries": num_asked}
         figures["stands_without"] = float(self._stands_alone.mean())
         return figures, outcome
 

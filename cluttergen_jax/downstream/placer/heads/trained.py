@@ -8,10 +8,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import jax
-import numpy as np
-
 from cluttergen_jax.assets.pool import embedded_root
+from cluttergen_jax.downstream.fitting.fit import blank_params
 from cluttergen_jax.downstream.placer.heads.head import Head
 from cluttergen_jax.downstream.placer.heads.mixture import MixtureConfig, MixtureHead
 from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig, RegressionHead
@@ -103,12 +101,6 @@ def load_placer(path: Path, wanted: str | None = None) -> Placer:
     if not isinstance(temperature, int | float) or not 0 < temperature < 1e3:
         raise PoolError(f"{path / 'record.json'}: temperature {temperature!r}", "a positive number", _HINT)
     return head.placer(read_policy(path, blank_params(head)), float(temperature))
-
-
-def blank_params(head: Head) -> Any:
-    """Weights of a head's shapes, all zero."""
-    shapes = jax.eval_shape(head.init, jax.random.key(0))
-    return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
 
 
 def _as_given(value: Any) -> Any:

@@ -86,7 +86,7 @@ def _split(pairs: PairSet, split: str) -> str:
         "pairs": made["num_pairs"],
         "scenes that stand in its bank": made["num_scenes"],
         "seed of the bank": f"{recipe.get('seed')} ({split}: from {SPLITS[split]} on)",
-        "seed of the pairs": made["seed"],
+        "seed of the pairs": f"{made['seed']} (likewise)",
         "camera": made["camera"],
         "pool": public_name(str(recipe.get("pool"))),
         "method of the scenes": recipe.get("method"),

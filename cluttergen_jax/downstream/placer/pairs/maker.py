@@ -27,12 +27,12 @@ from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, depth_bytes, depth_of
 from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.downstream.splits import SPLITS, store_assets
-from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import remove_partial, writing
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.progress import COMPILING, Progress
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.lock import LOCK, BankLock
+from cluttergen_jax.scene.bank.lock import BankLock
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
 from cluttergen_jax.sensing.rays import FIRST_OBJECT, SUPPORT
@@ -166,6 +166,8 @@ def write_pairs(
     path = Path(out)
     scenes = PartialScenes(bank, num_threads)
     num_pairs = scenes.num_queries if num_pairs is None else num_pairs
+    # Pair i of one split has nothing in common with pair i of another.
+    seed = SPLITS[split] + seed
     maker = PairMaker(scenes, camera, seed, num_threads)
     made = {
         "seed": seed,
@@ -176,7 +178,7 @@ def write_pairs(
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax")},
     }
     with writing(path):
-        _check_place(path)
+        PAIRS.check_place(path)
         path.mkdir(parents=True, exist_ok=True)
         lock = BankLock(path)
     try:
@@ -187,7 +189,8 @@ def write_pairs(
             )
             store_assets(path, bank)
             PAIRS.write_record(path, record)
-            _write_blocks(path, maker, split, num_pairs)
+            # More than were asked for, where an earlier call that was interrupted asked for more.
+            _write_blocks(path, maker, split, record["splits"][split][PAIRS.number])
             pairs = PairSet(path, record)
             write_card(pairs)
     finally:
@@ -207,15 +210,6 @@ def _write_blocks(path: Path, maker: PairMaker, split: str, num_pairs: int) -> N
             table = maker.block(block, rows[block], progress.update)
             PAIRS.write_block(path, split, block, table)
         progress.update(0, f"{progress.rate():.1f} pairs/s")
-
-
-def _check_place(path: Path) -> None:
-    """Refuses a folder that holds something else."""
-    if not path.exists() or (path / PAIRS.index).exists():
-        return
-    ours = (LOCK, f".{PAIRS.index}.partial", *(f"bank-{split}" for split in SPLITS), "assets")
-    if not path.is_dir() or any(each.name not in ours for each in path.iterdir()):
-        raise BankError(f"{path} exists and holds no pairs", "a new or empty folder", "another `out`")
 
 
 def split_of(bank: Bank, asked: str | None) -> str:

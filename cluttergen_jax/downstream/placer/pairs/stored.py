@@ -6,11 +6,9 @@ and so on, where it was made along with it (`maker.write_pairs`).
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import repeat
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +21,7 @@ from cluttergen_jax.config import check_workers
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, View, check_cameras, depth_of
 from cluttergen_jax.downstream.placer.sight import QueryMaker, SceneMaps
-from cluttergen_jax.downstream.splits import SplitFormat
+from cluttergen_jax.downstream.splits import SPLITS, SplitFormat
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.geometry import product, rotation_matrix
@@ -127,13 +125,6 @@ class PairSet:
         recipe, assets = self.split(split)["recipe"], self.record["assets"]
         return setup_of(Bank(self.path, {"recipe": recipe, "assets": assets}), engine="native")
 
-    @cached_property
-    def digest(self) -> str:
-        """Equal for equal pairs: of everything that decides them."""
-        from hashlib import sha256
-
-        return sha256(json.dumps(self.record, sort_keys=True).encode()).hexdigest()[:20]
-
 
 def read_pairs(path: str | Path) -> PairSet:
     """Opens a folder of pairs.
@@ -161,7 +152,8 @@ def load_queries(
     """The queries of a split, NumPy arrays with a leading axis, and what is known beside them.
 
     Args:
-      noise: of the depth camera, drawn here: another `seed` draws it anew; of several, pairs take turns.
+      noise: of the depth camera, drawn here: another `seed` draws it anew, and each split has draws of its
+        own; of several, pairs take turns.
       num_pairs: the first so many; all if None.
       num_threads: 0 takes every core.
       num_cameras: that look at each scene, their maps fused (`sight.QueryMaker.see_all`). All but the first
@@ -182,7 +174,7 @@ def load_queries(
     total, problem = num_pairs or total, pairs.setup(split).problem
     names = {name: k for k, name in enumerate(problem.world.names)}
     noises = (noise,) if isinstance(noise, NoiseConfig) else tuple(noise)
-    reader = _Reader(problem, made, num_cameras)
+    reader = _Reader(problem, made, num_cameras, SPLITS[split])
     queries: list[PlacementQuery] = []
     labels: list[PairLabels] = []
     with (
@@ -227,10 +219,12 @@ class _Reader:
 
     Args:
       problem: their world; made: how they were made; num_cameras: that look at each.
+      first_seed: of the split.
     """
 
-    def __init__(self, problem: Problem, made: dict[str, Any], num_cameras: int) -> None:
+    def __init__(self, problem: Problem, made: dict[str, Any], num_cameras: int, first_seed: int) -> None:
         self.maker, self._num_cameras, self._made = QueryMaker(problem), num_cameras, made
+        self._first_seed = first_seed
         self._num_objects = len(problem.world.names)
         self._cameras = SceneCameras(problem, made["camera"]) if num_cameras > 1 else None
 
@@ -250,7 +244,8 @@ class _Reader:
         if self._cameras is not None:
             place = (int(self._made["seed"]), scene.pair)
             views += self._cameras.further(scene.poses, scene.is_placed, place, self._num_cameras)
-        return self.maker.see_all(views, noise, np.random.default_rng((seed, scene.pair)))
+        rng = np.random.default_rng((self._first_seed + seed, scene.pair))
+        return self.maker.see_all(views, noise, rng)
 
 
 def stacked(queries: Sequence[PlacementQuery]) -> PlacementQuery:
