@@ -67,9 +67,10 @@ def cluster_of(cluster: str | None, workers: int) -> Cluster | None:
     Raises:
       ConfigError: workers without a cluster, or a number that is out of range.
     """
-    if workers < 0 or (workers and cluster is None):
-        allowed = "0 or more; more than 0 with a cluster"
-        raise ConfigError(f"workers = {workers}, cluster = {cluster!r}", allowed, "cluster='local'")
+    if workers < 0:
+        raise ConfigError(f"workers = {workers}", "0 or more", "workers=0, for as many as there is room for")
+    if workers and cluster is None:
+        raise ConfigError(f"workers = {workers} without `cluster`", "workers on a cluster", "cluster='local'")
     if cluster is None:
         return None
     return Cluster(cluster, workers)

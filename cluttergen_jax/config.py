@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, Literal, get_args
 
 from cluttergen_jax.errors import ConfigError, closest
@@ -108,9 +108,11 @@ def check_workers(argument: str, number: int) -> None:
     Raises:
       ConfigError: it names the argument.
     """
-    if not 0 <= number <= MAX_WORKERS:
+    if isinstance(number, bool) or not isinstance(number, Integral) or not 0 <= number <= MAX_WORKERS:
         raise ConfigError(
-            f"{argument} = {number}", f"0 to {MAX_WORKERS}", f"{argument}=0, which takes every core"
+            f"{argument} = {number!r}",
+            f"0 to {MAX_WORKERS}, a whole number",
+            f"{argument}=0, which takes every core",
         )
 
 
@@ -257,12 +259,30 @@ class ContactConfig:
             check_positive(self, "noslip_iterations")
 
 
+MAX_SECONDS = 3600.0
+"""Of the simulation of one scene, in checks and certificates."""
+
+
+def check_seconds(argument: str, seconds: object) -> None:
+    """Refuses a time for which no scene is simulated.
+
+    Raises:
+      ConfigError: it names the argument.
+    """
+    if not (_is_positive(seconds) and float(seconds) <= MAX_SECONDS):  # type: ignore[arg-type]
+        raise ConfigError(
+            f"{argument} = {seconds!r}",
+            f"a finite number above zero, {MAX_SECONDS:g} at most",
+            "leaving seconds at its default",
+        )
+
+
 @dataclass(frozen=True)
 class VerifyConfig:
     """What it takes to stand in the independent check of saved files (docs/contract.md).
 
     Attributes:
-      seconds: how long the scene is simulated.
+      seconds: how long the scene is simulated, 3600 at most.
       max_shift: metres any object may be from its start at any time.
       max_turn_deg: degrees any object may have turned.
     """
@@ -272,4 +292,5 @@ class VerifyConfig:
     max_turn_deg: float = 5.0
 
     def __post_init__(self) -> None:
-        check_positive(self, "seconds", "max_shift", "max_turn_deg")
+        check_positive(self, "max_shift", "max_turn_deg")
+        check_seconds("VerifyConfig.seconds", self.seconds)

@@ -19,9 +19,9 @@ from cluttergen_jax.errors import BankError, UnsafePathError
 PARTIAL = ".partial"
 """Ending of what is being written, in names that begin with a dot."""
 _ADVICE = {
-    errno.EEXIST: "another place: there is a file where a folder has to be",
-    errno.ENOTDIR: "another place: there is a file where a folder has to be",
-    errno.EISDIR: "another place: there is a folder where a file has to be",
+    errno.EEXIST: "removing the file that stands where a folder has to be, or another place",
+    errno.ENOTDIR: "removing the file that stands where a folder has to be, or another place",
+    errno.EISDIR: "removing the folder that stands where a file has to be, or another place",
     errno.ENOENT: "a path that exists",
     errno.ENOSPC: "making room on the disk",
     errno.EDQUOT: "making room in your quota",

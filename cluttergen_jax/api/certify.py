@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import check_workers
+from cluttergen_jax.config import check_seconds, check_workers
 
 if TYPE_CHECKING:
     from cluttergen_jax.evaluation.certify import Certification
@@ -25,7 +25,7 @@ def certify(
 
     Args:
       bank: a bank's folder; in Python also a `Bank`.
-      seconds: the horizon over which drift is measured.
+      seconds: the horizon over which drift is measured, 3600 at most.
       jobs: scenes simulated at a time; 0 takes every core.
       force: measure again what has a certificate.
       cluster: where it is done: "local", Ray on this machine; "auto", the Ray cluster that this machine
@@ -42,6 +42,7 @@ def certify(
     from cluttergen_jax.evaluation.certify import certify_bank
     from cluttergen_jax.scene.bank import Bank, read_bank
 
+    check_seconds("seconds", seconds)
     check_workers("jobs", jobs)
     bank = bank if isinstance(bank, Bank) else read_bank(bank)
     return certify_bank(bank, seconds, jobs, force, cluster_of(cluster, workers))

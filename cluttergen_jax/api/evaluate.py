@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.config import Change, Engine, Method, Order, PlacerHead, Setting, Suite, check_workers
 from cluttergen_jax.errors import ConfigError
 
@@ -93,8 +94,13 @@ def evaluate(
     from cluttergen_jax.evaluation.trial import Trial
     from cluttergen_jax.learning.methods import rules_asked
     from cluttergen_jax.placement.baselines import BASELINES
+    from cluttergen_jax.placement.setup import check_names, check_whole
 
     given, place = locals(), cluster_of(cluster, workers)
+    check_folder(out)
+    check_whole(trials=trials)
+    for name in ("methods", "pools", "supports", "exclude"):
+        check_names(given[name], name)
     check_workers("num_threads", num_threads)
     if not supports:
         raise ConfigError("supports = ()", "one name or more")
@@ -179,8 +185,13 @@ def evaluate_suite(
     from cluttergen_jax.evaluation.studies.study import Scale
     from cluttergen_jax.evaluation.studies.time import TIME
     from cluttergen_jax.evaluation.suites import find_suite
+    from cluttergen_jax.placement.setup import check_names, check_whole
 
     given, place = locals(), cluster_of(cluster, workers)
+    check_folder(out)
+    check_whole(trials=trials, seeds=seeds, num_pairs=num_pairs)
+    for name in ("only", "methods", "pools", "heads"):
+        check_names(given[name], name)
     check_workers("num_threads", num_threads)
     if seeds is not None and not 1 <= seeds <= 100:
         raise ConfigError(f"seeds = {seeds}", "1 to 100")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cluttergen_jax.api.text import parse_numbers
+from cluttergen_jax.api.text import scene_numbers
 from cluttergen_jax.config import CameraName, ExportFormat
 from cluttergen_jax.errors import BankError, ConfigError
 
@@ -48,7 +48,7 @@ def export(
     from cluttergen_jax.scene.bank.scene import chosen_rows, read_scenes
     from cluttergen_jax.scene.export import export_scenes
 
-    numbers = parse_numbers(scenes) if isinstance(scenes, str) else scenes
+    numbers = scene_numbers(scenes)
     named = parse_reference(str(source))
     if named is None:
         raise BankError(f"{source} is no scene of a bank", REFERENCES)

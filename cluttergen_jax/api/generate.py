@@ -118,7 +118,7 @@ def generate(
         or the scene to start from cannot be read.
       MissingExtraError: a cluster without the extra `ray`.
     """
-    from cluttergen_jax.assets.rectangle_text import parse_keep_out, parse_region
+    from cluttergen_jax.assets.rectangle_text import parse_boxes, parse_region
     from cluttergen_jax.assets.support_file import find_support
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.generation.generate import recipe_of, write_bank
@@ -129,7 +129,7 @@ def generate(
     check_range("seed", seed, 0, _MOST, 0)
     if max_files < 0:
         raise ConfigError(f"max_files = {max_files}", "0 or more", "max_files=0 for none")
-    boxes = [parse_keep_out(box) if isinstance(box, str) else box for box in keep_out]
+    boxes = parse_boxes(keep_out, "keep_out")
     if isinstance(region, str):
         region = parse_region(region, find_support(support).region)
     place = cluster_of(cluster, workers)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.config import SegmenterInput, Split, check_workers
 from cluttergen_jax.errors import ConfigError
 
@@ -50,7 +51,7 @@ def perception_data(
       arm: share of the views with the robot's arm in them; more than 0 needs the extra `robot`.
       seed: of all that is drawn, 0 to 999999.
       num_threads: of the simulation; 0 takes every core.
-      overwrite: begin the split anew if the folder holds others of it.
+      overwrite: begin the split, and the banks made along, anew if the folder holds others of it.
 
     Returns:
       The views.
@@ -70,6 +71,7 @@ def perception_data(
     from cluttergen_jax.downstream.splits import SPLITS
     from cluttergen_jax.placement.setup import check_range
 
+    check_folder(out)
     check_workers("num_threads", num_threads)
     check_range("seed", seed, 0, _MOST_SEED, 0)
     check_range("num_views", num_views, 1, _MOST_VIEWS, 3000)
@@ -96,6 +98,7 @@ def perception_data(
             max_files=0,
             seed=config.seed,
             num_threads=num_threads,
+            overwrite=overwrite,
         )
         for method, usual in _METHODS.items()
     }
@@ -201,6 +204,7 @@ def perception_eval(
     from cluttergen_jax.downstream.perception.views.stored import read_views
     from cluttergen_jax.placement.setup import check_range
 
+    check_folder(out)
     check_range("seed", seed, 0, _MOST_SEED, 0)
     if not cameras or set(cameras) - {1, 2}:
         raise ConfigError(f"cameras = {tuple(cameras)!r}", "1, 2 or both", "cameras=(1, 2)")

@@ -73,14 +73,14 @@ def place_by_hand(
       BankError: the folder holds something else, cannot be written, or is being written by another process.
       MissingExtraError: the extra `viewer` is not installed.
     """
-    from cluttergen_jax.assets.rectangle_text import parse_keep_out, parse_region
+    from cluttergen_jax.assets.rectangle_text import parse_boxes, parse_region
     from cluttergen_jax.assets.support_file import find_support
     from cluttergen_jax.generation.hand import HandBank, hand_setup
     from cluttergen_jax.generation.sources.viewing import place_web
     from cluttergen_jax.placement.setup import check_range
 
     check_range("seed", seed, 0, _MOST, 0)
-    boxes = [parse_keep_out(box) if isinstance(box, str) else box for box in keep_out]
+    boxes = parse_boxes(keep_out, "keep_out")
     if isinstance(region, str):
         region = parse_region(region, find_support(support).region)
     given = locals() | {"keep_out": boxes}

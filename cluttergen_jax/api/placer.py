@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.config import Method, SensedFrom, Split, check_workers
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import BankError, ConfigError
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
@@ -50,7 +51,7 @@ def placer_data(
       camera: free, drawn anew for each pair; overhead; or side, the paper's.
       seed: of all that is drawn, the scenes of a bank made along included, 0 to 999999.
       num_threads: 0 takes every core.
-      overwrite: begin the split anew if the folder holds others of it.
+      overwrite: begin the split, and a bank made along, anew if the folder holds others of it.
 
     Returns:
       The pairs, as `load_queries` of `downstream.placer.pairs` reads them.
@@ -66,7 +67,9 @@ def placer_data(
     from cluttergen_jax.downstream.splits import SPLITS
     from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
+    from cluttergen_jax.scene.bank.blocks import AGAIN
 
+    check_folder(out)
     check_workers("num_threads", num_threads)
     check_range("seed", seed, 0, _MOST_SEED, 0)
     if num_pairs is not None:
@@ -86,12 +89,15 @@ def placer_data(
         PAIRS.check_place(Path(out))
         settings = {"pool": "household", "num_scenes": 500, **given, "seed": SPLITS[name] + seed}
         place = Path(out) / f"bank-{name}"
-        found: Bank = generate(place, render=False, max_files=0, num_threads=num_threads, **settings)
+        settings |= {"num_threads": num_threads, "overwrite": overwrite}
+        found: Bank = generate(place, render=False, max_files=0, **settings)
     elif given:
         first = next(iter(given))
         raise ConfigError(f"`{first}` together with `bank`", "one or the other", f"leaving out `{first}`")
     else:
         found = read_bank(bank)
+        if "assets" not in found.record:
+            raise BankError(f"{bank} has no digests of its assets: an older version made it", hint=AGAIN)
     of_split = split_of(found, split)
     return write_pairs(out, found, of_split, num_pairs, camera, seed, num_threads, overwrite)
 
@@ -142,6 +148,7 @@ def placer_eval(
     from cluttergen_jax.evaluation.store import Store
     from cluttergen_jax.placement.setup import check_range
 
+    check_folder(out)
     check_workers("num_threads", num_threads)
     check_range("seed", seed, 0, _MOST_SEED, 0)
     if num_pairs is not None:

@@ -7,6 +7,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.config import (
     FilmFormat,
     LayoutRule,
@@ -113,6 +114,7 @@ def rearrange(
     from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.placement.setup import check_range
 
+    check_folder(out)
     check_workers("num_threads", num_threads)
     check_range("num_episodes", num_episodes, 1, _MOST_EPISODES, 20)
     check_range("num_layouts", num_layouts, 1, _MOST_LAYOUTS, 10)

@@ -6,13 +6,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from cluttergen_jax.api.text import parse_numbers, parse_size
+from cluttergen_jax.api.places import check_folder
+from cluttergen_jax.api.text import parse_size, scene_numbers
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.config import CameraView, FilmConfig
 
 if TYPE_CHECKING:
     from cluttergen_jax.generation.sources.rendering import RenderReport
+
+_MOST_VIEWS, _MOST_COLUMNS = 10_000, 1000
 
 
 def render(
@@ -62,7 +65,7 @@ def render(
       bop: a dataset for pose estimation in the format of the BOP benchmark, in the folder bop: colour, depth,
         masks, poses, models. Scenes are added to one that is there.
       views: pictures of each of its scenes, by cameras at random places around it.
-      seed: of where these cameras stand; an integer of at least 0.
+      seed: of where these cameras stand; 0 to 4294967295.
       size: of pictures, WIDTHxHEIGHT in pixels; 1280x960, and 640x480 for films and bop, if not given. In
         Python also a pair.
       view: from which side the scene is seen; the defaults of `CameraView` if not given.
@@ -90,13 +93,19 @@ def render(
         "points": points,
         "bop": bop,
     }
-    if views < 1 or seed < 0:
-        raise ConfigError(f"views = {views}, seed = {seed}", "1 view or more, a seed from 0 on")
+    check_folder(out)
+    if not any(products.values()):
+        others = ", ".join(f"`{name}`" for name in products)
+        raise ConfigError("picture=False, and nothing else is asked for", f"one or more of {others}")
     numbers = _numbers(scenes)
     size = parse_size(size) if isinstance(size, str) else size
     from cluttergen_jax.generation.sources.rendering import Rendering
+    from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.rendering.scene_renderer import PictureConfig
 
+    check_range("views", views, 1, _MOST_VIEWS, 4)
+    check_range("seed", seed, 0, 2**32 - 1, 0)
+    check_range("columns", columns, 1, _MOST_COLUMNS, 4)
     return Rendering(
         frozenset(name for name, is_asked in products.items() if is_asked),
         Path(out),
@@ -113,4 +122,4 @@ def render(
 
 def _numbers(scenes: Sequence[int] | str | None) -> Sequence[int] | Literal["all"] | None:
     """Which scenes are asked for, from text or not."""
-    return (parse_numbers(scenes) or "all") if isinstance(scenes, str) else scenes
+    return (scene_numbers(scenes) or "all") if isinstance(scenes, str) else scene_numbers(scenes)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cluttergen_jax.api.places import check_file, check_folder
 from cluttergen_jax.config import FilmFormat, Method, RobotTask, check_workers
 from cluttergen_jax.errors import ConfigError
 
@@ -60,8 +62,11 @@ def robot_grasps(
     from cluttergen_jax.assets.pool import find_pool
     from cluttergen_jax.downstream.robot.grasp_sets import grasp_sets
     from cluttergen_jax.downstream.robot.grasps import write_grasps
-    from cluttergen_jax.placement.setup import check_range
+    from cluttergen_jax.placement.setup import check_names, check_range
 
+    check_file(out, "out", "grasps.parquet")
+    check_file(picture, "picture", "grasps.png")
+    check_names(objects, "objects")
     check_workers("num_threads", num_threads)
     check_range("num_grasps", num_grasps, 1, _MOST_GRASPS, 64)
     check_range("seed", seed, 0, _MOST_SEED, 0)
@@ -139,7 +144,6 @@ def robot_place(
     from typing import Any, get_args
 
     from cluttergen_jax.api.generate import generate
-    from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.downstream.placer.heads.trained import folder_hash, placer_folder
     from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
     from cluttergen_jax.downstream.robot.film import check_films
@@ -148,15 +152,16 @@ def robot_place(
     from cluttergen_jax.downstream.robot.trials import own_place, run_trials
     from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
-    from cluttergen_jax.scene.bank.scene import read_scenes
+    from cluttergen_jax.scene.bank.scene import read_scenes, region_of
 
+    check_folder(out)
     check_workers("num_threads", num_threads)
     check_range("num_episodes", num_episodes, 1, _MOST_EPISODES, 40)
     check_range("seed", seed, 0, _MOST_SEED, 0)
     if task not in get_args(RobotTask):
         raise ConfigError(f"task = {task!r}", ", ".join(get_args(RobotTask)))
     looking = _looking(placer)
-    factor = _factor(noise, looking is not None and task == "place")
+    factor = _factor(noise, task, looking is not None)
     panda_folder()
     if films:
         check_films(film)
@@ -175,13 +180,11 @@ def robot_place(
     else:
         found = read_bank(bank)
     recipe = found.record["recipe"]
-    asked_region = recipe["region"]
-    center, half_extents = tuple(asked_region["center"]), tuple(asked_region["half_extents"])
-    queried = Rectangle(center, half_extents, asked_region["yaw"])
+    queried = region_of(found)
     scenes = [replace(scene, support=replace(scene.support, region=queried)) for scene in read_scenes(found)]
     # Of another bank's scenes the rows would not be comparable.
     made = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
-    rows = {"task": task, "placer": str(placer), "seed": seed, "pool": recipe["pool"], "bank": made}
+    rows = {"task": task, "placer": str(placer), "seed": seed, "pool": recipe.get("pool"), "bank": made}
     threads = num_threads or os.cpu_count() or 1
     places: Any = own_place
     if task == "place" and looking is not None:
@@ -218,14 +221,20 @@ def _looking(placer: str | Path) -> Placer | None:
     return None if isinstance(found, FullState) else found
 
 
-def _factor(noise: float | None, is_looking: bool) -> float:
+def _factor(noise: float | None, task: str, is_looking: bool) -> float:
     """So many times the usual noise.
 
     Raises:
       ConfigError: it is out of range, or nothing looks.
     """
-    if noise is not None and not is_looking:
+    if noise is None:
+        return 1.0
+    if task != "place":
+        raise ConfigError(
+            f"noise = {noise!r} with task = {task!r}", "place, and a placer that looks", "task='place'"
+        )
+    if not is_looking:
         raise ConfigError(f"noise = {noise!r} where nothing looks", "a placer that looks", "placer='scored'")
-    if noise is not None and not 0 <= noise <= _MOST_NOISE:
+    if not (isinstance(noise, Real) and 0 <= noise <= _MOST_NOISE):
         raise ConfigError(f"noise = {noise!r}", f"0 to {_MOST_NOISE:g}", "noise=1")
-    return 1.0 if noise is None else float(noise)
+    return float(noise)

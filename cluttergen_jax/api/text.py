@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
+from numbers import Integral
 
 from cluttergen_jax.errors import ConfigError
 
@@ -27,6 +29,20 @@ def parse_numbers(text: str) -> list[int] | None:
             raise ConfigError(f"scenes = {text!r}", f"at most {_MOST:,} numbers in a range")
         numbers += range(first, last + 1)
     return list(dict.fromkeys(numbers))
+
+
+def scene_numbers(scenes: Sequence[int] | str | None) -> Sequence[int] | None:
+    """Scene numbers from text or not; None for all, or where none are given.
+
+    Raises:
+      ConfigError: they are something else.
+    """
+    if isinstance(scenes, str):
+        return parse_numbers(scenes)
+    is_sequence = scenes is None or isinstance(scenes, Iterable)
+    if not is_sequence or not all(isinstance(each, Integral) for each in scenes or ()):
+        raise ConfigError(f"scenes = {scenes!r}", "whole numbers in a sequence", "scenes=[0, 3]")
+    return scenes
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cluttergen_jax.assets.support import Rectangle
@@ -48,6 +48,17 @@ def parse_keep_out(text: str) -> Rectangle:
     if len(values) not in (4, 5):
         raise ConfigError(f"keep-out box {text!r}", form)
     return parse_region(text, Rectangle())
+
+
+def parse_boxes(boxes: Sequence[Rectangle | str], argument: str) -> list[Rectangle]:
+    """Keep-out boxes, each a rectangle or text.
+
+    Raises:
+      ConfigError: they are no sequence, or one of them is something else.
+    """
+    if isinstance(boxes, str | Rectangle):
+        raise ConfigError(f"{argument} = {boxes!r}", "a sequence of boxes", f"{argument}=[{boxes!r}]")
+    return [parse_keep_out(box) if isinstance(box, str) else box for box in boxes]
 
 
 def recorded_rectangle(entry: str | Mapping[str, Any]) -> Rectangle:

@@ -21,7 +21,9 @@ class Evaluate(Options):
     def run(self) -> int:
         """Runs the command; the exit status."""
         if self.suite is None:
-            hint, out = "--suite paper or --suite extended", self.out or "out/evaluation"
+            is_downstream = self.heads or self.num_pairs is not None or self.bank is not None
+            hint = "--suite downstream" if is_downstream else "--suite paper, extended or downstream"
+            out = self.out or "out/evaluation"
             print(self.call(evaluate, "without a suite", hint, out=out).table.markdown())
             return 0
         from cluttergen_jax.evaluation.report import markdown

@@ -33,9 +33,11 @@ class Inspect:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
+        from cluttergen_jax.api.places import check_file
         from cluttergen_jax.assets.pool import find_pool
         from cluttergen_jax.cli.pool_table import pool_table
 
+        check_file(self.out, "out", f"{self.pool}.png")
         pool = find_pool(self.pool, self.exclude)
         objects = tuple(pool[name] for name in self.objects) or pool.objects
         print(f"pool {pool.name}, licence: {pool.licence or 'not stated'}, content {pool.hash[:12]}")

@@ -12,7 +12,7 @@ from typing import Annotated, Any, get_args, get_origin
 import tyro
 from docstring_parser import parse
 
-from cluttergen_jax.cli.flags import FLAGS, option_help
+from cluttergen_jax.cli.flags import FLAGS, option_help, options_of
 from cluttergen_jax.errors import ConfigError
 
 _NOT_AN_OPTION = "show"
@@ -46,8 +46,9 @@ class Options:
         taken = inspect.signature(function).parameters
         defaults = {field.name: field.default for field in dataclasses.fields(self)}  # type: ignore[arg-type]
         given = {name: getattr(self, name) for name in defaults}
+        flags = set(options_of(self))
         useless = [
-            f"--{FLAGS.get(name, name).replace('_', '-')}"
+            f"--{FLAGS.get(name, name).replace('_', '-')}" if name in flags else f"{name} {value!r}"
             for name, value in given.items()
             if name not in (*taken, *ignored) and value != defaults[name]
         ]

@@ -180,7 +180,7 @@ class SplitFormat:
         file = self.block_path(path, split, block)
         try:
             table = pq.read_table(
-                file, schema=self.schema, page_checksum_verification=True, partitioning=None
+                file.absolute(), schema=self.schema, page_checksum_verification=True, partitioning=None
             )
             table.validate(full=True)
         except (FileNotFoundError, pa.ArrowException, OSError, ValueError):

@@ -34,6 +34,7 @@ from cluttergen_jax.evaluation.machine import machine
 from cluttergen_jax.evaluation.report import Result, document, write_report
 from cluttergen_jax.evaluation.store import FORMAT
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.scene.bank.bank import read_bank
 
 NAME = "downstream"
 STUDIES = {
@@ -71,7 +72,8 @@ def run_downstream(
       calls: functions of the Python API.
 
     Raises:
-      ConfigError: there is no such study, or no set of the scale's pools.
+      ConfigError: there is no such study, or no set of one of the scale's pools.
+      BankError: the scale's bank cannot be read.
       MissingExtraError: a study of the robot or of perception is asked for without their extras.
     """
     for name in only:
@@ -79,10 +81,14 @@ def run_downstream(
             raise ConfigError(
                 f"only = {name!r} in suite {NAME!r}", ", ".join(STUDIES), meant=closest(name, list(STUDIES))
             )
-    if scale.pools and not any(one.pool in scale.pools for one in SETS):
-        raise ConfigError(
-            f"pools = {', '.join(scale.pools)!r} with suite {NAME!r}", ", ".join(s.pool for s in SETS)
-        )
+    known = list(dict.fromkeys(one.pool for one in SETS))
+    for name in scale.pools:
+        if name not in known:
+            raise ConfigError(
+                f"pools = {name!r} with suite {NAME!r}", ", ".join(known), meant=closest(name, known)
+            )
+    if scale.bank is not None:
+        read_bank(scale.bank)
     if any(STUDIES[name].needs_robot for name in only or STUDIES):
         panda_folder()
         need_gicp()

@@ -87,7 +87,8 @@ def find_suite(suite: str, scale: Scale, only: Sequence[str] = ()) -> tuple[Plan
     """
     suite = FORMER_NAMES.get(suite, suite)
     if suite not in SUITES:
-        raise ConfigError(f"suite = {suite!r}", ", ".join(SUITES), 'suite="paper"', closest(suite, SUITES))
+        every = (*SUITES, "downstream")
+        raise ConfigError(f"suite = {suite!r}", ", ".join(every), 'suite="paper"', closest(suite, every))
     names = [study.name for study in SUITES[suite]]
     for each in only:
         if each not in names:

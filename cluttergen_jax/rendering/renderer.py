@@ -19,7 +19,7 @@ from cluttergen_jax.rendering.sampling import low_discrepancy, shift_lights, shi
 from cluttergen_jax.sensing.camera import Camera
 
 HIDDEN_GROUP = 5
-MAX_SIDE = 8192
+MAX_SIDE, MAX_SAMPLES = 8192, 4096
 _MAX_EXTRA = 4000
 _GOLDEN = 0.6180339887498949
 _EVERYTHING = mujoco.mjtCatBit.mjCAT_ALL.value
@@ -48,10 +48,10 @@ def check_size(width: int, height: int, samples: int) -> None:
     Raises:
       ConfigError: a side or the number of samples is out of range.
     """
-    if not (16 <= width <= MAX_SIDE and 16 <= height <= MAX_SIDE and samples >= 1):
+    if not (16 <= width <= MAX_SIDE and 16 <= height <= MAX_SIDE and 1 <= samples <= MAX_SAMPLES):
         raise ConfigError(
             f"a picture of {width} x {height}, {samples} samples",
-            f"16 to {MAX_SIDE} pixels, 1 sample or more",
+            f"16 to {MAX_SIDE} pixels, 1 to {MAX_SAMPLES} samples",
         )
 
 

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+import cluttergen_jax as cg
 from cluttergen_jax.assets.reach import check_reach
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.assets.support_file import find_support, list_supports
@@ -69,16 +70,19 @@ def test_contact_parameters_are_checked(wrong):
         ContactConfig(**wrong)
 
 
-@pytest.mark.parametrize("seconds", [math.nan, math.inf, 0.0])
+@pytest.mark.parametrize("seconds", [math.nan, math.inf, 0.0, 1e12])
 def test_certify_refuses_a_horizon_before_it_writes(tmp_path, capsys, seconds):
     bank = tmp_path / "bank"
     two_scenes(bank)
     before = {path: path.read_bytes() for path in bank.rglob("*") if path.is_file()}
     assert main(["certify", str(bank), "--seconds", str(seconds)]) == 2
-    assert "ascending times above zero" in capsys.readouterr().err
+    assert f"--seconds {seconds}. Allowed: a finite number above zero, 3600" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in bank.rglob("*") if path.is_file()} == before
-    with pytest.raises(ConfigError):
-        horizons_of((1.0, seconds))
+    assert main(["verify", str(bank), "--seconds", str(seconds)]) == 2
+    assert "3600" in capsys.readouterr().err
+    if seconds < 1:
+        with pytest.raises(ConfigError):
+            horizons_of((1.0, seconds))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
@@ -192,6 +196,12 @@ def test_a_sampler_has_no_negative_threads():
         ["evaluate", "--methods", "random", "--trials", "1"],
         ["train", "--num-objects", "2"],
         ["export", "bank", "--format", "mjcf"],
+        ["evaluate", "--suite", "paper", "--quick"],
+        ["robot", "place", "bank"],
+        ["rearrange"],
+        ["render", "bank"],
+        ["placer", "data", "bank"],
+        ["perception", "data"],
     ],
 )
 def test_a_file_in_the_place_of_the_folder_is_explained(words, tmp_path, monkeypatch, capsys):
@@ -216,3 +226,64 @@ def test_what_the_disk_refuses_is_explained(code, capsys):
     assert run(Refused()) == 2
     said = capsys.readouterr().err
     assert said.startswith("error: bank/verification.json: no. Try: ")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["inspect", "dining", "--out", ""], "Allowed: a file on this machine"),
+        (["inspect", "dining", "--out", "."], "Try: --out dining.png"),
+        (["robot", "grasps", "dining", "--out", ""], "Allowed: a file on this machine"),
+        (
+            ["robot", "place", "--out", "s3://bucket/name"],
+            "--out s3://bucket/name. Allowed: a folder on this",
+        ),
+        (["placer", "data", "--out", "s3://bucket/name"], "Allowed: a folder on this machine"),
+        (["perception", "data", "--out", "file:///views"], "Allowed: a folder on this machine"),
+        (["render", "bank", "--sheet", "--columns", "0"], "--columns 0. Allowed: 1 to 1000"),
+        (["render", "bank", "--bop", "--views", "99999"], "--views 99999. Allowed: 1 to 10000"),
+        (["render", "bank", "--samples", "100000"], "1 to 4096 samples"),
+        (["render", "bank", "--no-picture"], "--no-picture, and nothing else is asked for. Allowed: one or"),
+        (["robot", "place", "--task", "lift", "--noise", "1"], "Try: --task place"),
+        (["view", "bank", "--place"], "source 'bank' with --place"),
+        (["evaluate", "--bank", "bank"], "Try: --suite downstream."),
+        (["evaluate", "--quick"], "Try: --suite paper, extended or downstream."),
+        (["evaluate", "--workers", "2"], "--workers 2 without --cluster. Allowed:"),
+        (["pull", "me/bank", "--hub", "ftp://x"], "no hub at ftp://x"),
+        (["pull", "me/bank", "--hub", "taken"], "Try: another --hub"),
+        (["view", "bank", "--host", "no.such.host.invalid"], "--host no.such.host.invalid cannot be"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_in_the_words_of_the_command(
+    words, said, tmp_path, monkeypatch, capsys
+):
+    (tmp_path / "taken").write_text("mine")
+    two_scenes(tmp_path / "bank")
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    assert said in capsys.readouterr().err
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["bank", "taken"]
+
+
+@pytest.mark.parametrize(
+    ("ask", "said"),
+    [
+        (lambda: cg.generate(num_threads="2"), "num_threads = '2'"),
+        (lambda: cg.generate(num_threads=1.5), "num_threads = 1.5"),
+        (lambda: cg.generate(keep_out="0,0,0.1,0.1"), "keep_out = '0,0,0.1,0.1'"),
+        (lambda: cg.robot_grasps("dining", "mug"), "objects = 'mug'"),
+        (lambda: cg.robot_place(placer="scored", noise="x"), "noise = 'x'"),
+        (lambda: cg.export("bank", "out", scenes=[1.5]), r"scenes = \[1.5\]"),
+        (lambda: cg.render("bank", scenes=3), "scenes = 3"),
+        (lambda: cg.certify("bank", seconds="x"), "seconds = 'x'"),
+        (lambda: cg.evaluate(pools="dining"), "pools = 'dining'"),
+        (lambda: cg.evaluate_suite("downstream", pools="dining"), "pools = 'dining'"),
+        (lambda: cg.evaluate_suite("paper", trials="x"), "trials = 'x'"),
+        (lambda: cg.evaluate_suite("nothing"), "paper, extended, downstream"),
+    ],
+)
+def test_python_is_told_what_it_gave(ask, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=said):
+        ask()
+    assert not list(tmp_path.iterdir())

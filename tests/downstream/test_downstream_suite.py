@@ -23,7 +23,7 @@ from cluttergen_jax.downstream.studies.protocol import PROTOCOL, _table
 from cluttergen_jax.downstream.studies.study import SETS, Found, Scale
 from cluttergen_jax.downstream.studies.trained import SEEDS_NOTE, grouped, mean_figures, pooled, table_of
 from cluttergen_jax.downstream.suite import STUDIES, command_of, result_of
-from cluttergen_jax.errors import ConfigError, MissingExtraError
+from cluttergen_jax.errors import BankError, ConfigError, MissingExtraError
 from cluttergen_jax.evaluation import suites
 from cluttergen_jax.evaluation.report import document, read_results, tables_of, write_report
 from cluttergen_jax.proportions import proportion, wilson
@@ -184,6 +184,10 @@ def test_what_the_suite_does_not_know_is_refused(tmp_path):
         cg.evaluate_suite("downstream", only=("placment",), out=tmp_path)
     with pytest.raises(ConfigError, match=r"pools = 'garden'.*household"):
         cg.evaluate_suite("downstream", pools=("garden",), out=tmp_path)
+    with pytest.raises(ConfigError, match=r"pools = 'nosuch'.*Allowed: household, dining, kitchen"):
+        cg.evaluate_suite("downstream", pools=("dining", "nosuch"), only=("placement",), out=tmp_path)
+    with pytest.raises(BankError, match="is not a bank"):
+        cg.evaluate_suite("downstream", bank=tmp_path / "nosuch", only=("source",), out=tmp_path)
     with pytest.raises(ConfigError, match=r"head 'score'.*Did you mean 'scored'"):
         cg.evaluate_suite("downstream", heads=("score",), out=tmp_path)
     with pytest.raises(ConfigError, match="num_pairs = -1"):

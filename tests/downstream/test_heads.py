@@ -279,6 +279,12 @@ def run(folder, head="mixture", config=CONFIG):
     return PlacerTraining(HEADS[head], config, Taught(), folder, lambda line: None)
 
 
+def test_a_run_that_is_refused_leaves_no_folder(tmp_path):
+    with pytest.raises(ConfigError, match=r"8 pairs in batches of 9"):
+        run(tmp_path / "large", config=FitConfig(num_epochs=1, batch_size=9)).run()
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     """Of a head's name its placer of a short run, made when it is first asked for."""
@@ -335,8 +341,6 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(runs, tmp_path, monkeyp
     assert len(rows[0]) == len(rows[1]) == 5
     with pytest.raises(ConfigError, match="another fit"):
         run(tmp_path / "stopped", config=dataclasses.replace(CONFIG, num_epochs=5))
-    with pytest.raises(ConfigError, match=r"8 pairs in batches of 9"):
-        run(tmp_path / "large", config=FitConfig(num_epochs=1, batch_size=9)).run()
 
 
 @pytest.mark.parametrize("name", HEADS)
@@ -360,7 +364,7 @@ def test_what_is_no_such_placer_is_refused(tmp_path):
         load_placer(tmp_path, "scored")
     with pytest.raises(PoolError, match="kind 'stability', and no placer"):
         load_placer(list_policies()["guided"])
-    with pytest.raises(PoolError, match="not a checkpoint"):
+    with pytest.raises(PoolError, match=r"not a checkpoint.*`cluttergen placer train`"):
         load_placer(tmp_path / "nowhere")
     with pytest.raises(PoolError, match="head 'other'"):
         head_of(record | {"head": "other"}, tmp_path)

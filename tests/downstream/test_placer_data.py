@@ -30,6 +30,8 @@ from cluttergen_jax.downstream.placer.training.examples import TESTING, ExampleS
 from cluttergen_jax.downstream.splits import SPLITS
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.bank import index_bytes
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
 from cluttergen_jax.types import Verdict
 from tests.helpers import banks
@@ -267,9 +269,29 @@ def test_banks_of_which_no_pairs_can_be_made_are_named(tmp_path):
     banks.two_scenes(tmp_path / "made-up")
     with pytest.raises(BankError, match="how it was made is not recorded whole"):
         cg.placer_data(tmp_path / "pairs", tmp_path / "made-up")
+    record = read_bank(tmp_path / "made-up").record
+    del record["assets"]
+    (tmp_path / "made-up" / "bank.json").write_bytes(index_bytes(record))
+    with pytest.raises(BankError, match="no digests of its assets"):
+        cg.placer_data(tmp_path / "pairs", tmp_path / "made-up")
     write_bank(tmp_path / "failed", 1, is_success=False)
     with pytest.raises(BankError, match="none of its scenes stands"):
         cg.placer_data(tmp_path / "pairs", tmp_path / "failed")
+
+
+@pytest.mark.parametrize(("make", "more"), [(cg.placer_data, {}), (cg.perception_data, {"arm": 0.0})])
+def test_a_bank_made_along_is_made_anew_where_that_is_asked(make, more, tmp_path, monkeypatch):
+    asked = []
+
+    def generate(out, **settings):
+        asked.append(settings["overwrite"])
+        raise BankError("enough")
+
+    monkeypatch.setattr("cluttergen_jax.api.generate.generate", generate)
+    for overwrite in (False, True):
+        with pytest.raises(BankError, match="enough"):
+            make(tmp_path, pool="dining", overwrite=overwrite, **more)
+    assert asked == [False, True]
 
 
 def test_a_camera_that_is_inside_the_support_is_named(bank, tmp_path, monkeypatch):

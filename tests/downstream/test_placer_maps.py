@@ -128,5 +128,6 @@ def test_a_map_is_padded_at_its_far_ends():
 
 
 def test_a_placer_that_is_none_is_refused_with_those_that_are():
-    with pytest.raises(ConfigError, match=r"'geometri'.*geometry.*drop"):
-        find_placer("geometri")
+    for name in ("geometri", ""):
+        with pytest.raises(ConfigError, match=rf"'{name}'.*geometry.*drop"):
+            find_placer(name)

@@ -1,7 +1,9 @@
 """The arm's model, grasps that are tested and kept: what must hold, and what must not."""
 
 import importlib.util
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -182,6 +184,9 @@ def test_what_is_kept_is_read_again_and_an_object_that_changed_is_looked_at_anew
     assert read.num_tested == grasps.num_tested
     assert grasp_file(box("cube", (0.02, 0.03, 0.04), mass=0.31), 12, 0) != path
     assert grasp_file(cube, 12, 1) != path
+    monkeypatch.chdir(path.parent)
+    shutil.copy(path, "grasps:1.parquet")
+    assert read_grasps(Path("grasps:1.parquet"), cube).num_tested == grasps.num_tested
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(PoolError, match="damaged"):
         read_grasps(path, cube)

@@ -23,6 +23,7 @@ from cluttergen_jax.downstream.robot import trials as robot_trials
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.places import SearchPlaces
+from cluttergen_jax.downstream.robot.rows import RowFile
 from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials, episode_seed, run_trials
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.bank.scene import read_scenes
@@ -74,12 +75,19 @@ def test_interrupted_trials_go_on_where_they_stopped(bank, made, tmp_path):
     assert list(map(repr, again.rows[:4])) == list(map(repr, first.rows))
     assert len(run_trials(scenes, "lift", 3, 0, tmp_path, {"seed": 0}).rows) == 3
     assert made == list(range(7))
-    with pytest.raises(BankError, match="made otherwise"):
-        run_trials(scenes, "lift", 3, 0, tmp_path, {"seed": 1})
+    with pytest.raises(BankError, match="made otherwise, with another noise, seed"):
+        run_trials(scenes, "lift", 3, 0, tmp_path, {"seed": 1, "noise": None})
     with (tmp_path / EPISODES).open("a") as file:
         file.write("{half a li")
     with pytest.raises(BankError, match="damaged"):
         run_trials(scenes, "lift", 3, 0, tmp_path, {"seed": 0})
+
+
+@pytest.mark.parametrize("content", [b"\x80\xff", b"[" * 100_000, b"3", b"{}\n[]"])
+def test_strange_rows_are_damaged(content, tmp_path):
+    (tmp_path / EPISODES).write_bytes(content)
+    with pytest.raises(BankError, match="damaged"):
+        RowFile(tmp_path / EPISODES, {}, EpisodeResult, "robot place").read()
 
 
 def test_rows_of_other_scenes_are_not_taken_up(bank, made, tmp_path):

@@ -6,9 +6,10 @@ import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.errors import PoolError
+from cluttergen_jax.downstream.fitting.fit import FitConfig
+from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.agents import ENCODER
-from cluttergen_jax.learning.ppo.checkpoint import read_policy, save_policy
+from cluttergen_jax.learning.ppo.checkpoint import check_folder, read_policy, save_policy
 from cluttergen_jax.learning.training.run import with_encoder
 
 KERNEL, BIAS = "params/actor/kernel", "params/actor/bias"
@@ -108,3 +109,22 @@ def test_weights_of_an_encoder_are_looked_at_too(tmp_path):
     change(tmp_path, **{"Dense_0/bias": None})
     with pytest.raises(PoolError, match="'Dense_0/bias' is missing"):
         with_encoder(params, tmp_path)
+
+
+def test_a_folder_of_something_else_is_no_place_for_a_run(tmp_path):
+    for name in (".hidden.json", "train.log", "metrics.csv"):
+        (tmp_path / name).write_text("")
+    check_folder(tmp_path, {})
+    check_folder(tmp_path / "new", {})
+    (tmp_path / "bank.json").write_text("{}")
+    for place in (tmp_path, tmp_path / "bank.json"):
+        with pytest.raises(ConfigError, match=r"bank\.json is nothing of a run.*another `out`"):
+            check_folder(place, {})
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"learning_rate": float("inf")}, {"num_epochs": 0.5}, {"batch_size": 2.5}, {"num_epochs": 0}]
+)
+def test_a_fit_has_whole_epochs_and_finite_steps(wrong):
+    with pytest.raises(ConfigError, match=next(iter(wrong))):
+        FitConfig(**wrong)

@@ -212,7 +212,7 @@ def test_files_of_attempts_that_nobody_knows_cost_nothing_else(bank, source, tmp
 def test_missing_scene_and_format_are_explained(bank, capsys):
     assert main(["render", f"{bank}:77"]) == 2
     assert "no scene 77" in capsys.readouterr().err
-    assert main(["render", str(bank), "--scenes", "0-99", "--no-picture"]) == 2
+    assert main(["render", str(bank), "--scenes", "0-99", "--points"]) == 2
     assert "96 of the 100 scenes asked for (4-99) are not in it, which holds 0-3" in capsys.readouterr().err
     assert main(["render", f"{bank}:0", "--replay", "--film", "avi"]) == 2
     assert "('gif', 'mp4')" in capsys.readouterr().err

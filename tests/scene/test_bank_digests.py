@@ -130,3 +130,11 @@ def test_a_list_that_is_none_is_damage(bank, files):
     (bank / "bank.json").write_bytes(index_bytes(read_bank(bank).record | {"files": files}))
     with pytest.raises(BankError, match="digests of files"):
         read_bank(bank)
+
+
+def test_a_relative_name_with_a_colon_is_a_folder(bank, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    bank.rename("run:3")
+    assert main(["stats", "run:3"]) == 0
+    banks.write(Path("run:4"))
+    assert read_bank("run:4").table.num_rows == 512

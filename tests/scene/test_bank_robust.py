@@ -26,10 +26,12 @@ from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.bank import index_bytes
 from cluttergen_jax.scene.bank.blocks import block_path
 from cluttergen_jax.scene.bank.card import CARD, write_card
 from cluttergen_jax.scene.bank.stats import stats_of, stats_text
 from cluttergen_jax.scene.bank.table import SCHEMA
+from cluttergen_jax.scene.bank.writer import write_rows
 from tests.helpers import banks
 from tests.helpers.worlds import box, trio
 
@@ -94,9 +96,26 @@ def test_a_bank_that_nothing_explains_is_not_touched(bank):
 def test_a_bank_of_a_later_format_is_not_touched(tmp_path):
     (tmp_path / "bank").mkdir()
     (tmp_path / "bank" / "bank.json").write_text('{"format": 99}')
-    with pytest.raises(BankError, match="format 1"):
+    with pytest.raises(BankError, match=r"newer version \(format 99; this one reads 1\)"):
         banks.write(tmp_path / "bank")
     assert json.loads((tmp_path / "bank" / "bank.json").read_text()) == {"format": 99}
+
+
+@pytest.mark.parametrize("is_index_lost", [False, True])
+def test_a_whole_bank_of_a_later_format_is_refused_and_kept(bank, capsys, is_index_lost):
+    record = read_bank(bank).record | {"format": 7}
+    for block in (0, 1):
+        write_rows(bank, block, banks.rows(block, 3), record)
+    (bank / "bank.json").write_bytes(b"{" if is_index_lost else index_bytes(record))
+    kept = {each: each.read_bytes() for each in bank.glob("*.*")}
+    with pytest.raises(BankError, match=r"newer version .*a newer cluttergen_jax.*`overwrite`"):
+        banks.write(bank)
+    assert all(each.read_bytes() == data for each, data in kept.items())
+    if not is_index_lost:
+        assert main(["stats", str(bank)]) == 2
+        assert "this one reads 1). Try: a newer cluttergen_jax." in capsys.readouterr().err
+    with banks.writer(bank, 1, overwrite=True) as writer:
+        assert not writer.has_block(0, 1)
 
 
 @pytest.mark.parametrize("name", ["object.json", "cloud.npy", "part-00.obj"])

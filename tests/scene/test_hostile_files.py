@@ -24,7 +24,7 @@ from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.bank import index_bytes
 from cluttergen_jax.scene.bank.blocks import StoredBlocks
 from cluttergen_jax.scene.bank.digests import digests_in
-from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.scene.bank.scene import read_scenes, region_of
 from cluttergen_jax.scene.bank.table import SCHEMA
 from cluttergen_jax.scene.bank.writer import write_rows
 from cluttergen_jax.scene.export import FORMATS, export_scenes
@@ -258,3 +258,24 @@ def test_plain_names_and_links_within_are_joined(tmp_path):
     assert inside(str(tmp_path), "..data") == tmp_path / "..data"
     write_atomically(inside(tmp_path, "link/mug.obj"), b"x")
     assert (tmp_path / "folder" / "mug.obj").read_bytes() == b"x"
+
+
+@pytest.mark.parametrize(
+    ("recipe", "words"),
+    [
+        ({"placement": None}, ["stats", "--json"]),
+        ({"placement": None}, ["certify", "--seconds", "0.1"]),
+        ({"placement": {"clutter": {"heaps": 1}}}, ["stats", "--json"]),
+        ({"stability": {"timestep": -1}}, ["certify", "--seconds", "0.1"]),
+        ({"stability": []}, ["export", "--out", "OUT"]),
+    ],
+)
+def test_a_recipe_that_cannot_be_names_its_bank(bank, tmp_path, capsys, recipe, words):
+    record = read_bank(bank).record
+    record["recipe"] |= recipe
+    sign_index(bank, record)
+    assert main([words[0], str(bank), *(str(tmp_path / "out") if w == "OUT" else w for w in words[1:])]) == 2
+    said = capsys.readouterr().err
+    assert f"{bank / 'bank.json'}: the record of how the bank was made is damaged" in said
+    with pytest.raises(BankError, match="no 'region'"):
+        region_of(read_bank(bank))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Any, Literal, Protocol
 
 import jax
@@ -11,6 +12,7 @@ import numpy as np
 import optax
 from flax import struct
 
+from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.types import Array
 
@@ -60,9 +62,10 @@ class FitConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("num_epochs", "batch_size", "learning_rate"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} = {getattr(self, name)}", "a positive number")
+        check_positive(self, "num_epochs", "batch_size", "learning_rate")
+        for name in ("num_epochs", "batch_size"):
+            if not isinstance(value := getattr(self, name), Integral):
+                raise ConfigError(f"FitConfig.{name} = {value!r}", "a whole number")
 
     def optimizer(self, num_steps: int) -> optax.GradientTransformation:
         """For a run of so many steps."""

@@ -59,7 +59,6 @@ class FitRun(ABC):
         self.learner, self.config, self.folder, self._show = learner, config, folder, show
         self.recipe = {"network": asdict(learner.config), "fit": asdict(config), **recipe}
         checkpoint.check_folder(folder, self.recipe)
-        folder.mkdir(parents=True, exist_ok=True)
 
     @abstractmethod
     def examples(self, split: str) -> Any:
@@ -87,6 +86,7 @@ class FitRun(ABC):
                 "one batch or more",
             )
         fit = Fit(self.learner, self.config, batches * self.config.num_epochs)
+        self.folder.mkdir(parents=True, exist_ok=True)
         with Interrupt() as interrupt:
             state = self._started(fit)
             state = self._learn(fit, state, examples, held_out, interrupt)

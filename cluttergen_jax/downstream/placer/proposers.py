@@ -120,6 +120,6 @@ def find_placer(placer: str | Path) -> Placer | FullState:
     raise ConfigError(
         f"placer {name!r}",
         f"{', '.join(known)}, or the folder of a trained one",
-        "placer='geometry'",
+        "geometry, which learns nothing",
         closest(name, known),
     )

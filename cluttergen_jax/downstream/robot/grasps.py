@@ -167,7 +167,7 @@ def read_grasps(path: Path, asset: ObjectAsset) -> Grasps | None:
     if not path.is_file():
         return None
     try:
-        table = pq.read_table(path)
+        table = pq.read_table(path.absolute())
         metadata = {key.decode(): text.decode() for key, text in (table.schema.metadata or {}).items()}
         if metadata.get("cluttergen_grasps") != str(_VERSION):
             return None

@@ -14,6 +14,7 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.proportions import finite, wilson
 
 Row = TypeVar("Row")
+_NONE = object()
 
 
 class RowFile(Generic[Row]):
@@ -38,17 +39,22 @@ class RowFile(Generic[Row]):
         """
         if self._path is None or not self._path.is_file():
             return []
-        first, *lines = self._path.read_text().splitlines() or [""]
         try:
-            known = json.loads(first)
+            first, *lines = self._path.read_text(encoding="utf-8").splitlines() or [""]
+            known: dict[str, Any] = dict(json.loads(first))
             rows = [self._row(line) for line in lines]
-        except (ValueError, TypeError, AttributeError) as error:
+        except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise BankError(
-                f"{self._path}: damaged ({error})", f"a file of `{self._command}`", "another folder"
+                f"{self._path}: damaged ({error})",
+                f"a file of `{self._command}`",
+                "another `out`, or removing that file",
             ) from error
-        if known != self._recipe:
+        names = sorted({*self._recipe, *known})
+        if changed := [name for name in names if known.get(name, _NONE) != self._recipe.get(name, _NONE)]:
             raise BankError(
-                f"{self._path} holds episodes made otherwise", "the same settings", "another folder"
+                f"{self._path} holds episodes made otherwise, with another {', '.join(changed)}",
+                "the same settings, which continue them",
+                "another `out`",
             )
         return rows
 

@@ -22,6 +22,8 @@ _CRITIC = ("params/critic/", "params/value/")
 """What acting does not need; an attention layer has a `value` too, which it does."""
 _MOST_BYTES, _HEADER = 8, 4096
 """Of a number, and of what stands before the numbers in a file of NumPy's."""
+_OF_A_RUN = (".csv", ".png", ".log", ".txt", ".out")
+"""Endings of files in a run's folder before its state is stored first, what users keep there among them."""
 _SHOWN = 3
 _FRESH = "a fresh copy of that folder, or training again"
 
@@ -87,12 +89,16 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def check_folder(folder: Path, recipe: dict[str, Any]) -> None:
-    """Refuses to continue a run that was made with other settings.
+    """Refuses to continue a run that was made with other settings, and a place that holds no run.
 
     Raises:
-      ConfigError: there is one; the message says which settings differ.
+      ConfigError: there is one, and the message says which settings differ; or there is something else.
     """
     if not has_state(folder / "last"):
+        if other := _no_run(folder):
+            raise ConfigError(
+                f"{other} is nothing of a run", "a new folder, or that of a run", "another `out`"
+            )
         return
     theirs = read_record(folder / "last")
     changed = sorted(name for name, value in recipe.items() if theirs.get(name) != _as_json(value))
@@ -102,6 +108,14 @@ def check_folder(folder: Path, recipe: dict[str, Any]) -> None:
             "the same settings, which continue it",
             "another `out`",
         )
+
+
+def _no_run(folder: Path) -> Path | None:
+    """What lies there that a run without a state did not write: a file in its place, or in its folder."""
+    if not folder.is_dir():
+        return folder if folder.exists() else None
+    files = [each for each in sorted(folder.iterdir()) if each.is_file() and not each.name.startswith(".")]
+    return next((each for each in files if each.suffix not in _OF_A_RUN), None)
 
 
 def _as_json(value: Any) -> Any:

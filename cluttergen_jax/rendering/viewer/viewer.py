@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import socket
 import threading
@@ -37,6 +38,12 @@ def free_port(host: str, port: int) -> int:
             return int(trial.getsockname()[1])
     except OSError as error:
         reason = error.strerror or str(error)
+        if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+            raise ConfigError(
+                f"host = {host!r} cannot be listened on: {reason}",
+                "a name or an address of this machine",
+                "host='localhost', or host='0.0.0.0' for other machines too",
+            ) from error
         raise ConfigError(
             f"{host}:{port} cannot be listened on: {reason}", "a free port", "port=0, which takes any"
         ) from error

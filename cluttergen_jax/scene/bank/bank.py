@@ -41,6 +41,10 @@ FORMAT = 1
 INDEX = "bank.json"
 
 
+class NewerBankError(BankError):
+    """The bank was made by a later version of this package: not damaged, and not to be mended."""
+
+
 @dataclass(frozen=True, eq=False)
 class Bank:
     """A bank that is read. `record` is what `bank.json` holds."""
@@ -162,6 +166,7 @@ def read_bank(path: str | Path) -> Bank:
     """Opens a bank, in a folder or at a URL.
 
     Raises:
+      NewerBankError: a later version made it.
       BankError: there is none, or `bank.json` is damaged or of another format.
     """
     path = mirrored(str(path)) if is_url(path) else path
@@ -174,6 +179,7 @@ def read_bank(path: str | Path) -> Bank:
         ) from error
     except (OSError, ValueError, RecursionError) as error:
         raise BankError(f"{index} cannot be read ({error})", hint=AGAIN) from error
+    _check_format(Path(path), record)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise BankError(f"{index} is not the record of a bank of format {FORMAT}", hint=AGAIN)
     digest = record.pop("hash", None)
@@ -181,6 +187,25 @@ def read_bank(path: str | Path) -> Bank:
     if wrong is not None:
         raise BankError(f"{index} is damaged: {wrong}", hint=AGAIN)
     return Bank(Path(path), record)
+
+
+def _check_format(path: Path, record: Any) -> None:
+    """Refuses the record of a bank that a later version made."""
+    number = record.get("format") if isinstance(record, dict) else None
+    if isinstance(number, int) and number > FORMAT:
+        raise NewerBankError(
+            f"{path} was made by a newer version (format {number}; this one reads {FORMAT})",
+            hint="a newer cluttergen_jax",
+        )
+
+
+def damaged_record(path: Path, error: Exception) -> BankError:
+    """The error for a bank whose recipe, sound as JSON, cannot be what made it."""
+    told = f"no {error}" if isinstance(error, KeyError) else getattr(error, "given", error)
+    return BankError(
+        f"{path / INDEX}: the record of how the bank was made is damaged ({told})",
+        hint="a copy of the bank that is whole",
+    )
 
 
 def index_bytes(record: dict[str, Any]) -> bytes:
@@ -193,13 +218,18 @@ def _digest(record: dict[str, Any]) -> str:
 
 
 def recovered_record(path: Path) -> dict[str, Any] | None:
-    """The bank's record as its first sound block has it, without `num_scenes`; None if no block has it."""
+    """The bank's record as its first sound block has it, without `num_scenes`; None if no block has it.
+
+    Raises:
+      NewerBankError: a later version wrote that block.
+    """
     stored = StoredBlocks.of(path)
     for block in stored.places:
         try:
             record = record_in(stored.read(block))
         except (BankError, KeyError, ValueError, RecursionError):
             continue
+        _check_format(path, record)
         if isinstance(record, dict) and _wrong_part(record | {"num_scenes": 1}) is None:
             return record
     return None

@@ -132,7 +132,8 @@ class StoredBlocks:
         return self._open[name]
 
     def _source(self, name: str) -> Path | pa.NativeFile:
-        path = self.path / name
+        # pyarrow takes a relative path with a colon in it for a URL.
+        path = (self.path / name).absolute()
         return path if self.remote is None or path.exists() else self.remote.open(name)
 
     def num_rows(self, block: int) -> int:

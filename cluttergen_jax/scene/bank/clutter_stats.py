@@ -8,8 +8,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.clutter import NAMES, Clutter
-from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.bank import Bank, damaged_record
 
 _NEAR_ENOUGH = 0.1
 _WORDS = {
@@ -89,5 +90,8 @@ def _values(rows: pa.Table, name: str) -> np.ndarray:
 
 
 def _targets(bank: Bank) -> dict[str, float]:
-    asked = bank.record["recipe"].get("placement", {}).get("clutter")
-    return Clutter.of(asked).targets if asked else {}
+    try:
+        asked = bank.record["recipe"].get("placement", {}).get("clutter")
+        return Clutter.of(asked).targets if asked else {}
+    except (AttributeError, ConfigError) as error:
+        raise damaged_record(bank.path, error) from error

@@ -14,7 +14,7 @@ from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.errors import BankError, ClutterGenError, UnsafePathError
 from cluttergen_jax.files import PARTIAL, inside, swap_in, writing
 from cluttergen_jax.placement.world import base_name
-from cluttergen_jax.scene.bank.bank import INDEX, Bank, read_bank
+from cluttergen_jax.scene.bank.bank import INDEX, Bank, NewerBankError, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.digests import changes_of
 from cluttergen_jax.scene.bank.hubs import FolderHub, Hub, HuggingFaceHub, is_of_a_bank
@@ -99,7 +99,10 @@ def hub_of(text: str | None) -> Hub:
     text = text or os.environ.get(HUB_VARIABLE) or None
     if text is None or text.startswith(("https://", "http://")):
         return HuggingFaceHub(text)
-    return FolderHub(Path(text.removeprefix("file://")))
+    place = text.removeprefix("file://")
+    if is_url(place):
+        raise BankError(f"no hub at {text}", "a folder that exists, or https://...", "another `hub`")
+    return FolderHub(Path(place))
 
 
 def check_whole(bank: Bank) -> None:
@@ -152,7 +155,9 @@ def _fetch(place: Hub, name: str, revision: str | None, scratch: Path) -> None:
     except (BankError, UnsafePathError) as error:
         shutil.rmtree(scratch, ignore_errors=True)
         given = error.given.replace(str(scratch), name)
-        raise type(error)(given, hint="pulling it again, or asking who pushed it") from error
+        is_newer = isinstance(error, NewerBankError)
+        hint = error.hint if is_newer else "pulling it again, or asking who pushed it"
+        raise type(error)(given, hint=hint) from error
 
 
 def _check_free(place: Hub, name: str) -> None:

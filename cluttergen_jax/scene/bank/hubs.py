@@ -67,7 +67,8 @@ class FolderHub:
 
     def __init__(self, root: Path) -> None:
         if not root.is_dir():
-            raise BankError(f"no hub in {root}", "a folder that exists, or https://...", f"mkdir {root}")
+            hint = "another `hub`" if root.exists() else f"mkdir {root}"
+            raise BankError(f"no hub in {root}", "a folder that exists, or https://...", hint)
         self._root = root
 
     def listing(self, dataset: str, revision: str | None) -> tuple[str | None, list[str]]:

@@ -59,6 +59,10 @@ def check_is_here(path: Path) -> None:
       BankError: it names the URL.
     """
     if (url := url_of(path)) is not None:
+        if url.startswith("file://"):
+            raise BankError(
+                f"{url} is a URL", "a bank in a folder", f"the plain path {url.removeprefix('file://')}"
+            )
         raise BankError(f"{url} is not on this machine", "a bank in a folder", "copying it to a folder first")
 
 

@@ -10,12 +10,13 @@ from typing import Any, TypeVar
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
+from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.errors import BankError
+from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene import Origin, Scene
-from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.bank import Bank, damaged_record
 from cluttergen_jax.scene.bank.reference import missing_text, numbers_text
 from cluttergen_jax.scene.bank.table import BankRow
 
@@ -107,5 +108,18 @@ def config_of(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Co
             key: tuple(v) if isinstance(v, list) else v for key, v in values.items() if key in known
         }
         return kind(**plain)
-    except (TypeError, AttributeError) as error:
-        raise BankError(f"{path}: the record of how it was made is damaged ({error})") from error
+    except (TypeError, AttributeError, ConfigError) as error:
+        raise damaged_record(path, error) from error
+
+
+def region_of(bank: Bank) -> Rectangle:
+    """The region that a bank's recipe asks for.
+
+    Raises:
+      BankError: the recipe is damaged.
+    """
+    try:
+        asked = bank.record["recipe"]["region"]
+        return Rectangle(tuple(asked["center"]), tuple(asked["half_extents"]), asked["yaw"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise damaged_record(bank.path, error) from error

@@ -23,6 +23,7 @@ from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.bank import (
     FORMAT,
     INDEX,
+    NewerBankError,
     block_numbers,
     index_bytes,
     read_bank,
@@ -191,7 +192,11 @@ class BankWriter:
         remove_partial(self.path)
         if overwrite and not self._is_to_be_continued():
             _remove_bank(self.path)
-        theirs = self._stored_record()
+        try:
+            theirs = self._stored_record()
+        except NewerBankError as error:
+            hint = f"{error.hint}, another `out`, or `overwrite` to begin anew"
+            raise BankError(error.given, hint=hint) from error
         if theirs is not None:
             _check_same(self.path, self._record, theirs)
             num_scenes = max(num_scenes, theirs["num_scenes"])
@@ -221,6 +226,8 @@ class BankWriter:
         """What the folder says it holds: `bank.json`, or a block in its stead if that is damaged or lost."""
         try:
             return read_bank(self.path).record
+        except NewerBankError:
+            raise
         except BankError as error:
             blocks, record = block_numbers(self.path), recovered_record(self.path)
             if record is not None:

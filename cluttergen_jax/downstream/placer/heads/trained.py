@@ -67,6 +67,8 @@ def placer_folder(placer: str | Path) -> Path | None:
 
     None if it is neither a name nor a folder.
     """
+    if not str(placer):
+        return None
     path = embedded_placers().get(str(placer), Path(placer))
     inner = path / "placer"
     if (inner / "record.json").is_file():
@@ -90,7 +92,10 @@ def load_placer(path: Path, wanted: str | None = None) -> Placer:
     Raises:
       PoolError: there is none, it is damaged, or of another kind or head.
     """
-    record = read_record(path)
+    try:
+        record = read_record(path)
+    except PoolError as error:
+        raise PoolError(error.given, hint=_HINT) from error
     head = head_of(record, path, wanted)
     temperature = record.get("temperature", 1.0)
     if not isinstance(temperature, int | float) or not 0 < temperature < 1e3:

@@ -86,7 +86,7 @@ class ExampleSource:
                 f"no pairs to {'learn from' if split == 'train' else 'validate with'} in "
                 f"{', '.join(str(path) for path in self.data)}",
                 "pairs of ten scenes or more",
-                "cluttergen placer data --split train",
+                f"cluttergen placer data --split {split}",
             )
         return joined_examples(parts)
 
