@@ -116,6 +116,21 @@ def check_workers(argument: str, number: int) -> None:
         )
 
 
+MAX_NOISE = 10.0
+"""Times the noise of a usual depth camera."""
+
+
+def check_noise(noise: object) -> None:
+    """Refuses what is no sequence of factors of the usual noise.
+
+    Raises:
+      ConfigError: it names the argument.
+    """
+    factors = list(noise) if isinstance(noise, Iterable) and not isinstance(noise, str) else []
+    if not factors or not all(isinstance(each, Real) and 0 <= float(each) <= MAX_NOISE for each in factors):
+        raise ConfigError(f"noise = {noise!r}", f"one number or more, 0 to {MAX_NOISE:g}", "noise=(0, 1)")
+
+
 ROBUST_TILT = math.radians(5)
 """Radians by which gravity is tilted where robust scenes are asked for (`StabilityConfig.robust_tilt`). Its
 direction stays nowhere for long: passing by at 4 degrees it finds what would fall at a lasting 3."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cluttergen_jax.api.places import check_folder
-from cluttergen_jax.config import SegmenterInput, Split, check_workers
+from cluttergen_jax.config import SegmenterInput, Split, check_noise, check_workers
 from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 _MOST_VIEWS = 1_000_000
 _MOST_SEED = 999_999
-_MOST_NOISE = 10.0
 _METHODS = {"random": 5, "clear": 8, "drop": 8}
 """How scenes of views are made, and objects in each: rejection sampling fills few tables with more."""
 
@@ -206,10 +205,9 @@ def perception_eval(
 
     check_folder(out)
     check_range("seed", seed, 0, _MOST_SEED, 0)
-    if not cameras or set(cameras) - {1, 2}:
-        raise ConfigError(f"cameras = {tuple(cameras)!r}", "1, 2 or both", "cameras=(1, 2)")
-    if not noise or not all(0 <= each <= _MOST_NOISE for each in noise):
-        raise ConfigError(f"noise = {noise!r}", f"one number or more, 0 to {_MOST_NOISE:g}", "noise=(0, 1)")
+    if not isinstance(cameras, Sequence) or not cameras or set(cameras) - {1, 2}:
+        raise ConfigError(f"cameras = {cameras!r}", "1, 2 or both", "cameras=(1, 2)")
+    check_noise(noise)
     if num_views is not None:
         check_range("num_views", num_views, 1, _MOST_VIEWS, 200)
     views = read_views(data)

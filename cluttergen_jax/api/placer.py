@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cluttergen_jax.api.places import check_folder
-from cluttergen_jax.config import Method, SensedFrom, Split, check_workers
+from cluttergen_jax.config import Method, SensedFrom, Split, check_noise, check_workers
 from cluttergen_jax.errors import BankError, ConfigError
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 _MOST_PAIRS = 10_000_000
 _MOST_SEED = 999_999
-_MOST_NOISE = 10.0
 
 
 def placer_data(
@@ -155,8 +154,7 @@ def placer_eval(
         check_range("num_pairs", num_pairs, 1, _MOST_PAIRS, 1000)
     if isinstance(placers, str) or not placers:
         raise ConfigError(f"placers = {placers!r}", "a sequence of names", "placers=('geometry',)")
-    if not noise or not all(0 <= each <= _MOST_NOISE for each in noise):
-        raise ConfigError(f"noise = {noise!r}", f"one number or more, 0 to {_MOST_NOISE:g}", "noise=(0, 1)")
+    check_noise(noise)
     if not 0 <= chains <= _MOST_PAIRS:
         raise ConfigError(f"chains = {chains}", f"0 to {_MOST_PAIRS}", "chains=100")
     folder = None if out is None else Path(out)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.api.places import check_file, check_folder
-from cluttergen_jax.config import FilmFormat, Method, RobotTask, check_workers
+from cluttergen_jax.config import MAX_NOISE, FilmFormat, Method, RobotTask, check_workers
 from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 _MOST_GRASPS = 4096
 _MOST_SEED = 999_999
 _MOST_EPISODES = 1_000_000
-_MOST_NOISE = 10.0
 _REGION = "0.5x0.5"
 _NUM_OBJECTS = 8
 
@@ -235,6 +234,6 @@ def _factor(noise: float | None, task: str, is_looking: bool) -> float:
         )
     if not is_looking:
         raise ConfigError(f"noise = {noise!r} where nothing looks", "a placer that looks", "placer='scored'")
-    if not (isinstance(noise, Real) and 0 <= noise <= _MOST_NOISE):
-        raise ConfigError(f"noise = {noise!r}", f"0 to {_MOST_NOISE:g}", "noise=1")
+    if not (isinstance(noise, Real) and 0 <= noise <= MAX_NOISE):
+        raise ConfigError(f"noise = {noise!r}", f"0 to {MAX_NOISE:g}", "noise=1")
     return float(noise)

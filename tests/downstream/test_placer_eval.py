@@ -260,8 +260,9 @@ class OnePlace(struct.PyTreeNode):
 def test_what_cannot_be_compared_is_refused(made, tmp_path):
     with pytest.raises(ConfigError, match="placer 'nobody'"):
         cg.placer_eval(made.path, ("random", "nobody"))
-    with pytest.raises(ConfigError, match="noise = "):
-        cg.placer_eval(made.path, noise=(-1.0,))
+    for noise in ((-1.0,), (), 1.0, "1", ("1",), (float("nan"),)):
+        with pytest.raises(ConfigError, match="noise = "):
+            cg.placer_eval(made.path, noise=noise)
     for given in ({"num_pairs": 0}, {"seed": -1}):
         with pytest.raises(ConfigError, match=next(iter(given))):
             cg.placer_eval(made.path, ("random",), **given)

@@ -36,7 +36,7 @@ from cluttergen_jax.sensing.camera import Camera
 
 KIND = "segmenter"
 """Of a checkpoint, as its record names it."""
-_HINT = "the folder `segmenter` of a run of `cluttergen perception train`"
+_HINT = "the folder named segmenter of a run of `cluttergen perception train`"
 _BIN, _SPREAD, _REACH = 2, 2.0, 25.0
 """Pixels: of the votes' histogram, of its blur, and from its peak within which votes are believed."""
 
