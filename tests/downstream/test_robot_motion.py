@@ -333,7 +333,7 @@ def test_what_touches_something_too_early_has_slipped(grasps, kinematics):
         return np.stack([told[0], told[1], now[TARGET]])
 
     world = PlanningWorld(SCENE.names, SCENE.objects, told, TARGET, TABLE, base_pose(TABLE))
-    mover = Mover(episode_world.execution, world, kinematics, TARGET, 0, see, prefers_room=True, feels=True)
+    mover = Mover(episode_world.execution, world, kinematics, TARGET, 0, see, rooms=(True, False), feels=True)
     place = matrix_of(np.array(standing(0.15, -0.2, CUBE)))[None]
     mover.pick(mover.find_pick(grasps, place))
     with pytest.raises(Failed, match="too early") as failure:

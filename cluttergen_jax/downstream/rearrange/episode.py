@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from cluttergen_jax.downstream.robot.collision import PlanningWorld
 from cluttergen_jax.downstream.robot.execute import Execution, Phase, Trace
 from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
+from cluttergen_jax.downstream.robot.grips import first_grasp
 from cluttergen_jax.downstream.robot.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.mover import Mover
@@ -40,6 +40,8 @@ MAX_LAYOUTS = 3
 """Layouts that are tried one after another where there is no way to the one before."""
 _DRAWS = 4
 """Times that layouts are drawn, until as many have room as may be tried."""
+_CARE = ((True, True), (True, False), (False, False))
+"""Of a move: does what is held keep apart from its neighbours, do hand and held need room? The most first."""
 _PLACES = 12
 _IN_HAND = 0.06
 """Metres that an object may have slipped and still be carried on."""
@@ -183,20 +185,19 @@ class Rearranger:
         """Moves one object home, or to where it can wait; whether one was moved."""
         if self._options.order == "lowest":
             k = lowest_first(self._scene.objects, pending)[0]
-            return self._move(k, self._home(k, goals))
+            return any(self._move(k, self._home(k, goals), care) for care in _CARE)
         relations = self._meetings.relations(self._sight.poses, goals)
         free = self._far_first(ready(relations, pending), goals)
         # Where all goes with room to spare, nothing brushes its neighbours.
-        for is_apart in (True, False):
-            if any(self._move(k, self._home(k, goals), is_apart=is_apart) for k in free):
-                return True
+        if any(self._move(k, self._home(k, goals), care) for care in _CARE for k in free):
+            return True
         # Those whose waiting makes an order possible, then others, which may be taken in another way later.
         asked = [*(smallest_waiting(relations, pending) or ()), *free, *pending]
         for k in dict.fromkeys(asked):
             if relations.lies_on[:, k].any() or self._times[1, k] >= MAX_WAITS:
                 continue
             places = self._waiting_places(k, goals, pending)
-            if any(self._move(k, places, is_wait=True, is_apart=is_apart) for is_apart in (True, False)):
+            if any(self._move(k, places, care, is_wait=True) for care in _CARE):
                 return True
         return False
 
@@ -226,7 +227,7 @@ class Rearranger:
         room = np.linalg.norm(np.array(clear)[:, None, :2] - near, axis=-1).min(1)
         return matrix_of(np.array(clear)[np.argsort(-room)[:_PLACES]])
 
-    def _move(self, k: int, places: np.ndarray, *, is_wait: bool = False, is_apart: bool = False) -> bool:
+    def _move(self, k: int, places: np.ndarray, care: tuple[bool, bool], *, is_wait: bool = False) -> bool:
         """Brings an object to one of places f64[M, 4, 4]; False if there is no way: it is where it was.
 
         Raises:
@@ -238,7 +239,10 @@ class Rearranger:
         world = PlanningWorld(scene.names, scene.objects, self._sight.poses, k, scene.support, self._base)
         seed = int(self._rng.integers(2**30))
         feels = not self._sight.sees_held
-        mover = Mover(self._execution, world, self._kinematics, k, seed, self._sight, is_apart, True, feels)
+        is_apart, room = care
+        mover = Mover(
+            self._execution, world, self._kinematics, k, seed, self._sight, is_apart, (room,), feels
+        )
         try:
             plan = mover.find_pick(self._grasps(k), places)
         except Failed as failure:
@@ -313,16 +317,6 @@ class Rearranger:
     def _grasps(self, k: int) -> Grasps:
         grasps = self._task.grasps[k]
         return first_grasp(grasps) if self._options.one_grasp else grasps
-
-
-def first_grasp(grasps: Grasps) -> Grasps:
-    """The one that comes from above and holds best."""
-    if not len(grasps):
-        return grasps
-    down = -matrix_of(grasps.pose)[:, 2, 2] + 0.25 * grasps.margin
-    best = [int(down.argmax())]
-    columns = ("pose", "held", "width", "shift", "slip", "turn", "margin", "is_low")
-    return replace(grasps, **{name: getattr(grasps, name)[best] for name in columns})
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -51,3 +52,13 @@ def _levers(pose: np.ndarray) -> np.ndarray:
     """
     axis, at = pose[:, :2, 1], pose[:, :2, 3]
     return np.abs(axis[:, 0] * at[:, 1] - axis[:, 1] * at[:, 0])
+
+
+def first_grasp(grasps: Grasps) -> Grasps:
+    """The one that comes from above and holds best."""
+    if not len(grasps):
+        return grasps
+    down = -matrix_of(grasps.pose)[:, 2, 2] + 0.25 * grasps.margin
+    best = [int(down.argmax())]
+    columns = ("pose", "held", "width", "shift", "slip", "turn", "margin", "is_low")
+    return replace(grasps, **{name: getattr(grasps, name)[best] for name in columns})

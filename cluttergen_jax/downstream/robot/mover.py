@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import product
 
 import numpy as np
@@ -58,7 +58,7 @@ class Mover:
     Args:
       execution: the simulation; world: its copy for planning; target: the object's number.
       seed: of what is drawn; equal seeds do the same.
-      prefers_room: grasps and places with room for a few millimetres more come first.
+      rooms: whether grasps and places need `collision.ROOM` more than without, in the order of trying.
       feels: how the object lies in the hand is not seen: it is carried gently, lowered until it touches
         something, and let go with the fingers wide open.
       is_apart: what is held keeps `collision.APART` from all else once it is a centimetre above its place; it
@@ -79,7 +79,7 @@ class Mover:
         seed: int,
         see: See | None = None,
         is_apart: bool = False,
-        prefers_room: bool = False,
+        rooms: Sequence[bool] = (False,),
         feels: bool = False,
     ) -> None:
         self.execution, self.world, self.kinematics, self.target = execution, world, kinematics, target
@@ -87,7 +87,7 @@ class Mover:
         self.planner = Planner(world, kinematics)
         self._rng, self._seed = np.random.default_rng(seed), seed
         self._above = Mode.APART if is_apart else Mode.CLEAR
-        self._prefers_room, self._feels = prefers_room, feels
+        self._rooms, self._feels = rooms, feels
         self._opening, self._T_tool_object, self._grasped = 0.0, np.eye(4), np.eye(4)
         self.fitting: int | None = None
         self._joints: np.ndarray | None = None
@@ -112,8 +112,7 @@ class Mover:
         T_world_object = matrix_of(stood)
         self.fitting = self._joints = None
         furthest = 0
-        rooms = (True, False) if self._prefers_room else (False,)
-        for needs_room, grip in product(rooms, ranked(grasps, T_world_object)):
+        for needs_room, grip in product(self._rooms, ranked(grasps, T_world_object)):
             self.world.needs_room = needs_room
             T_world_tool = T_world_object @ grip.T_object_tool
             opening = float(opening_of(np.array(grip.width)))

@@ -109,7 +109,7 @@ class SeeingArm:
         kinematics = ArmKinematics(self._base)
         world, see = self._world(), self._object
         mover = Mover(
-            self._execution, world, kinematics, 0, self._seed, see=see, prefers_room=True, feels=True
+            self._execution, world, kinematics, 0, self._seed, see=see, rooms=(True, False), feels=True
         )
         mover.pick(self._find_pick(mover, grasps))
         return mover
