@@ -190,8 +190,8 @@ def _looking(pool: str | Path, segmenter: str | Path | None, seed: int) -> Perce
     from cluttergen_jax.assets.support_file import find_support
     from cluttergen_jax.downstream.perception.finder import load_finder
     from cluttergen_jax.downstream.perception.segment.trained import segmenter_folder
-    from cluttergen_jax.downstream.placer.heads.trained import folder_hash
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
+    from cluttergen_jax.learning.ppo.checkpoint import folder_hash
 
     support, wanted = find_support("table"), pool if segmenter is None else segmenter
     finder = load_finder(wanted, find_pool(pool).objects, support)

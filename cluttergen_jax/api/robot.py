@@ -143,12 +143,13 @@ def robot_place(
     from typing import Any, get_args
 
     from cluttergen_jax.api.generate import generate
-    from cluttergen_jax.downstream.placer.heads.trained import folder_hash, placer_folder
+    from cluttergen_jax.downstream.placer.heads.trained import placer_folder
     from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.downstream.robot.places import SearchPlaces
     from cluttergen_jax.downstream.robot.trials import own_place, run_trials
+    from cluttergen_jax.learning.ppo.checkpoint import folder_hash
     from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
     from cluttergen_jax.scene.bank.scene import read_scenes, region_of

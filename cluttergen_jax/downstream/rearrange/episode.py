@@ -41,7 +41,7 @@ MAX_LAYOUTS = 3
 _DRAWS = 4
 """Times that layouts are drawn, until as many have room as may be tried."""
 _CARE = ((True, True), (True, False), (False, False))
-"""Of a move: does what is held keep apart from its neighbours, do hand and held need room? The most first."""
+"""How a move is planned, the most careful way first: `is_apart` of `Mover`, and whether it needs `ROOM`."""
 _PLACES = 12
 _IN_HAND = 0.06
 """Metres that an object may have slipped and still be carried on."""

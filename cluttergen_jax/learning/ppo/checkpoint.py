@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +88,14 @@ def read_record(path: Path) -> dict[str, Any]:
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PoolError(f"{path} is not a checkpoint of format {FORMAT}")
     return record
+
+
+def folder_hash(folder: Path, names: Sequence[str] | None = None) -> str:
+    """The digest of a checkpoint's files, or of those of some names."""
+    found = folder.rglob("*") if names is None else (folder / name for name in names)
+    files = sorted(each for each in found if each.is_file())
+    parts = [f"{each.relative_to(folder)}".encode() + each.read_bytes() for each in files]
+    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
 
 
 def check_folder(folder: Path, recipe: dict[str, Any]) -> None:

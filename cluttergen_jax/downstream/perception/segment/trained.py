@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -31,7 +30,7 @@ from cluttergen_jax.downstream.perception.segment.refine import (
 )
 from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation, checked_images
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_record
+from cluttergen_jax.learning.ppo.checkpoint import folder_hash, read_policy, read_record
 from cluttergen_jax.sensing.camera import Camera
 
 KIND = "segmenter"
@@ -152,5 +151,4 @@ def load_segmenter(segmenter: str | Path) -> NetworkSegmenter:
 
 def network_hash(folder: Path) -> str:
     """The digest of a segmenter's own files, without the rule of certainty beside them."""
-    parts = [(folder / name).read_bytes() for name in ("record.json", "weights.npz")]
-    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
+    return folder_hash(folder, ("record.json", "weights.npz"))

@@ -39,7 +39,7 @@ _ROBOTS: tuple[Kind, Kind] = ("overhead", "wrist")
 _CAMERAS, _SEEN = 8, 0.4
 """Cameras that are drawn until so large a share of the objects is in the picture."""
 VIEWS_A_SCENE = 4
-"""Of two moments; of a bank with fewer scenes than that asks for they come again."""
+"""Views of each scene, at two moments of its filling; where there are too few scenes they are used again."""
 _COLUMNS = ("index", "is_success", "object_index", "poses")
 
 
@@ -80,9 +80,9 @@ class StandingScenes:
         self._num_scenes = bank.num_scenes
 
     def row(self, scene: int) -> int:
-        """Of a scene of the bank; of the last one before it that stands (else of the first) if it does not.
+        """The row of a scene, or of the last one before it that stands, or the first row.
 
-        So what is behind a scene does not matter, and a bank may go on.
+        It does not depend on later scenes, so a bank may be continued.
         """
         return max(0, int(np.searchsorted(self.number, scene % self._num_scenes, side="right")) - 1)
 

@@ -16,7 +16,7 @@ from cluttergen_jax.downstream.placer.evaluation.bench import Bench, Outcome
 from cluttergen_jax.downstream.placer.evaluation.chain import Chains
 from cluttergen_jax.downstream.placer.evaluation.figures import figures_of
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, chain_table, tables_of
-from cluttergen_jax.downstream.placer.heads.trained import folder_hash, placer_folder
+from cluttergen_jax.downstream.placer.heads.trained import placer_folder
 from cluttergen_jax.downstream.placer.pairs.stored import PairLabels, PairSet, load_queries, of_tenths
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import FullState, find_placer
@@ -28,6 +28,7 @@ from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.store import Store, json_bytes
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.methods import checkpoint_of
+from cluttergen_jax.learning.ppo.checkpoint import folder_hash
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.proportions import proportion
 from cluttergen_jax.scene.bank import Bank, read_bank

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -74,13 +73,6 @@ def placer_folder(placer: str | Path) -> Path | None:
     if (inner / "record.json").is_file():
         return inner
     return path if path.is_dir() else None
-
-
-def folder_hash(folder: Path) -> str:
-    """The digest of a checkpoint's files."""
-    files = sorted(each for each in folder.rglob("*") if each.is_file())
-    parts = [f"{each.relative_to(folder)}".encode() + each.read_bytes() for each in files]
-    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
 
 
 def load_placer(path: Path, wanted: str | None = None) -> Placer:
