@@ -4,9 +4,12 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import pytest
 
+from cluttergen_jax.rendering.viewer.session import Session
 from cluttergen_jax.rendering.viewer.viewer import Viewer, open_server
 from tests.helpers.recordings import cubes
 
@@ -121,3 +124,25 @@ def test_the_page_says_that_it_compiles_and_then_shows_the_scene(viewer):
             until(lambda own=session: "**scene 0** stands" in said(own))
             # Now that there is something to see, the camera looks at it.
             assert session.client.camera.look_at[2] > 0.4
+
+
+def test_stop_stops_at_the_attempt_that_is_shown():
+    shown, recording = [], SimpleNamespace(attempts=range(5))
+
+    def at(number, share):
+        shown.append(number)
+        if number == 2:
+            session.play()
+
+    session = SimpleNamespace(
+        _playing=threading.Event(),
+        _play=SimpleNamespace(label="Play"),
+        _slider=SimpleNamespace(value=0),
+        _redraw=lambda: None,
+        nodes=SimpleNamespace(at=at),
+        recording=recording,
+    )
+    session.play = partial(Session.play, session)
+    session.play()
+    assert max(shown) == session._slider.value == 2
+    assert session._play.label == "Play"
