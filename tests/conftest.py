@@ -1,4 +1,4 @@
-"""Skips are counted: with CLUTTERGEN_STRICT_SKIPS set, one that allowed_skips.txt lacks fails the run."""
+"""With CLUTTERGEN_STRICT_SKIPS set, a skip whose reason allowed_skips.txt lacks fails the run."""
 
 import ctypes
 import datetime
@@ -6,6 +6,7 @@ import gc
 import json
 import os
 import platform
+import re
 import signal
 import subprocess
 import sys
@@ -21,10 +22,11 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(HERE.parent / ".pytest_ca
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
 
-def allowed_skips() -> set[str]:
-    """The tests, or whole modules, that may be skipped."""
+def is_allowed(reason: str) -> bool:
+    """Whether a test may be skipped for it."""
     lines = (HERE / "allowed_skips.txt").read_text().splitlines()
-    return {line.strip() for line in lines if line.strip() and not line.startswith("#")}
+    patterns = [line for line in lines if line and not line.startswith("#")]
+    return any(re.fullmatch(each, reason.removeprefix("Skipped: "), re.DOTALL) for each in patterns)
 
 
 def pytest_addoption(parser):
@@ -81,8 +83,7 @@ def pytest_sessionfinish(session, exitstatus):
     if reporter is None:  # One of several processes: the one that started them counts.
         return
     if os.environ.get("CLUTTERGEN_STRICT_SKIPS"):
-        allowed = allowed_skips()
-        unlisted = [node for node, _ in _skipped(reporter) if node.split("[")[0] not in allowed]
+        unlisted = [f"{node} ({reason})" for node, reason in _skipped(reporter) if not is_allowed(reason)]
         if unlisted:
             reporter.write_line(f"skipped without leave: {', '.join(unlisted)}", red=True)
             session.exitstatus = 1

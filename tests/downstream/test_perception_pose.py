@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("small_gicp")
+pytest.importorskip("small_gicp", reason="needs the extra perception")
 
 from cluttergen_jax.downstream.perception.certainty import (
     FEATURES,

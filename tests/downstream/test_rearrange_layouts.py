@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.distance import cdist
 from shapely.geometry import MultiPoint
 
-pytest.importorskip("mink")
+pytest.importorskip("mink", reason="needs the extra robot")
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle

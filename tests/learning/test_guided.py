@@ -66,6 +66,7 @@ def made_up(number, seed=0):
     )
 
 
+@pytest.mark.slow
 def test_a_fit_learns_what_can_be_learned_and_equal_seeds_fit_alike():
     examples, fresh = made_up(10_000), made_up(2000, seed=1)
     params, loss = fit(SMALL, FitConfig(num_epochs=12), examples, seed=0)

@@ -46,6 +46,7 @@ def test_beta_bandit_finds_both_optima(bandit):
     np.testing.assert_allclose(dist.mean()[:, 0], [0.8, 0.3], atol=0.08)
 
 
+@pytest.mark.slow
 def test_entropy_bonus_keeps_the_policy_wide(bandit):
     wide = train(learner(Bandit(), entropy_cost=0.3), 60)
     seen = jnp.array([[0.0, 1.0]])

@@ -100,6 +100,7 @@ def test_too_small_a_margin_is_a_verdict_of_its_own():
     assert int(attempt({3: -0.1}, min_margin=0.003).slot) == 1
 
 
+@pytest.mark.slow
 def test_a_neighbour_that_lost_its_support_counts_unless_it_stood_there_before():
     rules = made_up_rules(physics=Margins(margin=(0.02, 0.001, 0.02, 0.02, 0.02, 0.02)), order="fixed")
     rules = dataclasses.replace(

@@ -161,7 +161,8 @@ def test_objects_that_are_not_placed_are_returned_as_given(name):
     np.testing.assert_array_equal(report.poses[PRISM], start[PRISM])
 
 
-@pytest.mark.parametrize("name", ["warp", pytest.param("jax", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["warp", "jax"])
 def test_every_report_is_the_native_engines(name):
     ours, native = outcomes(name), outcomes("native")
     np.testing.assert_array_equal(ours.verdict, native.verdict)

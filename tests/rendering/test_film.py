@@ -235,7 +235,7 @@ def test_gif_holds_every_frame_at_its_pace(tmp_path):
 
 
 def test_mp4_holds_every_frame(tmp_path):
-    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra video is not installed")
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="needs the extra video")
     path = save_film(moving_square(size=(49, 65)), tmp_path / "a.mp4", 10)
     reader = ffmpeg.read_frames(str(path))
     meta = next(reader)

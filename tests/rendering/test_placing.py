@@ -51,7 +51,7 @@ def scenes():
 
 @pytest.fixture
 def panel(scenes):
-    pytest.importorskip("viser", reason="the extra viewer is not installed")
+    pytest.importorskip("viser", reason="needs the extra viewer")
     from cluttergen_jax.rendering.viewer.placing import PlacingPanel
 
     server = open_server("127.0.0.1", 0, "test")

@@ -57,7 +57,7 @@ def bank(tmp_path):
 
 @pytest.fixture
 def page(bank, tmp_path):
-    pytest.importorskip("viser", reason="the extra viewer is not installed")
+    pytest.importorskip("viser", reason="needs the extra viewer")
     from cluttergen_jax.rendering.viewer.placing import PlacingPanel
 
     server = open_server("127.0.0.1", 0, "test")

@@ -44,7 +44,7 @@ class Scenes:
 
 @pytest.fixture(scope="module")
 def viewer(tmp_path_factory):
-    pytest.importorskip("viser", reason="the extra viewer is not installed")
+    pytest.importorskip("viser", reason="needs the extra viewer")
     from cluttergen_jax.rendering.viewer.viewer import Viewer, open_server
 
     server = open_server("127.0.0.1", 0, "test")

@@ -53,7 +53,7 @@ class Scenes:
 
 @pytest.fixture
 def viewer(tmp_path):
-    pytest.importorskip("viser", reason="the extra viewer is not installed")
+    pytest.importorskip("viser", reason="needs the extra viewer")
     viewer = Viewer(Scenes(), open_server("127.0.0.1", 0, "test"), 0, tmp_path)
     yield viewer
     viewer.source.go.set()

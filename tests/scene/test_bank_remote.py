@@ -19,7 +19,7 @@ from cluttergen_jax.scene.bank.remote import MARK, RemoteFolder, mirror_of, mirr
 from tests.helpers import banks
 from tests.helpers.worlds import trio
 
-fsspec = pytest.importorskip("fsspec")
+fsspec = pytest.importorskip("fsspec", reason="needs the extra remote")
 NUM_BLOCKS = 5
 
 

@@ -29,6 +29,7 @@ from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.bank import index_bytes
 from cluttergen_jax.scene.bank.blocks import block_path
 from cluttergen_jax.scene.bank.card import CARD, write_card
+from cluttergen_jax.scene.bank.lock import BankLock
 from cluttergen_jax.scene.bank.stats import stats_of, stats_text
 from cluttergen_jax.scene.bank.table import SCHEMA
 from cluttergen_jax.scene.bank.writer import write_rows
@@ -264,6 +265,17 @@ def test_writers_that_race_take_turns(tmp_path, whole):
     assert len(refused) < 3
     assert all("being written by" in str(error) for error in refused)
     assert_complete(path, whole)
+
+
+def test_what_another_has_just_begun_is_not_taken_for_something_else(tmp_path):
+    path = tmp_path / "bank"
+    (path / "assets").mkdir(parents=True)
+    held = BankLock(path)
+    with pytest.raises(BankError, match="is being written by"):
+        banks.writer(path, 512)
+    held.release()
+    with pytest.raises(BankError, match="is not a bank"):
+        banks.writer(path, 512)
 
 
 def test_a_killed_writer_loses_nothing(tmp_path):

@@ -72,7 +72,7 @@ def test_maniskill(scene, tmp_path):
 
 
 def test_usd(scene, tmp_path):
-    Usd = pytest.importorskip("pxr.Usd")
+    Usd = pytest.importorskip("pxr.Usd", reason="needs the extra usd")
     folder, own, other = folder_of(scene, "usd", tmp_path)
     modes = []
     for name in (own, other):

@@ -40,7 +40,7 @@ def folder(tmp_path):
 @pytest.fixture
 def server(monkeypatch):
     """A server that acts as the Hugging Face Hub."""
-    constants = pytest.importorskip("huggingface_hub.constants")
+    constants = pytest.importorskip("huggingface_hub.constants", reason="needs the extra hub")
     # Its own protocol for large files needs a server of its own; without it Git LFS is spoken.
     monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
     with hub_server() as server:
@@ -73,7 +73,9 @@ def test_what_is_pushed_is_pulled_to_the_bit(bank, tmp_path, hub, capsys):
 
 
 def test_the_card_says_what_a_hub_wants_to_know(bank):
-    card = pytest.importorskip("huggingface_hub").DatasetCard.load(write_card(read_bank(bank)))
+    card = pytest.importorskip("huggingface_hub", reason="needs the extra hub").DatasetCard.load(
+        write_card(read_bank(bank))
+    )
     assert card.data.license == "apache-2.0"
     assert "robotics" in card.data.tags
     (config,) = card.data.to_dict()["configs"]
@@ -166,7 +168,7 @@ def test_who_may_not_push_is_told(bank, server, monkeypatch):
 
 
 def test_without_a_network_it_is_said(bank, tmp_path, monkeypatch):
-    pytest.importorskip("huggingface_hub")
+    pytest.importorskip("huggingface_hub", reason="needs the extra hub")
     with hub_server() as gone:
         url = gone.url
     for call in (

@@ -59,6 +59,16 @@ class BankLock:
             self.release()
 
 
+def check_free(folder: Path) -> None:
+    """Holds nothing and changes nothing.
+
+    Raises:
+      BankError: somebody holds the bank in this folder.
+    """
+    if (path := folder / LOCK).exists():
+        os.close(_locked(path))
+
+
 def _locked(path: Path) -> int:
     """The descriptor of the locked file, made if need be."""
     while True:

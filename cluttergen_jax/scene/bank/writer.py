@@ -39,7 +39,7 @@ from cluttergen_jax.scene.bank.blocks import (
 )
 from cluttergen_jax.scene.bank.digests import digests_in
 from cluttergen_jax.scene.bank.hubs import is_of_a_bank
-from cluttergen_jax.scene.bank.lock import LOCK, BankLock
+from cluttergen_jax.scene.bank.lock import LOCK, BankLock, check_free
 from cluttergen_jax.scene.bank.remote import MARK, is_url, mirrored, publish_all, remote_of
 
 
@@ -179,14 +179,21 @@ class BankWriter:
 
     def _check_place(self) -> None:
         """Refuses a place that holds something which is not a bank."""
-        if not self.path.exists() or (self.path / INDEX).exists() or block_numbers(self.path):
+        if self._is_bank_or_new():
             return
+        # Between two looks at it another process may have begun one here, or have made it whole.
+        check_free(self.path)
+        if not self._is_bank_or_new():
+            raise BankError(f"{self.path} exists and is not a bank", "a new or empty folder", "another `out`")
+
+    def _is_bank_or_new(self) -> bool:
+        if not self.path.exists() or (self.path / INDEX).exists() or block_numbers(self.path):
+            return True
         if (remote := remote_of(self.path)) is not None and remote.sizes():
             raise BankError(f"{remote.url} holds something that is no bank", "a new place", "another `out`")
         # A writer that was killed before anything was finished leaves no more than these.
         ours = (LOCK, f".{INDEX}{PARTIAL}", MARK)
-        if not self.path.is_dir() or any(each.name not in ours for each in self.path.iterdir()):
-            raise BankError(f"{self.path} exists and is not a bank", "a new or empty folder", "another `out`")
+        return self.path.is_dir() and all(each.name in ours for each in self.path.iterdir())
 
     def _begin(self, num_scenes: int, overwrite: bool) -> None:
         remove_partial(self.path)
