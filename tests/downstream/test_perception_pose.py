@@ -1,5 +1,7 @@
 """Poses: registration finds boxes, comparison tells right from wrong, certainty and the whole finder."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from cluttergen_jax.downstream.perception.certainty import (
     reliability,
     write_certainty,
 )
+from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.evaluation.judged import judged
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.pose import registration
@@ -28,6 +31,8 @@ from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import REALSENSE
 from tests.helpers.perception import OBJECTS, POSES, TABLE, ByColour, overhead, standing, view_of
+from tests.helpers.placing import with_surface
+from tests.helpers.worlds import box
 
 SIDE = Camera.looking((0.7, 0.1, 1.2), (0.0, 0.0, TABLE.top), *SIZE, FOCAL)
 
@@ -89,6 +94,18 @@ def test_where_an_object_was_is_looked_at_first(estimator, monkeypatch):
     shift, turn = errors(estimator, 2, found, POSES[2])
     assert shift < 0.004
     assert turn < 3
+
+
+def test_half_of_a_long_object_is_enough():
+    """What is seen of it slides along it: only what is hidden, and what is empty, tells where it ends."""
+    objects = with_surface(box("bar", (0.02, 0.11, 0.015))), with_surface(box("wall", (0.01, 0.12, 0.11)))
+    poses = standing((0.0, 0.0, 0.0), (0.06, 0.12, 0.0))
+    poses[:, 2] = [TABLE.top + each.half_extents[2] for each in objects]
+    view = view_of(poses, SIDE, objects=objects).view
+    look = Look(np.where(np.isfinite(view.depth), view.depth, np.nan), view.label, SIDE)
+    found = RegistrationEstimator(objects, TABLE)(0, [look])
+    assert 0.3 < found.visible < 0.7
+    assert np.linalg.norm(found.pose[:3] - poses[0, :3]) < 0.01
 
 
 def test_an_object_on_another_is_found_at_its_height(estimator):
@@ -230,6 +247,18 @@ def test_all_objects_of_a_scene_are_found_in_pictures(finder):
 def _picture(camera):
     view = view_of(POSES, camera).view
     return view.rgb, view.depth, camera
+
+
+@pytest.mark.parametrize(("where", "one", "other"), [(1, 1, 0), (1, 1, 2), (1, 2, 1), (0, 1, 2)])
+def test_a_look_that_takes_one_object_for_another_does_not_mislead(where, one, other):
+    looks = [look_at(POSES, camera) for camera in (overhead(), SIDE)]
+    label = looks[where].label.copy()
+    label[looks[where].mask(one)] = BACKGROUND
+    label[looks[where].mask(other)] = FIRST_OBJECT + one
+    looks[where] = replace(looks[where], label=label)
+    found = SceneFinder(OBJECTS, TABLE, ByColour())(looks)
+    assert found.seen.all()
+    assert np.linalg.norm(found.pose[:, :3] - POSES[:, :3], axis=1).max() < 0.005
 
 
 def test_what_is_not_in_the_pictures_is_not_seen(finder):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation
@@ -45,10 +48,12 @@ def overhead() -> Camera:
     return above(TABLE)
 
 
-def view_of(poses: np.ndarray, camera: Camera, number: int = 0) -> StoredView:
+def view_of(
+    poses: np.ndarray, camera: Camera, number: int = 0, objects: Sequence[ObjectAsset] = OBJECTS
+) -> StoredView:
     """What a camera sees of the first objects at f[n, 7], exactly."""
     count = len(poses)
-    sensor = rays.RaySensor(rays.sensed_model(OBJECTS[:count], TABLE))
+    sensor = rays.RaySensor(rays.sensed_model(objects[:count], TABLE))
     data = sensor.make_data()
     sensor.pose(data, poses)
     image = sensor.sense(data, camera)

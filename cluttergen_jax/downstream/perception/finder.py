@@ -12,17 +12,22 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.perception.certainty import Certainty, features_of, read_certainty
 from cluttergen_jax.downstream.perception.classes import ARM
+from cluttergen_jax.downstream.perception.expected import as_expected
 from cluttergen_jax.downstream.perception.pose.estimator import Look, PoseEstimate, PoseEstimator
+from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
 from cluttergen_jax.downstream.perception.pose.steady import SteadyCheck
 from cluttergen_jax.downstream.perception.segment.segmenter import Segmenter, checked_images
 from cluttergen_jax.downstream.perception.segment.trained import load_segmenter, segmenter_folder
+from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.partial import Grid, levelled
 
 LEAST_CERTAIN = 0.1
 """Below it an object counts as not seen."""
+_SURE = 0.6
+"""Score from which on an object is taken to be where it was found when others are sought."""
 _RADIUS = 0.1
 
 
@@ -75,6 +80,7 @@ class SceneFinder:
         self.estimator = estimator or RegistrationEstimator(objects, support)
         self._certainty, self._steady = certainty or Certainty(), SteadyCheck(objects, support)
         self._grid = Grid.of(support, _RADIUS)
+        self._objects, self._models = tuple(objects), dict[int, ObjectModel]()
 
     def look(
         self, rgb: np.ndarray, depth: np.ndarray, camera: Camera, is_own: np.ndarray | None = None
@@ -104,7 +110,8 @@ class SceneFinder:
 
         Args:
           looks: of one moment, in which nothing moved.
-          near: f64[n, 7], where those of these names probably are; nan where that is not known.
+          near: f64[n, 7], where those of these names probably are, which depth then confirms or not
+            (`expected`); nan where that is not known.
 
         Raises:
           ConfigError: an object of that name is not known.
@@ -114,8 +121,17 @@ class SceneFinder:
             raise ConfigError(f"objects {', '.join(strange)}", ", ".join(self.names))
         numbers = [self.names.index(name) for name in asked]
         known = [None if near is None or np.isnan(near[k]).any() else near[k] for k in range(len(asked))]
-        found = {number: self.estimator(number, looks, at) for number, at in zip(numbers, known, strict=True)}
+        places = {number: at for number, at in zip(numbers, known, strict=True) if at is not None}
+        looks = self._as_expected(looks, places)
+        found = {number: self.estimator(number, looks, places.get(number)) for number in numbers}
         estimates = {number: each for number, each in found.items() if each is not None}
+        # What is there for sure is nothing else.
+        sure = {number: each.pose for number, each in estimates.items() if each.score >= _SURE}
+        if len(sure) < len(numbers):
+            looks = self._as_expected(looks, sure)
+            for number in set(numbers) - set(sure):
+                if (again := self.estimator(number, looks, places.get(number))) is not None:
+                    estimates[number] = again
         steady = self._steadiness(estimates)
         count = len(asked)
         pose, features = np.tile(np.eye(7)[3], (count, 1)), np.zeros((count, 6))
@@ -128,6 +144,14 @@ class SceneFinder:
                 certainty[place] = self._certainty(features[place])
         seen = certainty >= LEAST_CERTAIN
         return FoundScene(asked, pose, seen, np.where(seen, certainty, 0.0), features, visible)
+
+    def _as_expected(self, looks: Sequence[Look], poses: dict[int, np.ndarray]) -> list[Look]:
+        return as_expected(looks, {k: (self._model(k), matrix_of(pose)) for k, pose in poses.items()})
+
+    def _model(self, number: int) -> ObjectModel:
+        if number not in self._models:
+            self._models[number] = ObjectModel.of(self._objects[number])
+        return self._models[number]
 
     def _steadiness(self, estimates: dict[int, PoseEstimate]) -> np.ndarray:
         """bool[K]: what stays where it is said to be, all others standing where they are said to."""

@@ -159,7 +159,8 @@ class Observer(Protocol):
         """Where the objects of these names are now; called while nothing moves.
 
         Args:
-          known: f64[n, 7], where they were seen; nan of what has been in the hand since or was never seen.
+          known: f64[n, 7], where they were seen, or where the hand should have put them; nan of what was
+            never seen.
         """
         ...
 
@@ -202,7 +203,6 @@ class ObjectTracker:
         self._symmetry = symmetry or [1] * len(view.names)
         self.num_looks, self._looked_at = 0, -1.0
         self._held, self._T_tool_object = -1, np.eye(4)
-        self._carried: set[int] = set()
         self._poses = np.full((len(view.names), 7), np.nan)
 
     @property
@@ -232,7 +232,6 @@ class ObjectTracker:
             for number, pose, is_seen, certainty in told:
                 if is_seen and certainty >= self._least(number, pose):
                     self._poses[number] = pose
-                    self._carried.discard(number)
         if (unseen := np.isnan(self._poses[:, 0])).any():
             raise Failed(Cause.NOT_SEEN, self._view.names[int(unseen.argmax())])
         return self.poses
@@ -260,11 +259,8 @@ class ObjectTracker:
         if len(numbers) == len(self._poses):
             self.num_looks, self._looked_at = self.num_looks + 1, self._view.time
         names = [self._view.names[number] for number in numbers]
-        known = self._poses[list(numbers)]
-        known[[number in self._carried for number in numbers]] = np.nan
-        return self._observer(self._view, names, known)
+        return self._observer(self._view, names, self._poses[list(numbers)])
 
     def _follow(self) -> None:
         if self._view.is_closed and self._held >= 0:
             self._poses[self._held] = pose_of(self._view.tool @ self._T_tool_object)
-            self._carried.add(self._held)

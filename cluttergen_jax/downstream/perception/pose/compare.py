@@ -21,9 +21,11 @@ from cluttergen_jax.sensing.camera import Camera
 
 AGREES = 0.006
 """Metres by which depths may differ and agree by half."""
-_IN_FRONT = 0.012
+IN_FRONT = 0.012
 """Metres by which a pose may be before what was seen and not be said to fill empty air."""
 _MOST_RAYS = 900
+_CLOSEST = 0.05
+"""Metres from the eye, nearer than which a point is not projected."""
 _OTHERS_WEIGHT = 0.5
 """Of rays that agree in depth where the mask says otherwise."""
 
@@ -86,8 +88,8 @@ class Comparer:
         with np.errstate(invalid="ignore"):
             behind = np.where(is_known & is_hit, seen - drawn, 0.0)
         agree = np.exp2(-((behind / AGREES) ** 2)) * (is_hit & is_known)
-        in_air = is_hit & is_known & ~in_mask & (behind > _IN_FRONT)
-        others = is_hit & is_known & ~in_mask & (np.abs(behind) <= _IN_FRONT)
+        in_air = is_hit & is_known & ~in_mask & (behind > IN_FRONT)
+        others = is_hit & is_known & ~in_mask & (np.abs(behind) <= IN_FRONT)
         weight = (in_mask & is_known).sum() + in_air.sum() + _OTHERS_WEIGHT * others.sum()
         both = float(agree[in_mask].sum())
         return both, float(weight), float(is_hit.sum()), float((is_hit & in_mask).sum())
@@ -101,7 +103,7 @@ class Comparer:
         rows, columns = np.nonzero(mask)
         low = np.array([columns.min(), rows.min()], np.float64)
         high = np.array([columns.max(), rows.max()], np.float64)
-        if (depth > 0.05).all():
+        if (depth > _CLOSEST).all():
             size = np.array([camera.width, camera.height])
             low = np.minimum(low, np.clip(pixels.min(0), -0.5 * size, 1.5 * size))
             high = np.maximum(high, np.clip(pixels.max(0), -0.5 * size, 1.5 * size))
@@ -109,9 +111,29 @@ class Comparer:
         width, height = np.ceil(high - low).astype(int) + 5
         stride = max(1, int(np.ceil(np.sqrt(width * height / _MOST_RAYS))))
         columns, rows = np.arange(left, left + width, stride), np.arange(upper, upper + height, stride)
-        K = camera.K.copy()
-        # The middle of the window's first pixel is that of the picture's pixel (left, upper).
-        K[:2, 2] -= [left + 0.5, upper + 0.5]
-        K[:2] /= stride
-        K[:2, 2] += 0.5
-        return replace(camera, width=len(columns), height=len(rows), K=K), rows, columns
+        return _part_of(camera, rows, columns), rows, columns
+
+
+def drawn_alone(model: ObjectModel, camera: Camera, pose: np.ndarray) -> np.ndarray:
+    """f32[H, W]: the depth of an object alone at a pose f64[4, 4], metres; inf where it is not seen."""
+    depth = np.full((camera.height, camera.width), np.inf, np.float32)
+    pixels, away = camera.project(transformed(pose_of(pose), model.points[::10]))
+    size = np.array([camera.width, camera.height])
+    low = np.clip(np.floor(pixels.min(0)).astype(int) - 2, 0, size)
+    high = np.clip(np.ceil(pixels.max(0)).astype(int) + 3, 0, size)
+    if (away > _CLOSEST).all() and (low < high).all():
+        columns, rows = np.arange(low[0], high[0]), np.arange(low[1], high[1])
+        data = model.sensor.make_data()
+        model.sensor.pose(data, pose_of(pose)[None])
+        depth[np.ix_(rows, columns)] = model.sensor.sense(data, _part_of(camera, rows, columns)).depth
+    return depth
+
+
+def _part_of(camera: Camera, rows: np.ndarray, columns: np.ndarray) -> Camera:
+    """A camera that sees these pixels alone, evenly spaced i[h], i[w]."""
+    stride, K = rows[1] - rows[0] if len(rows) > 1 else 1, camera.K.copy()
+    # The middle of the part's first pixel is that of the picture's.
+    K[:2, 2] -= [columns[0] + 0.5, rows[0] + 0.5]
+    K[:2] /= stride
+    K[:2, 2] += 0.5
+    return replace(camera, width=len(columns), height=len(rows), K=K)

@@ -32,8 +32,8 @@ _NEARLY_UPRIGHT, _LOW = np.cos(np.radians(10)), 0.01
 _ALL_BUT_UPRIGHT, _ALL_BUT_DOWN = np.cos(np.radians(3)), 0.005
 """The same up to which it is taken to stand there exactly: nothing leans so little, or sinks into a table."""
 _SAME_PLACE, _SAME_TURN = 0.01, np.radians(10)
-_STEPS = ((0.003, 4.0), (0.0015, 2.0))
-"""Metres and degrees of the last refinement."""
+_STEPS = ((0.03, 0.0), (0.015, 0.0), (0.006, 0.0), (0.003, 4.0), (0.0015, 2.0))
+"""Metres and degrees of the last refinement; long ones first: what is half hidden slides along itself."""
 _FREE_GAIN, _LYING_GAIN, _LEANING = 0.03, 0.05, 0.7
 """By which a pose that leans has to agree better, and one that rests in another way, as a ring that looks the
 same upside down; and the cosine of the tilt between them."""
@@ -226,15 +226,14 @@ def _differs(pose: np.ndarray, other: np.ndarray, symmetry: int) -> bool:
 
 
 def _climbed(compare: Comparer, start: tuple[float, np.ndarray]) -> tuple[float, np.ndarray]:
-    """A better pose near one, by small moves in plan and turns about z, each kept if it agrees better."""
+    """A better pose near one, by moves along its own x and y and turns, each kept if it agrees better."""
     best, pose = start
     for step, degrees in _STEPS:
-        turn = np.radians(degrees)
         for along in ((step, 0, 0), (-step, 0, 0), (0, step, 0), (0, -step, 0)):
             tried = shifted(pose, along)
             if (score := _worth(compare, tried)) > best:
                 best, pose = score, tried
-        for angle in (turn, -turn):
+        for angle in np.radians([degrees, -degrees]) if degrees else ():
             tried = pose @ turn_matrix(angle)
             if (score := _worth(compare, tried)) > best:
                 best, pose = score, tried

@@ -1,0 +1,81 @@
+"""Masks by expectation: wrong labels of what depth confirms are put right, and nothing else is touched."""
+
+import numpy as np
+import pytest
+
+from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
+from cluttergen_jax.downstream.perception.expected import as_expected
+from cluttergen_jax.downstream.perception.pose.compare import drawn_alone
+from cluttergen_jax.downstream.perception.pose.estimator import Look
+from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.robot.frames import matrix_of
+from tests.helpers.perception import OBJECTS, POSES, overhead, view_of
+
+RED, GREEN, BLUE = (FIRST_OBJECT + k for k in range(3))
+MODELS = [ObjectModel.of(each) for each in OBJECTS]
+
+
+@pytest.fixture
+def look():
+    view = view_of(POSES, overhead()).view
+    return Look(np.where(np.isfinite(view.depth), view.depth, np.nan), view.label, view.camera)
+
+
+def expected(poses=POSES):
+    return {k: (MODELS[k], matrix_of(pose)) for k, pose in enumerate(poses)}
+
+
+def mistaken(look, **labels):
+    """The look with other labels in place of the true ones."""
+    label = look.label.copy()
+    for name, wrong in labels.items():
+        label[look.label == {"red": RED, "green": GREEN, "blue": BLUE}[name]] = wrong
+    return Look(look.depth, label, look.camera)
+
+
+def test_an_object_alone_is_drawn_where_the_camera_sees_it(look):
+    for k, pose in enumerate(POSES):
+        drawn = drawn_alone(MODELS[k], look.camera, matrix_of(pose))
+        is_drawn = np.isfinite(drawn)
+        assert (is_drawn == look.mask(k)).mean() > 0.9995
+        both = is_drawn & look.mask(k)
+        assert np.abs(drawn - look.depth)[both].max() < 1e-3
+    away = matrix_of(POSES[0])
+    away[:2, 3] += 3
+    assert np.isinf(drawn_alone(MODELS[0], look.camera, away)).all()
+    behind = matrix_of(POSES[0])
+    behind[2, 3] += 5
+    assert np.isinf(drawn_alone(MODELS[0], look.camera, behind)).all()
+
+
+def test_what_is_where_it_is_expected_gets_its_mask_whatever_was_said(look):
+    wrong = mistaken(look, red=GREEN, green=BACKGROUND, blue=RED)
+    (found,) = as_expected([wrong], expected())
+    assert (found.label == look.label).mean() > 0.999
+    assert np.array_equal(found.depth, look.depth, equal_nan=True)
+
+
+def test_what_is_not_where_it_is_expected_keeps_what_was_said(look):
+    moved = POSES.copy()
+    moved[:, :2] += 0.12
+    (found,) = as_expected([look], expected(moved))
+    assert np.array_equal(found.label, look.label)
+    (found,) = as_expected([look], {})
+    assert np.array_equal(found.label, look.label)
+
+
+def test_one_that_is_there_is_nowhere_else(look):
+    # The green one has moved and is taken for the red one, which stands where it stood.
+    wrong = mistaken(look, green=RED)
+    (found,) = as_expected([wrong], {0: (MODELS[0], matrix_of(POSES[0]))})
+    assert (found.label[look.label == GREEN] == BACKGROUND).all()
+    assert (found.mask(0) == look.mask(0)).mean() > 0.999
+
+
+def test_nothing_is_concluded_of_what_is_hidden_or_not_measured(look):
+    blind = Look(np.full_like(look.depth, np.nan), look.label, look.camera)
+    (found,) = as_expected([blind], expected())
+    assert np.array_equal(found.label, look.label)
+    covered = Look(np.minimum(look.depth, 0.3), look.label, look.camera)
+    (found,) = as_expected([covered], expected())
+    assert np.array_equal(found.label, look.label)
