@@ -124,14 +124,14 @@ class SceneFinder:
         places = {number: at for number, at in zip(numbers, known, strict=True) if at is not None}
         looks = self._as_expected(looks, places)
         found = {number: self.estimator(number, looks, places.get(number)) for number in numbers}
-        estimates = {number: each for number, each in found.items() if each is not None}
         # What is there for sure is nothing else.
-        sure = {number: each.pose for number, each in estimates.items() if each.score >= _SURE}
-        if len(sure) < len(numbers):
-            looks = self._as_expected(looks, sure)
-            for number in set(numbers) - set(sure):
-                if (again := self.estimator(number, looks, places.get(number))) is not None:
-                    estimates[number] = again
+        sure = {number: each.pose for number, each in found.items() if each and each.score >= _SURE}
+        told = self._as_expected(looks, sure)
+        for number in set(numbers) - set(sure):
+            masks = ((old.mask(number), new.mask(number)) for old, new in zip(looks, told, strict=True))
+            if not all(np.array_equal(old, new) for old, new in masks):
+                found[number] = self.estimator(number, told, places.get(number))
+        estimates = {number: each for number, each in found.items() if each is not None}
         steady = self._steadiness(estimates)
         count = len(asked)
         pose, features = np.tile(np.eye(7)[3], (count, 1)), np.zeros((count, 6))
