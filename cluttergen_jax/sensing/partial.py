@@ -29,7 +29,7 @@ _RUN = 1024
 _HOLE = 2
 _NEAR_TOP, _ON_TOP = 0.02, 0.005
 _FEWEST_ON_TOP = 50
-_MOST_SHIFT, _MOST_SLOPE = 0.01, 0.0175
+_MOST_SHIFT, _MOST_SLOPE = 0.01, 0.035
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +157,7 @@ def levelled(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
     The top is known, so that most of the error of a camera's stated pose can be told from it (least squares
     with weights that end at a distance, Tukey's). Returned as it was where too little of the top is seen,
     where more of what is seen lies at 0 as it is, or where it would move by more than 1 cm or turn by more
-    than a degree: then it looks at something else. Large flat things a few millimetres thick are taken for
+    than two degrees: then it looks at something else. Large flat things a few millimetres thick are taken for
     the top in part, and so are best left to a camera whose pose is known.
 
     Args:

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.ground import VOID
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
@@ -246,3 +247,18 @@ def test_bad_grids_and_images_are_refused():
         Grid.of(TABLE, 0.1, cell=0.0)
     with pytest.raises(ConfigError, match="the camera's"):
         PartialMap.of(np.ones((3, 3)), overhead(TABLE), GRID)
+
+
+@pytest.mark.parametrize(("degrees", "is_mended"), [(1.5, True), (4.0, False)])
+def test_so_far_a_stated_orientation_may_be_wrong(degrees, is_mended):
+    camera = overhead(TABLE, 320, 240, 615 / 2)
+    depth = seen([box("one", (0.05, 0.05, 0.05))], standing(0.1, 0, 0.05)[None], camera)
+    turn = Rotation.from_euler("x", degrees, degrees=True).as_matrix()
+    T = camera.T_world_camera.copy()
+    T[:3, :3] = T[:3, :3] @ turn
+    stated = replace(camera, T_world_camera=T)
+    found = levelled(depth, stated, GRID)
+    assert (found is not stated) == is_mended
+    height = found.points(depth)[..., 2] - 0.7
+    on_table = camera.points(depth)[..., 2] < 0.701
+    assert (np.abs(height[on_table]).max() < 0.001) == is_mended
