@@ -54,7 +54,7 @@ class FromFile:
 
     names = tuple(asset.name for asset in pool)
 
-    def __call__(self, rgb, depth, camera):
+    def __call__(self, rgb, depth, camera, among=None):
         label = np.asarray(Image.open(folder / "labels.png"))
         return Segmentation(self.names, label)
 

@@ -35,7 +35,7 @@ class ByHeight:
 
     names = ("red", "green")
 
-    def __call__(self, rgb, depth, camera):
+    def __call__(self, rgb, depth, camera, among=None):
         points = camera.points(depth)
         height = points[..., 2] - TABLE.top
         on_table = (np.abs(points[..., 0]) < 0.29) & (np.abs(points[..., 1]) < 0.34)
@@ -113,7 +113,7 @@ def test_the_source_of_the_observer_asks_for_pictures_and_the_hand_alone():
         for node in ast.walk(tree)
         if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "world"
     }
-    assert asked == {"picture", "tool", "time", "joints", "opening", "seed"}
+    assert asked == {"picture", "names", "tool", "time", "joints", "opening", "seed"}
 
 
 class Unsure:
@@ -122,7 +122,7 @@ class Unsure:
     def __init__(self):
         self.looks = []
 
-    def look(self, rgb, depth, camera, is_own):
+    def look(self, rgb, depth, camera, is_own, among):
         if len(self.looks) == 0:
             self.looks.append("refused")
             raise ConfigError("a depth image in which nothing was measured")
@@ -170,7 +170,7 @@ def test_every_episode_has_noise_of_its_own(execution):
 
 
 class Blind(Unsure):
-    def look(self, rgb, depth, camera, is_own):
+    def look(self, rgb, depth, camera, is_own, among):
         raise ConfigError("a depth image in which nothing was measured")
 
 

@@ -9,6 +9,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.rearrange import episode
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
-from cluttergen_jax.downstream.rearrange.episode import draw_layouts, rearrange_episode
+from cluttergen_jax.downstream.rearrange.episode import Rearranger, draw_layouts, rearrange_episode
 from cluttergen_jax.downstream.rearrange.judge import Judge
 from cluttergen_jax.downstream.rearrange.observe import (
     Cause,
@@ -110,6 +111,45 @@ def test_the_arm_goes_where_the_observer_says(monkeypatch):
     assert not result.is_success
     assert np.allclose(closed[0][:2], [0.05, -0.08], atol=0.002)
     assert observer.asked[0] == ("red", "blue")
+
+
+SLIP, NO_PATH = Outcome.SLIP, Outcome.NO_PATH
+
+
+@pytest.mark.parametrize(
+    ("happens", "is_lost", "ends"),
+    [
+        ([0], False, 0),
+        ([NO_PATH, 0], False, 2),
+        ([NO_PATH, NO_PATH], False, "back"),
+        # What touched something too early is brought back to where it stood; dropped only if that fails, too.
+        ([SLIP, 0], False, 2),
+        ([SLIP, NO_PATH], False, SLIP),
+        ([SLIP, SLIP], False, SLIP),
+        ([SLIP], True, SLIP),
+        ([Outcome.CONTACT], False, Outcome.CONTACT),
+    ],
+)
+def test_what_cannot_be_put_down_at_its_place_is_brought_back(happens, is_lost, ends):
+    told, left = [], list(happens)
+
+    def place(places):
+        told.append(len(places))
+        if isinstance(one := left.pop(0), Outcome):
+            raise Failed(one)
+        return one
+
+    mover = SimpleNamespace(place=place, has_lost=lambda _: is_lost, put_back=lambda _: told.append("back"))
+    places = np.zeros((3, 4, 4))
+    if isinstance(ends, Outcome):
+        with pytest.raises(Failed) as failure:
+            Rearranger._put(None, mover, None, places)
+        assert failure.value.outcome == ends
+    else:
+        assert Rearranger._put(None, mover, None, places) == (2 if ends == "back" else ends)
+    assert ("back" in told) == (ends == "back")
+    assert not left
+    assert told[:2] == [2, 1][: len(happens)]
 
 
 @pytest.mark.slow

@@ -339,6 +339,10 @@ def test_what_touches_something_too_early_has_slipped(grasps, kinematics):
     with pytest.raises(Failed, match="too early") as failure:
         mover.place(place)
     assert failure.value.outcome == Outcome.SLIP
+    # It was lifted off again, and can be put down elsewhere.
+    free = np.array(standing(0.0, 0.2, CUBE))
+    assert mover.place(matrix_of(free)[None]) == 0
+    assert np.linalg.norm(episode_world.execution.poses()[TARGET, :3] - free[:3]) < 0.01
 
 
 @pytest.mark.parametrize(

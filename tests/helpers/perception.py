@@ -78,6 +78,8 @@ class ByColour:
 
     names = tuple(asset.name for asset in OBJECTS)
 
-    def __call__(self, rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> Segmentation:
+    def __call__(
+        self, rgb: np.ndarray, depth: np.ndarray, camera: Camera, among: Sequence[str] | None = None
+    ) -> Segmentation:
         distance = np.abs(rgb[:, :, None].astype(int) - COLOURS).sum(-1)
         return Segmentation(self.names, distance.argmin(-1).astype(np.uint8))

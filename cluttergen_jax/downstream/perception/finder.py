@@ -83,13 +83,19 @@ class SceneFinder:
         self._objects, self._models = tuple(objects), dict[int, ObjectModel]()
 
     def look(
-        self, rgb: np.ndarray, depth: np.ndarray, camera: Camera, is_own: np.ndarray | None = None
+        self,
+        rgb: np.ndarray,
+        depth: np.ndarray,
+        camera: Camera,
+        is_own: np.ndarray | None = None,
+        among: Sequence[str] | None = None,
     ) -> Look:
         """One picture, segmented; the known table corrects the camera's height and orientation.
 
         Args:
           rgb: u8[H, W, 3]. depth: f32[H, W], metres, nan or inf where nothing was measured.
           is_own: bool[H, W], pixels in which the robot knows itself to be, if there is one.
+          among: the objects that may be there, by name; all if None.
 
         Raises:
           ConfigError: the images are not the camera's, or hold no depth.
@@ -98,7 +104,7 @@ class SceneFinder:
         if is_own is not None:
             depth = np.where(is_own, np.nan, depth)
         camera = upright_at_its_place(depth, camera, self._grid)
-        label = self._segmenter(rgb, depth, camera).label
+        label = self._segmenter(rgb, depth, camera, among).label
         if is_own is not None:
             label = np.where(is_own, ARM, label)
         return Look(depth, label, camera)

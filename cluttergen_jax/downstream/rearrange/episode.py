@@ -290,13 +290,18 @@ class Rearranger:
 
     def _put(self, mover: Mover, plan: PickPlan, places: np.ndarray) -> int:
         """Puts down what is held at one of places, the last of which is where it was, and says at which."""
-        last = len(places) - 1
+        slipped, last = None, len(places) - 1
         for part, first in ((places[:last], 0), (places[last:], last)):
             try:
                 return first + mover.place(part)
             except Failed as failure:
-                if failure.outcome != Outcome.NO_PATH:
+                if failure.outcome == Outcome.SLIP and slipped is None and not mover.has_lost(_IN_HAND):
+                    slipped = failure
+                elif failure.outcome != Outcome.NO_PATH:
                     raise
+        if slipped is not None:
+            # The hand is no longer where it took the object.
+            raise slipped
         mover.put_back(plan)
         return last
 

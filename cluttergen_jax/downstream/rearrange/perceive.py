@@ -81,6 +81,6 @@ class PerceptionObserver:
             depth, camera = noisy(depth, camera, self._noise, rng)
         is_own = self._silhouette(camera, world.joints, world.opening)
         try:
-            return [self._finder.look(rgb, depth, camera, is_own)]
+            return [self._finder.look(rgb, depth, camera, is_own, world.names)]
         except ConfigError:
             return []

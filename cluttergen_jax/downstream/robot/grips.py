@@ -13,6 +13,8 @@ from cluttergen_jax.downstream.robot.grasps import Grasps
 
 _LEVER = 10.0
 """What a metre from the line between the fingers to the object's middle takes from a grasp's worth."""
+_SWING = 4.0
+"""What a radian by which the object turned between the fingers takes from it, when it was tested."""
 _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
@@ -38,7 +40,8 @@ def ranked(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[Grip]:
     turned = T_world_object[:3, :3] @ pose[:, :3]
     down = -turned[:, 2, 2]
     # A centimetre of slip or of shift counts as much as half a turn from straight down.
-    worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip) - _LEVER * _levers(turned)
+    worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip)
+    worth -= _SWING * grasps.turn + _LEVER * _levers(turned)
     for index in np.argsort(-worth, kind="stable"):
         for turn in (np.eye(4), _FLIP):
             yield Grip(pose[index] @ turn, turn @ held[index], float(grasps.width[index]))
@@ -58,7 +61,7 @@ def first_grasp(grasps: Grasps) -> Grasps:
     """The one that comes from above and holds best."""
     if not len(grasps):
         return grasps
-    down = -matrix_of(grasps.pose)[:, 2, 2] + 0.25 * grasps.margin
+    down = -matrix_of(grasps.pose)[:, 2, 2] + 0.25 * grasps.margin - _SWING * grasps.turn
     best = [int(down.argmax())]
     columns = ("pose", "held", "width", "shift", "slip", "turn", "margin", "is_low")
     return replace(grasps, **{name: getattr(grasps, name)[best] for name in columns})

@@ -246,8 +246,7 @@ class Mover:
         return others if known is None else [known, *others]
 
     def _place_plan(self, joints: np.ndarray, place: np.ndarray) -> PlacePlan | None:
-        found = self._lowering(joints, place, self._T_tool_object, self._opening)
-        if found is None:
+        if (found := self._lowering(joints, place, self._T_tool_object, self._opening)) is None:
             return None
         lift, leave = found
         self.world.hold(self._T_tool_object)
@@ -285,6 +284,7 @@ class Mover:
         if not self._feels:
             self._carry(upper, self._T_tool_object, rest=0.0)
         elif run.follow(timed(upper, run.step_time, GENTLE_SHARE), Phase.TOUCH, until_touch=True):
+            self._rise(self.kinematics.tool(upper[0])[2, 3] - run.tool[2, 3], Phase.TOUCH)
             raise Failed(Outcome.SLIP, "it touched something too early")
         run.follow(timed(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH, self._feels)
         run.wait(0.2, Phase.TOUCH)
@@ -292,8 +292,8 @@ class Mover:
         if self._feels:
             self._opening = self._widest(leave, place)
         run.move_fingers(self._opening, Phase.TOUCH)
-        away = self.kinematics.tool(leave[-1])[:3, 3] - self.kinematics.tool(leave[0])[:3, 3]
-        line = self.kinematics.line(run.set_point, away)
+        begin, end = (self.kinematics.tool(leave[each])[:3, 3] for each in (0, -1))
+        line = self.kinematics.line(run.set_point, end - begin)
         first, rest = self.kinematics.split(leave if line is None else line, TOUCH)
         run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.GRASP)
         # What hung askew rocks: the fingers may brush it until they are clear of it.
@@ -304,10 +304,9 @@ class Mover:
         self.world.release(pose_of(place))
         needed, self.world.needs_room = self.world.needs_room, True
         wide, axis = min(MAX_OPENING, self._opening + WIDE), self.execution.tool[:3, 1]
+        looked_at = leave[:: len(leave) // 6 or 1]
         # One of two fingers that are not level goes down as they open.
-        is_free = abs(axis[2]) < _LEVEL and all(
-            self.world.is_free(joints, wide, Mode.COME) for joints in leave[:: len(leave) // 6 or 1]
-        )
+        is_free = abs(axis[2]) < _LEVEL and all(self.world.is_free(q, wide, Mode.COME) for q in looked_at)
         self.world.needs_room = needed
         return wide if is_free else self._opening
 
@@ -323,11 +322,13 @@ class Mover:
 
     def let_go(self) -> None:
         """Opens the hand where it is, with whatever is in it, and goes up."""
-        run = self.execution
-        run.move_fingers(self._opening, Phase.TOUCH)
-        path = self.kinematics.line(run.set_point, LIFT * _UP)
+        self.execution.move_fingers(self._opening, Phase.TOUCH)
+        self._rise(LIFT, Phase.GRASP)
+
+    def _rise(self, height: float, phase: Phase) -> None:
+        run, path = self.execution, self.kinematics.line(self.execution.set_point, height * _UP)
         if path is not None:
-            run.follow(timed(path, run.step_time, CARRY_SHARE), Phase.GRASP)
+            run.follow(timed(path, run.step_time, CARRY_SHARE), phase)
 
     def go_home(self) -> bool:
         """Brings the empty hand back to where it starts; whether there was a path."""

@@ -55,7 +55,9 @@ class _NoSegmenter:
     def __init__(self, names: tuple[str, ...]) -> None:
         self.names = names
 
-    def __call__(self, rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> Segmentation:
+    def __call__(
+        self, rgb: np.ndarray, depth: np.ndarray, camera: Camera, among: Sequence[str] | None = None
+    ) -> Segmentation:
         return Segmentation(self.names, np.zeros(depth.shape, np.uint8))
 
 

@@ -37,6 +37,8 @@ _STEPS = ((0.03, 0.0), (0.015, 0.0), (0.006, 0.0), (0.003, 4.0), (0.0015, 2.0))
 _FREE_GAIN, _LYING_GAIN, _LEANING = 0.03, 0.05, 0.7
 """By which a pose that leans has to agree better, and one that rests in another way, as a ring that looks the
 same upside down; and the cosine of the tilt between them."""
+_KNOWN_GAIN = 0.05
+"""By which what is turned round has to agree better than what is where it was: nothing turns by itself."""
 
 
 class RegistrationEstimator:
@@ -97,12 +99,13 @@ class RegistrationEstimator:
         compare: Comparer,
         known: np.ndarray,
     ) -> list[tuple[float, np.ndarray]]:
-        """Poses at the turn and height of `known` f64[4, 4], and turned round, the better one first."""
+        """Poses at the turn and height of `known` f64[4, 4], and turned round, the likelier one first."""
         is_low = known[2, 3] - model.asset.half_extents[2] < self._top + _LOW
         bottom = self._top if is_low else None
         turns = (_yaw(known), _yaw(known) + np.pi)
         poses = [registered(model, points, eyes, yaw, bottom) for yaw in turns]
-        return _best([_climbed(compare, (_worth(compare, pose), pose)) for pose in poses])
+        there, other = (_climbed(compare, (_worth(compare, pose), pose)) for pose in poses)
+        return [there, other] if there[0] + _KNOWN_GAIN >= other[0] else [other, there]
 
     def _upright(
         self, model: ObjectModel, points: np.ndarray, eyes: np.ndarray, compare: Comparer

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -34,12 +35,15 @@ class Segmenter(Protocol):
         """Of the objects that it knows."""
         ...
 
-    def __call__(self, rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> Segmentation:
+    def __call__(
+        self, rgb: np.ndarray, depth: np.ndarray, camera: Camera, among: Sequence[str] | None = None
+    ) -> Segmentation:
         """What each pixel shows.
 
         Args:
           rgb: u8[H, W, 3]. depth: f32[H, W], metres along the optical axis, nan or inf where none.
           camera: of this size.
+          among: the objects that may be there, by name; no other is told of. All if None.
 
         Raises:
           ConfigError: the images are not the camera's (`checked_images`).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,9 @@ class NetworkSegmenter:
         """Of the objects that it knows."""
         return self._names
 
-    def __call__(self, rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> Segmentation:
+    def __call__(
+        self, rgb: np.ndarray, depth: np.ndarray, camera: Camera, among: Sequence[str] | None = None
+    ) -> Segmentation:
         """See `segmenter.Segmenter`."""
         rgb, depth = checked_images(rgb, depth, camera)
         height = (camera.points(depth)[..., 2] - self._top).astype(np.float32)
@@ -78,6 +81,8 @@ class NetworkSegmenter:
         images = (np.stack([each, each[:, ::-1]]) for each in shrunk(rgb, depth, height))
         chances, centers = (np.asarray(each) for each in _answers(self._learner, self._params, *images))
         chance = enlarged((chances[0] + chances[1][:, ::-1]) / 2, depth.shape)
+        absent = [k for k, name in enumerate(self._names) if among is not None and name not in among]
+        chance[..., [FIRST_OBJECT + k for k in absent]] = 0.0
         chance = with_raised(by_pieces(chance, depth, height), height)
         center = enlarged(centers[0], depth.shape)
         label = chance.argmax(-1).astype(np.uint8)
