@@ -96,6 +96,19 @@ def test_where_an_object_was_is_looked_at_first(estimator, monkeypatch):
     assert turn < 3
 
 
+@pytest.mark.parametrize(("gain", "is_turned"), [(0.03, False), (0.08, True)])
+def test_for_a_little_gain_nothing_is_said_to_have_turned_round(estimator, monkeypatch, gain, is_turned):
+    scores = iter((0.7, 0.7 + gain))
+    monkeypatch.setattr(registration, "_climbed", lambda compare, start: (next(scores), start[1]))
+    looks, known = [look_at(POSES, overhead())], matrix_of(POSES[2])
+    points, eyes, _ = seen_points(2, looks)
+    model = estimator.model(2)
+    found = estimator._where_it_was(model, points, eyes, Comparer(model, 2, looks), known)
+    turn = offset(found[0][1], known, 1)[1]
+    assert np.isclose(np.degrees(turn), 180 * is_turned, atol=3)
+    assert {score for score, _ in found} == {0.7, 0.7 + gain}
+
+
 def test_half_of_a_long_object_is_enough():
     """What is seen of it slides along it: only what is hidden, and what is empty, tells where it ends."""
     objects = with_surface(box("bar", (0.02, 0.11, 0.015))), with_surface(box("wall", (0.01, 0.12, 0.11)))

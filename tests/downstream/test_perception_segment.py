@@ -11,7 +11,7 @@ import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.downstream.fitting.fit import FitConfig
 from cluttergen_jax.downstream.perception.certainty import Certainty, read_certainty, write_certainty
-from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
+from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.evaluation.evaluate import evaluate_perception
 from cluttergen_jax.downstream.perception.segment.examples import example_of
 from cluttergen_jax.downstream.perception.segment.network import (
@@ -223,6 +223,15 @@ def trained(tmp_path_factory):
     return run(
         tmp_path_factory.mktemp("run"), FitConfig(num_epochs=6, batch_size=4, learning_rate=5e-3)
     ).run()
+
+
+def test_what_is_not_there_is_not_told():
+    segmenter, view = load_segmenter("household"), drawn_view(0).view
+    told = set(np.unique(segmenter(view.rgb, view.depth, view.camera).label)) - {BACKGROUND, ARM}
+    assert told
+    others = [name for k, name in enumerate(segmenter.names) if FIRST_OBJECT + k not in told]
+    among = segmenter(view.rgb, view.depth, view.camera, others)
+    assert not told & set(np.unique(among.label))
 
 
 @pytest.mark.slow

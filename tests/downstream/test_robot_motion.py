@@ -26,7 +26,7 @@ from cluttergen_jax.downstream.robot.episode import (
 from cluttergen_jax.downstream.robot.execute import Phase
 from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
-from cluttergen_jax.downstream.robot.grips import ranked
+from cluttergen_jax.downstream.robot.grips import first_grasp, ranked
 from cluttergen_jax.downstream.robot.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.mover import Mover
@@ -319,6 +319,14 @@ def test_grasps_beside_the_middle_come_later(grasps):
     both = replace(grasps, pose=beside, width=np.array([0.05, 0.04]))
     assert next(ranked(grasps, np.eye(4))).width == 0.06
     assert next(ranked(both, np.eye(4))).width == 0.04
+
+
+def test_grasps_in_which_the_object_turned_come_later(grasps):
+    both = replace(grasps, width=np.array([0.05, 0.04]))
+    assert next(ranked(both, np.eye(4))).width == 0.05
+    swings = replace(both, turn=np.array([0.1, 0.0]))
+    assert next(ranked(swings, np.eye(4))).width == 0.04
+    assert first_grasp(swings).width.tolist() == [0.04]
 
 
 def test_what_touches_something_too_early_has_slipped(grasps, kinematics):

@@ -109,7 +109,7 @@ class Layouts:
     Attributes:
       poses: f64[L, N, 7], T_world_object.
       clearance: f64[L], metres, seen from above: the least gap between one that is moved and any other.
-      reach: f64[L], share of the objects that the arm can let go of in the finished layout.
+      reach: f64[L], share of the objects that the arm can let go of with room in the finished layout.
       travel: f64[L], metres, the mean way in plan from where objects stand.
     """
 
@@ -185,7 +185,7 @@ def reach_of(
     support: SupportAsset,
     kinematics: ArmKinematics,
 ) -> float:
-    """The share of objects at f64[N, 7] that the arm could take, all others standing where they do.
+    """The share of objects at f64[N, 7] that the arm could take with room, all others standing where they do.
 
     Args:
       moved: the numbers of the objects that count; grasps: of each of all N.
@@ -194,6 +194,7 @@ def reach_of(
     good = 0
     for target in moved:
         world = PlanningWorld(names, objects, poses, target, support, base_pose(support))
+        world.needs_room = True
         T_world_object = matrix_of(poses[target])
         for grip in ranked(grasps[target], T_world_object):
             T_world_tool, opening = (
