@@ -1,4 +1,4 @@
-"""Masks by expectation: where depth is as an object at its expected pose would have it, the pixels are its.
+"""Corrects masks: a pixel whose depth is that of an object at its expected pose shows that object.
 
 A segmenter errs where light is strange. What has not been touched, or was put down with care, is mostly where
 it is expected, and depth confirms that without any colour.
@@ -26,7 +26,7 @@ _MARGIN = 6
 
 
 def as_expected(looks: Sequence[Look], expected: dict[int, tuple[ObjectModel, np.ndarray]]) -> list[Look]:
-    """Looks in which the masks of objects that are where they are expected are put right.
+    """The looks, with corrected masks of those objects that depth shows where they are expected.
 
     Args:
       expected: by number, the object and its pose f64[4, 4], T_world_object.

@@ -15,7 +15,7 @@ from cluttergen_jax.downstream.perception.classes import ARM
 from cluttergen_jax.downstream.perception.expected import as_expected
 from cluttergen_jax.downstream.perception.pose.estimator import Look, PoseEstimate, PoseEstimator
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
+from cluttergen_jax.downstream.perception.pose.registration import SURE, RegistrationEstimator
 from cluttergen_jax.downstream.perception.pose.steady import SteadyCheck
 from cluttergen_jax.downstream.perception.segment.segmenter import Segmenter, checked_images
 from cluttergen_jax.downstream.perception.segment.trained import load_segmenter, segmenter_folder
@@ -26,8 +26,6 @@ from cluttergen_jax.sensing.partial import Grid, levelled
 
 LEAST_CERTAIN = 0.1
 """Below it an object counts as not seen."""
-_SURE = 0.6
-"""Score from which on an object is taken to be where it was found when others are sought."""
 _RADIUS = 0.1
 
 
@@ -80,7 +78,7 @@ class SceneFinder:
         self.estimator = estimator or RegistrationEstimator(objects, support)
         self._certainty, self._steady = certainty or Certainty(), SteadyCheck(objects, support)
         self._grid = Grid.of(support, _RADIUS)
-        self._objects, self._models = tuple(objects), dict[int, ObjectModel]()
+        self._objects = tuple(objects)
 
     def look(
         self,
@@ -131,9 +129,10 @@ class SceneFinder:
         looks = self._as_expected(looks, places)
         found = {number: self.estimator(number, looks, places.get(number)) for number in numbers}
         # What is there for sure is nothing else.
-        sure = {number: each.pose for number, each in found.items() if each and each.score >= _SURE}
-        told = self._as_expected(looks, sure)
-        for number in set(numbers) - set(sure):
+        sure = {number: each.pose for number, each in found.items() if each and each.score >= SURE}
+        unsure = [number for number in numbers if number not in sure]
+        told = self._as_expected(looks, sure) if unsure else looks
+        for number in unsure:
             masks = ((old.mask(number), new.mask(number)) for old, new in zip(looks, told, strict=True))
             if not all(np.array_equal(old, new) for old, new in masks):
                 found[number] = self.estimator(number, told, places.get(number))
@@ -152,12 +151,8 @@ class SceneFinder:
         return FoundScene(asked, pose, seen, np.where(seen, certainty, 0.0), features, visible)
 
     def _as_expected(self, looks: Sequence[Look], poses: dict[int, np.ndarray]) -> list[Look]:
-        return as_expected(looks, {k: (self._model(k), matrix_of(pose)) for k, pose in poses.items()})
-
-    def _model(self, number: int) -> ObjectModel:
-        if number not in self._models:
-            self._models[number] = ObjectModel.of(self._objects[number])
-        return self._models[number]
+        expected = {k: (ObjectModel.of(self._objects[k]), matrix_of(pose)) for k, pose in poses.items()}
+        return as_expected(looks, expected)
 
     def _steadiness(self, estimates: dict[int, PoseEstimate]) -> np.ndarray:
         """bool[K]: what stays where it is said to be, all others standing where they are said to."""

@@ -60,7 +60,7 @@ class BankLock:
 
 
 def check_free(folder: Path) -> None:
-    """Holds nothing and changes nothing.
+    """Refuses a folder that another process is writing to; takes no lock.
 
     Raises:
       BankError: somebody holds the bank in this folder.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import trimesh
@@ -34,8 +34,9 @@ class ObjectModel:
     _surface: trimesh.Trimesh = field(repr=False)
 
     @staticmethod
+    @lru_cache(maxsize=64)
     def of(asset: ObjectAsset) -> ObjectModel:
-        """The model of an object: what is drawn of it, or its collision parts where nothing is."""
+        """The model of an object, made once: what is drawn of it, or its collision parts where nothing is."""
         mesh = joined([piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts])
         surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
         points, faces = trimesh.sample.sample_surface(surface, NUM_POINTS, seed=0)

@@ -23,8 +23,8 @@ FEWEST_PIXELS = 40
 """Of an object, below which no pose is sought."""
 _MOST_POINTS = 400
 _BEST, _REFINED = 5, 3
-_SURE = 0.6
-"""A score at which nothing else is tried."""
+SURE = 0.6
+"""Score from which on a pose is believed, and no other is tried."""
 _OFFSET, _AROUND = 0.5, np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Where else registration begins, in half diagonals of the object, towards the eye and across."""
 _NEARLY_UPRIGHT, _LOW = np.cos(np.radians(10)), 0.01
@@ -79,10 +79,10 @@ class RegistrationEstimator:
         compare = Comparer(model, index, looks)
         if near is not None and (known := matrix_of(near))[2, 2] > _NEARLY_UPRIGHT:
             found = self._where_it_was(model, points, eyes, compare, known)
-            if found[0][0] >= _SURE:
+            if found[0][0] >= SURE:
                 return self._estimate(model, found, compare, num_pixels)
         found = self._upright(model, points, eyes, compare)
-        if found[0][0] < _SURE:
+        if found[0][0] < SURE:
             found = _best([*found, *self._lying(model, free, points, eyes, compare)])
         tried = list(found)
         for score, pose in _unlike(found, model.symmetry)[:_REFINED]:
@@ -123,9 +123,9 @@ class RegistrationEstimator:
 
         nothing = np.zeros((1, 2))
         found = from_all(self._top, nothing)
-        if _best(found)[0][0] < _SURE:
+        if _best(found)[0][0] < SURE:
             found += from_all(None, nothing)
-        if _best(found)[0][0] < _SURE:
+        if _best(found)[0][0] < SURE:
             away = _OFFSET * float(np.linalg.norm(model.asset.half_extents[:2]))
             found += from_all(self._top, away * _AROUND)
         best = _unlike(found, model.symmetry)[:_BEST]
