@@ -29,6 +29,8 @@ _SAG = 0.0015
 """Metres that the hand keeps besides from what lies below: the arm is not quite where it is told to be."""
 _TOUCH = -0.001
 """Metres that a held object may overlap with what it is taken from or put on."""
+_DIP = -0.005
+"""The same of a table or stand: an object that hangs turned in the hand is held level by it until it is lifted."""
 _BLUR = -0.005
 """The same of columns that were seen, whose sides are known to a cell."""
 _AWAY = 100.0
@@ -84,6 +86,7 @@ def _thresholds() -> np.ndarray:
     for other in (Kind.GROUND, Kind.OTHER):
         for mode, least in ((Mode.CARRY, _TOUCH), (Mode.CLEAR, NEAR), (Mode.APART, APART)):
             limit[mode, Kind.HELD, other] = limit[mode, other, Kind.HELD] = least
+    limit[Mode.CARRY, Kind.HELD, Kind.GROUND] = limit[Mode.CARRY, Kind.GROUND, Kind.HELD] = _DIP
     # Of columns the whole clearance is kept, but for what is lowered where a placer wants it.
     for other, least in ((Kind.SEEN, _BLUR), (Kind.HIDDEN, -np.inf)):
         for mode in (Mode.CARRY, Mode.CLEAR):
