@@ -30,7 +30,7 @@ _SAG = 0.0015
 _TOUCH = -0.001
 """Metres that a held object may overlap with what it is taken from or put on."""
 _DIP = -0.005
-"""The same of a table or stand: an object that hangs turned in the hand is held level by it until it is lifted."""
+"""The same of a table or stand, which holds level what will hang turned in the hand."""
 _BLUR = -0.005
 """The same of columns that were seen, whose sides are known to a cell."""
 _AWAY = 100.0
