@@ -24,6 +24,7 @@ from cluttergen_jax.placement.rollout import BLOCK_SIZE, blocks_of, sample_block
 _POOL, _SUPPORT = "all", "table-0.80x1.00"
 _TEN = 10
 _MILLISECONDS = (20, 50, 100, 200, 500)
+"""Ticks of the picture."""
 
 
 @dataclass(frozen=True)
@@ -122,8 +123,8 @@ def _draw(found: dict[str, dict[str, list[Point]]], stem: Path) -> None:
                 [each.x for each in points], [each.milliseconds for each in points], marker="o", label=name
             )
         axis.set_xscale("log")
-        axis.set_yscale("log", subs=())
-        # The ticks are what was measured; a decade has none or one of Matplotlib's own.
+        axis.set_yscale("log")
+        # Ticks where it was measured: Matplotlib's own, of powers of ten, are too few here.
         places = sorted({point.x for points in methods.values() for point in points})
         axis.set_xticks(places, [f"{x:g}" for x in places])
         axis.set_yticks(_MILLISECONDS, [f"{y:g}" for y in _MILLISECONDS])
