@@ -25,7 +25,7 @@ def perception_data(
     *,
     pool: str | Path = "household",
     support: str | Path = "table",
-    num_views: int = 3000,
+    num_views: int = 6000,
     split: Split = "train",
     num_objects: int | None = None,
     arm: float = 1 / 3,
@@ -73,7 +73,7 @@ def perception_data(
     check_folder(out)
     check_workers("num_threads", num_threads)
     check_range("seed", seed, 0, _MOST_SEED, 0)
-    check_range("num_views", num_views, 1, _MOST_VIEWS, 3000)
+    check_range("num_views", num_views, 1, _MOST_VIEWS, 6000)
     if split not in SPLITS:
         raise ConfigError(f"split = {split!r}", ", ".join(SPLITS))
     config = ViewConfig(seed=SPLITS[split] + seed, arm=arm)
@@ -123,7 +123,7 @@ def perception_train(
       out: the run's folder; runs/segmenter-READS-SEED if not given.
       reads: "colour" and depth, or "depth" alone.
       num_views: the first so many of the training split; all if not given.
-      num_epochs: times that every view is seen; 14 if not given.
+      num_epochs: times that every view is seen; 9 if not given.
       batch_size: views per step; 8 if not given.
       learning_rate: of the optimiser, at its highest; 0.003 if not given.
       seed: of weights, order, exposure and noise, 0 to 4294967295.

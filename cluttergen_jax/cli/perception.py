@@ -15,7 +15,7 @@ from cluttergen_jax.cli.options import Options, options_from
 class PerceptionData(Options):
     """Render views of scenes to train and judge perception with. The same command goes on where it stopped.
 
-    Example: `cluttergen perception data --pool household --num-views 3000 --out views`
+    Example: `cluttergen perception data --pool household --num-views 6000 --out views`
     """
 
     def run(self) -> int:
@@ -58,7 +58,7 @@ class PerceptionEval(Options):
 class Perception:
     """Known objects in images: `perception data`, `perception train` and `perception eval`.
 
-    Example: `cluttergen perception data --num-views 3000 --out views`
+    Example: `cluttergen perception data --num-views 6000 --out views`
 
     Attributes:
       action: what to do.

@@ -21,6 +21,7 @@ from cluttergen_jax.downstream.perception.segment.network import (
     SegmentConfig,
     SegmentLearner,
     _mirrored,
+    _recoloured,
     network_images,
     shrunk,
     shrunk_label,
@@ -125,6 +126,21 @@ def test_mirrored_examples_keep_centres_in_their_masks():
         turned = _mirrored(example, np.array(flips))
         for number, (x, y) in enumerate(np.asarray(turned.center)):
             assert turned.label[int(y), int(x)] == FIRST_OBJECT + number
+
+
+def test_recoloured_examples_keep_their_objects_and_half_of_their_backgrounds():
+    example = example_of(view_of(POSES, overhead()), Known, 0)
+    light, is_back = example.rgb.astype(float), example.label == BACKGROUND
+    kept = 0
+    for key in jax.random.split(jax.random.key(0), 64):
+        other = np.asarray(_recoloured(example, key).rgb)
+        np.testing.assert_allclose(other[~is_back], light[~is_back], atol=1e-3)
+        assert other.min() >= 0
+        assert other.max() <= 255
+        change = np.abs(other - light)[is_back].mean()
+        kept += change < 1e-3
+        assert change < 1e-3 or change > 5
+    assert 16 < kept < 48
 
 
 def test_a_piece_of_surface_is_of_one_class_and_steps_part_pieces():

@@ -12,7 +12,7 @@ import numpy as np
 import optax
 from flax import struct
 
-from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT, num_classes
+from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT, num_classes
 from cluttergen_jax.types import Array
 
 WIDTH, HEIGHT = 160, 120
@@ -134,8 +134,11 @@ class SegmentLearner:
         return SegmentNet(self.config).init(key, jnp.zeros((1, HEIGHT, WIDTH, 5)))
 
     def loss(self, params: Any, examples: SegmentExample, key: Array) -> tuple[Array, dict[str, Array]]:
-        """See `fitting.fit.Learner`; views are mirrored along rows and columns as coins fall."""
-        examples = jax.vmap(_mirrored)(examples, jax.random.bernoulli(key, shape=(len(examples.label), 2)))
+        """See `fitting.fit.Learner`; as coins fall views are mirrored, and their backgrounds recoloured."""
+        number = len(examples.label)
+        flip_key, colour_key = jax.random.split(key)
+        examples = jax.vmap(_mirrored)(examples, jax.random.bernoulli(flip_key, shape=(number, 2)))
+        examples = jax.vmap(_recoloured)(examples, jax.random.split(colour_key, number))
         images = network_images(examples.rgb, examples.depth, examples.height)
         logits, votes = self._answers(params, images)
         label = examples.label.astype(jnp.int32)
@@ -174,6 +177,19 @@ def _mirrored(example: SegmentExample, flips: Array) -> SegmentExample:
     center = jnp.where(flips[::-1], size - example.center, example.center)
     images = {name: turned(getattr(example, name)) for name in ("rgb", "depth", "height", "label")}
     return example.replace(center=center, **images)
+
+
+def _recoloured(example: SegmentExample, key: Array) -> SegmentExample:
+    """One example; by half of the keys its background has another colour and contrast, its pattern stays."""
+    coin_key, colour_key, contrast_key = jax.random.split(key, 3)
+    light = example.rgb / 255.0
+    is_back = (example.label == BACKGROUND)[..., None]
+    mean = (light * is_back).sum((0, 1)) / jnp.maximum(is_back.sum(), 1)
+    colour = jax.random.uniform(colour_key, (3,), minval=0.1, maxval=0.9)
+    contrast = jax.random.uniform(contrast_key, (3,), minval=0.5, maxval=1.5)
+    other = jnp.clip(colour + contrast * (light - mean), 0, 1)
+    is_other = is_back & jax.random.bernoulli(coin_key)
+    return example.replace(rgb=255 * jnp.where(is_other, other, light))
 
 
 def shrunk(rgb: np.ndarray, depth: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, ...]:

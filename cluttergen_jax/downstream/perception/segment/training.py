@@ -17,8 +17,8 @@ from cluttergen_jax.downstream.perception.segment.scores import intersection_ove
 from cluttergen_jax.downstream.perception.segment.trained import KIND, answers_of
 from cluttergen_jax.learning.ppo import checkpoint
 
-FIT = FitConfig(num_epochs=14, batch_size=8, learning_rate=3e-3)
-"""Of the full setting, 3,000 views."""
+FIT = FitConfig(num_epochs=9, batch_size=8, learning_rate=3e-3)
+"""Of the full setting, 6,000 views."""
 
 
 class SegmenterTraining(FitRun):
