@@ -24,12 +24,12 @@ from cluttergen_jax.downstream.robot.episode import (
     stand_beside,
 )
 from cluttergen_jax.downstream.robot.execute import Phase
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of
+from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of, raised
 from cluttergen_jax.downstream.robot.grasps import Grasps
 from cluttergen_jax.downstream.robot.grips import first_grasp, ranked
 from cluttergen_jax.downstream.robot.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
 from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.mover import Mover
+from cluttergen_jax.downstream.robot.mover import LIFT, Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.plan import Planner
 from cluttergen_jax.downstream.robot.timing import MAX_ACCELERATION, MAX_SPEED, SHARE, timed
@@ -409,6 +409,25 @@ def test_a_table_holds_up_what_will_hang_a_little_turned(world, grasps, kinemati
     else:
         with pytest.raises(Failed, match="to pick it up"):
             mover.find_pick(tilted)
+
+
+@pytest.mark.parametrize(("degrees", "is_corrected"), [(2, True), (10, False)])
+def test_the_hand_is_not_turned_into_the_table(kinematics, degrees, is_corrected):
+    """What has turned in the hand is levelled on the way down, unless a finger would meet the table."""
+    world = PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE))
+    mover = Mover(EpisodeWorld(SCENE, TARGET, (), 0).execution, world, kinematics, TARGET, 0)
+    half = np.radians(degrees) / 2
+    turned = matrix_of(np.array([0, 0, 0, np.cos(half), np.sin(half), 0, 0]))
+    place = matrix_of(np.array(standing(-0.15, 0.1, CUBE)))
+    level = made(DOWN, place[:3, 3] - [0, 0, CUBE.half_extents[2] - 0.013])
+    start = kinematics.solutions(raised(level, LIFT), 1, np.random.default_rng(0))[0]
+    lower = kinematics.line(start, np.array([0, 0, -LIFT]))
+    mover._T_tool_object, mover._opening = turned @ inverse(level) @ place, 0.03
+    path = mover._corrected(lower, place)
+    end = kinematics.tool(path[-1])
+    assert (angle_between(end, level) > np.radians(degrees) / 2) == is_corrected
+    assert (path is lower) != is_corrected
+    assert world.blocker(path[-1], 0.03, Mode.CARRY) is None
 
 
 def test_what_finds_no_place_is_put_back(grasps, kinematics):

@@ -146,9 +146,8 @@ class Mover:
         Raises:
           Failed: an unplanned contact, or the object was lost.
         """
-        run, opening = self.execution, float(opening_of(np.array(plan.grip.width)))
-        self._opening = opening
-        run.move_fingers(opening, Phase.FREE, 0.2)
+        run, self._opening = self.execution, float(opening_of(np.array(plan.grip.width)))
+        run.move_fingers(self._opening, Phase.FREE, 0.2)
         run.follow(timed(plan.path, run.step_time), Phase.FREE)
         run.follow(timed(plan.come, run.step_time, CARRY_SHARE), Phase.FREE)
         run.wait(0.1, Phase.FREE)
@@ -226,8 +225,7 @@ class Mover:
         Raises:
           Failed: none is reached, an unplanned contact, or the object slipped.
         """
-        has_joints = False
-        rooms = (True, False) if self.world.needs_room else (False,)
+        has_joints, rooms = False, (True, False) if self.world.needs_room else (False,)
         for needs_room, (number, place) in product(rooms, enumerate(places)):
             self.world.needs_room = needs_room
             for joints in self._arms(_tool_at(place, self._T_tool_object)):
@@ -311,10 +309,13 @@ class Mover:
         return wide if is_free else self._opening
 
     def _corrected(self, lower: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """The path down, with the object as it really lies in the hand."""
+        """The path down, with the object as it really lies in the hand where nothing stands in the way."""
         start = self.kinematics.solve(raised(_tool_at(place, self._T_tool_object), LIFT), lower[0])
         path = None if start is None else self.kinematics.line(start, -LIFT * _UP)
-        return lower if path is None else np.concatenate([self.execution.set_point[None], path])
+        self.world.hold(self._T_tool_object)
+        if path is None or not self.world.is_free(path[-1], self._opening, Mode.CARRY):
+            return lower
+        return np.concatenate([self.execution.set_point[None], path])
 
     def has_lost(self, distance: float) -> bool:
         """Whether the object is more than so many metres from where it was in the hand as it closed."""
@@ -385,8 +386,7 @@ class Mover:
     def _check_slip(self, before: np.ndarray, most: float = MAX_SLIP) -> None:
         now = self._in_hand()
         # Of the object's point that was between the fingers.
-        moved = np.linalg.norm((now @ inverse(before))[:3, 3])
-        turned = float(angle_between(now, before))
+        moved, turned = np.linalg.norm((now @ inverse(before))[:3, 3]), float(angle_between(now, before))
         if moved > most or turned > MAX_TURN:
             raise Failed(Outcome.SLIP, f"{1e3 * moved:.0f} mm, {np.degrees(turned):.0f} deg")
 
