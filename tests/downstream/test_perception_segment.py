@@ -30,6 +30,7 @@ from cluttergen_jax.downstream.perception.segment.refine import (
     by_pieces,
     enlarged,
     fitted_to_depth,
+    smoothed,
     with_raised,
 )
 from cluttergen_jax.downstream.perception.segment.scores import confusion, intersection_over_union, iou_of
@@ -141,6 +142,16 @@ def test_recoloured_examples_keep_their_objects_and_half_of_their_backgrounds():
         kept += change < 1e-3
         assert change < 1e-3 or change > 5
     assert 16 < kept < 48
+
+
+def test_single_heights_that_noise_made_are_left_out_and_edges_stay():
+    height = np.zeros((9, 12), np.float32)
+    height[:, 6:] = 0.05
+    height[4, 2], height[4, 9], height[0, 0] = 0.02, -0.01, np.nan
+    smooth = smoothed(height)
+    assert np.isnan(smooth[0, 0])
+    assert (smooth[:, :6][np.isfinite(height[:, :6])] == 0).all()
+    assert (smooth[:, 6:] == np.float32(0.05)).all()
 
 
 def test_a_piece_of_surface_is_of_one_class_and_steps_part_pieces():

@@ -26,6 +26,7 @@ from cluttergen_jax.downstream.robot.grasps import (
     grasps_of,
     make_grasps,
     read_grasps,
+    verified,
     write_grasps,
 )
 from cluttergen_jax.downstream.robot.grip_test import MAX_LOAD, MAX_SHIFT, MAX_SLIP, grip_test
@@ -129,6 +130,14 @@ def test_a_firm_grasp_holds_and_one_of_a_heavy_or_slippery_thing_does_not():
     assert not heavy.is_held.any()
     assert not slippery.is_held.any()
     assert heavy.margin[0] == 0
+
+
+def test_a_grasp_by_an_edge_alone_is_not_kept():
+    """The pads reach 8 mm below the tool: 1 mm of them holds the box, and 2 mm short they would miss it."""
+    light, at_edge = box("box", (0.02, 0.02, 0.05), mass=0.2), from_above(0.03, 0.057)
+    with Rollout(nthread=0) as pool:
+        assert grip_test(light, at_edge, pool).is_held.tolist() == [True, True]
+        assert verified(light, at_edge, pool).is_held.tolist() == [True, False]
 
 
 def test_a_grasp_is_judged_alone_and_by_any_number_of_threads():

@@ -27,6 +27,7 @@ from cluttergen_jax.downstream.perception.segment.refine import (
     by_pieces,
     enlarged,
     fitted_to_depth,
+    smoothed,
     with_raised,
 )
 from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation, checked_images
@@ -81,6 +82,7 @@ class NetworkSegmenter:
         images = (np.stack([each, each[:, ::-1]]) for each in shrunk(rgb, depth, height))
         chances, centers = (np.asarray(each) for each in _answers(self._learner, self._params, *images))
         chance = enlarged((chances[0] + chances[1][:, ::-1]) / 2, depth.shape)
+        height = smoothed(height)
         absent = [k for k, name in enumerate(self._names) if among is not None and name not in among]
         chance[..., [FIRST_OBJECT + k for k in absent]] = 0.0
         chance = with_raised(by_pieces(chance, depth, height), height)
