@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import product
+from itertools import count, product
 
 import numpy as np
 
@@ -85,7 +85,7 @@ class Mover:
         self.execution, self.world, self.kinematics, self.target = execution, world, kinematics, target
         self._see: See = see or (lambda only: execution.poses())
         self.planner = Planner(world, kinematics)
-        self._rng, self._seed = np.random.default_rng(seed), seed
+        self._rng, self._seeds = np.random.default_rng(seed), count(seed + 1)
         self._above = Mode.APART if is_apart else Mode.CLEAR
         self._rooms, self._feels = rooms, feels
         self._opening, self._T_tool_object, self._grasped = 0.0, np.eye(4), np.eye(4)
@@ -211,7 +211,7 @@ class Mover:
         self.world.release(stood)
         if lift is None:
             return None
-        path = self.planner.connect(self.execution.set_point, back[-1], opening, self._next_seed())
+        path = self.planner.connect(self.execution.set_point, back[-1], opening, next(self._seeds))
         return None if path is None else PickPlan(grip, path, back[::-1], lift)
 
     # Putting down
@@ -225,17 +225,19 @@ class Mover:
         Raises:
           Failed: none is reached, an unplanned contact, or the object slipped.
         """
-        has_joints, rooms = False, (True, False) if self.world.needs_room else (False,)
+        rooms = (True, False) if self.world.needs_room else (False,)
         for needs_room, (number, place) in product(rooms, enumerate(places)):
             self.world.needs_room = needs_room
             for joints in self._arms(_tool_at(place, self._T_tool_object)):
-                has_joints = True
                 found = self._place_plan(joints, place)
                 if found is not None:
                     self._carry(found.path, self._T_tool_object)
-                    self._put_down(self._corrected(found.lower, place), found.leave, place)
+                    lower = self._corrected(found.lower, place)
+                    # What hangs askew and cannot be levelled is lowered until it is felt to touch.
+                    way, feels = (found.lower, True) if lower is None else (lower, self._feels)
+                    self._put_down(way, found.leave, place, feels)
                     return number
-        raise Failed(Outcome.NO_PATH, "to put it down" if has_joints else "no joints to put it down")
+        raise Failed(Outcome.NO_PATH, "to put it down")
 
     def _arms(self, T_world_tool: np.ndarray) -> list[np.ndarray]:
         """Joints f64[7] for a pose of the tool, those first that are like what was found beforehand."""
@@ -248,7 +250,7 @@ class Mover:
             return None
         lift, leave = found
         self.world.hold(self._T_tool_object)
-        path = self.planner.connect(self.execution.set_point, lift[-1], self._opening, self._next_seed())
+        path = self.planner.connect(self.execution.set_point, lift[-1], self._opening, next(self._seeds))
         return None if path is None else PlacePlan(path, lift[::-1], leave)
 
     def _lowering(
@@ -273,21 +275,21 @@ class Mover:
           Failed: an unplanned contact, or the object slipped.
         """
         place = self.kinematics.tool(plan.lift[0]) @ self._T_tool_object
-        self._put_down(plan.lift[::-1], plan.come[::-1], place)
+        self._put_down(plan.lift[::-1], plan.come[::-1], place, self._feels)
 
-    def _put_down(self, lower: np.ndarray, leave: np.ndarray, place: np.ndarray) -> None:
-        """Lowers what is held, opens the hand, and leaves."""
+    def _put_down(self, lower: np.ndarray, leave: np.ndarray, place: np.ndarray, feels: bool) -> None:
+        """Lowers what is held, at the end until it touches if it feels, opens the hand, and leaves."""
         run = self.execution
-        upper, last = self.kinematics.split(lower, FELT if self._feels else TOUCH, from_end=True)
-        if not self._feels:
+        upper, last = self.kinematics.split(lower, FELT if feels else TOUCH, from_end=True)
+        if not feels:
             self._carry(upper, self._T_tool_object, rest=0.0)
         elif run.follow(timed(upper, run.step_time, GENTLE_SHARE), Phase.TOUCH, until_touch=True):
             self._rise(self.kinematics.tool(upper[0])[2, 3] - run.tool[2, 3], Phase.TOUCH)
             raise Failed(Outcome.SLIP, "it touched something too early")
-        run.follow(timed(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH, self._feels)
+        run.follow(timed(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH, feels)
         run.wait(0.2, Phase.TOUCH)
         self._in_hand()
-        if self._feels:
+        if feels:
             self._opening = self._widest(leave, place)
         run.move_fingers(self._opening, Phase.TOUCH)
         begin, end = (self.kinematics.tool(leave[each])[:3, 3] for each in (0, -1))
@@ -295,7 +297,7 @@ class Mover:
         first, rest = self.kinematics.split(leave if line is None else line, TOUCH)
         run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.GRASP)
         # What hung askew rocks: the fingers may brush it until they are clear of it.
-        run.follow(timed(rest, run.step_time), Phase.GRASP if self._feels else Phase.FREE)
+        run.follow(timed(rest, run.step_time), Phase.GRASP if feels else Phase.FREE)
 
     def _widest(self, leave: np.ndarray, place: np.ndarray) -> float:
         """How far the fingers can open and leave: what hung askew between them rocks as it is let go."""
@@ -308,13 +310,13 @@ class Mover:
         self.world.needs_room = needed
         return wide if is_free else self._opening
 
-    def _corrected(self, lower: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """The path down, with the object as it really lies in the hand where nothing stands in the way."""
+    def _corrected(self, lower: np.ndarray, place: np.ndarray) -> np.ndarray | None:
+        """The path down with the object as it really lies in the hand; None if the arm cannot go it."""
         start = self.kinematics.solve(raised(_tool_at(place, self._T_tool_object), LIFT), lower[0])
         path = None if start is None else self.kinematics.line(start, -LIFT * _UP)
         self.world.hold(self._T_tool_object)
         if path is None or not self.world.is_free(path[-1], self._opening, Mode.CARRY):
-            return lower
+            return None
         return np.concatenate([self.execution.set_point[None], path])
 
     def has_lost(self, distance: float) -> bool:
@@ -336,7 +338,7 @@ class Mover:
         self.world.release(self._see(self.target)[self.target])
         self.world.needs_room = False
         run, home = self.execution, self.kinematics.home
-        path = self.planner.connect(run.set_point, home, self._opening, self._next_seed())
+        path = self.planner.connect(run.set_point, home, self._opening, next(self._seeds))
         if path is not None:
             run.follow(timed(path, run.step_time), Phase.FREE)
         return path is not None
@@ -389,10 +391,6 @@ class Mover:
         moved, turned = np.linalg.norm((now @ inverse(before))[:3, 3]), float(angle_between(now, before))
         if moved > most or turned > MAX_TURN:
             raise Failed(Outcome.SLIP, f"{1e3 * moved:.0f} mm, {np.degrees(turned):.0f} deg")
-
-    def _next_seed(self) -> int:
-        self._seed += 1
-        return self._seed
 
 
 def _tool_at(place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray:
