@@ -430,6 +430,24 @@ def test_the_hand_is_not_turned_into_the_table(kinematics, degrees, is_corrected
         assert world.blocker(path[-1], 0.03, Mode.CARRY) is None
 
 
+def test_no_grasp_is_taken_in_which_the_fingers_would_touch_others_as_they_close(
+    grasps, kinematics, monkeypatch
+):
+    scene = Scene(("low", "cube"), (LOW, CUBE), SCENE.poses[[0, 2]], TABLE)
+    execution = EpisodeWorld(scene, 1, (), 0).execution
+    world = PlanningWorld(scene.names, scene.objects, scene.poses, 1, TABLE, base_pose(TABLE))
+    wide = Mover(execution, world, kinematics, 1, 0).find_pick(grasps).grip.width
+    is_free = world.is_hand_free
+
+    def blocked(tool, opening, mode):
+        is_wide_and_closed = abs(tool[1, 1]) > 0.9 and opening == wide / 2
+        return not is_wide_and_closed and is_free(tool, opening, mode)
+
+    monkeypatch.setattr(world, "is_hand_free", blocked)
+    narrow = Mover(execution, world, kinematics, 1, 0).find_pick(grasps).grip.width
+    assert (wide, narrow) == (0.06, 0.04)
+
+
 def test_what_cannot_be_levelled_is_let_go_where_it_touches(grasps, kinematics, monkeypatch):
     """It touches 12 mm higher than planned, as something long does that hangs askew."""
     execution = EpisodeWorld(SCENE, TARGET, (), 0).execution
@@ -453,6 +471,28 @@ def test_what_cannot_be_levelled_is_let_go_where_it_touches(grasps, kinematics, 
     assert mover.go_home()
     assert np.abs(execution.poses()[TARGET] - place)[:3].max() < 0.005
     assert angle_between(matrix_of(execution.poses()[TARGET]), matrix_of(np.array(place))) < np.radians(2)
+
+
+def test_the_hand_leaves_by_a_shorter_way_if_the_arm_reaches_no_farther(grasps, kinematics, monkeypatch):
+    """What turned in the hand since the way was planned may need it; no plan goes so near to the limit."""
+    execution = EpisodeWorld(SCENE, TARGET, (), 0).execution
+    world = PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE))
+    mover = Mover(execution, world, kinematics, TARGET, 0)
+    mover.pick(mover.find_pick(grasps))
+    line = mover.planner.line
+
+    def short(joints, along, opening, mode):
+        is_too_far = mode == Mode.COME and np.linalg.norm(along) > 0.05
+        return None if is_too_far else line(joints, along, opening, mode)
+
+    monkeypatch.setattr(mover.planner, "line", short)
+    place = matrix_of(np.array(standing(0.15, -0.15, CUBE)))
+    target = raised(place, 0.001) @ inverse(mover._T_tool_object)
+    joints = kinematics.solutions(target, 1, np.random.default_rng(0))[0]
+    assert mover._lowering(joints, place, mover._opening, mover._T_tool_object) is None
+    assert mover.place(place[None]) == 0
+    assert mover.go_home()
+    assert np.abs(execution.poses()[TARGET, :3] - place[:3, 3]).max() < 0.003
 
 
 def test_what_finds_no_place_is_put_back(grasps, kinematics):

@@ -19,8 +19,9 @@ from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.plan import PickPlan, PlacePlan, Planner
 from cluttergen_jax.downstream.robot.timing import timed
 
-APPROACH = (0.10, 0.06)
-"""Metres that the hand comes straight to an object and leaves it, the first that is free."""
+_APPROACH, _LEAVE = (0.10, 0.06), (0.10, 0.06, 0.03)
+"""Metres that the hand comes straight to an object and leaves it, the first that is free; the latter of
+leaving what has turned in the hand since this was planned."""
 LIFT = 0.12
 """Metres that an object is lifted, and lowered from."""
 RELEASE = 0.001
@@ -109,9 +110,8 @@ class Mover:
           Failed: no grasp, none that fits a place, no joints for one, or no path to one.
         """
         stood = self._survey()
-        T_world_object = matrix_of(stood)
+        T_world_object, furthest = matrix_of(stood), 0
         self.fitting = self._joints = None
-        furthest = 0
         for needs_room, grip in product(self._rooms, ranked(grasps, T_world_object)):
             self.world.needs_room = needs_room
             T_world_tool = T_world_object @ grip.T_object_tool
@@ -120,7 +120,9 @@ class Mover:
                 continue
             furthest = max(furthest, 1)
             self.world.hold(grip.T_tool_object)
-            is_lifted = self._hand_leaves(T_world_tool, opening)
+            # Of two fingers that are not level one goes down as they close.
+            is_lifted = self.world.is_hand_free(T_world_tool, grip.width / 2, Mode.CARRY)
+            is_lifted = is_lifted and self._hand_leaves(T_world_tool, opening)
             self.world.release(stood)
             if not is_lifted:
                 continue
@@ -186,7 +188,7 @@ class Mover:
             for number, place in places.items():
                 target = _tool_at(place, T_tool_object)
                 for joints in self.kinematics.solutions(target, _ARMS, self._rng):
-                    if self._lowering(joints, place, T_tool_object, opening) is not None:
+                    if self._lowering(joints, place, opening, T_tool_object) is not None:
                         self.fitting, self._joints = number, joints
                         return True
             return False
@@ -217,10 +219,7 @@ class Mover:
     # Putting down
 
     def place(self, places: np.ndarray) -> int:
-        """Puts down what is held at the first of places f64[M, 4, 4] (T_world_object) that works, and leaves.
-
-        Returns:
-          Which of them it was.
+        """Puts down what is held at the first of places f64[M, 4, 4] (T_world_object) that works, says which.
 
         Raises:
           Failed: none is reached, an unplanned contact, or the object slipped.
@@ -228,35 +227,35 @@ class Mover:
         rooms = (True, False) if self.world.needs_room else (False,)
         for needs_room, (number, place) in product(rooms, enumerate(places)):
             self.world.needs_room = needs_room
-            for joints in self._arms(_tool_at(place, self._T_tool_object)):
-                found = self._place_plan(joints, place)
-                if found is not None:
-                    self._carry(found.path, self._T_tool_object)
-                    lower = self._corrected(found.lower, place)
-                    # What hangs askew and cannot be levelled is lowered until it is felt to touch.
-                    way, feels = (found.lower, True) if lower is None else (lower, self._feels)
-                    self._put_down(way, found.leave, place, feels)
-                    return number
+            if (found := self._place_plan(place)) is not None:
+                self._carry(found.path, self._T_tool_object)
+                lower = self._corrected(found.lower, place)
+                # What hangs askew and cannot be levelled is lowered until it is felt to touch.
+                way, feels = (found.lower, True) if lower is None else (lower, self._feels)
+                self._put_down(way, found.leave, place, feels)
+                return number
         raise Failed(Outcome.NO_PATH, "to put it down")
 
-    def _arms(self, T_world_tool: np.ndarray) -> list[np.ndarray]:
-        """Joints f64[7] for a pose of the tool, those first that are like what was found beforehand."""
-        known = None if self._joints is None else self.kinematics.solve(T_world_tool, self._joints)
-        others = self.kinematics.solutions(T_world_tool, 2 * _ARMS, self._rng)
-        return others if known is None else [known, *others]
-
-    def _place_plan(self, joints: np.ndarray, place: np.ndarray) -> PlacePlan | None:
-        if (found := self._lowering(joints, place, self._T_tool_object, self._opening)) is None:
-            return None
-        lift, leave = found
-        self.world.hold(self._T_tool_object)
-        path = self.planner.connect(self.execution.set_point, lift[-1], self._opening, next(self._seeds))
-        return None if path is None else PlacePlan(path, lift[::-1], leave)
+    def _place_plan(self, place: np.ndarray) -> PlacePlan | None:
+        """How what is held comes to a place and the hand away, if it can by joints as they were planned."""
+        target = _tool_at(place, self._T_tool_object)
+        known = [] if self._joints is None else [self.kinematics.solve(target, self._joints)]
+        for joints in (*known, *self.kinematics.solutions(target, 2 * _ARMS, self._rng)):
+            found = None if joints is None else self._lowering(joints, place, self._opening)
+            if found is None:
+                continue
+            self.world.hold(self._T_tool_object)
+            top, seed = found[0][-1], next(self._seeds)
+            path = self.planner.connect(self.execution.set_point, top, self._opening, seed)
+            if path is not None:
+                return PlacePlan(path, found[0][::-1], found[1])
+        return None
 
     def _lowering(
-        self, joints: np.ndarray, place: np.ndarray, T_tool_object: np.ndarray, opening: float
+        self, joints: np.ndarray, place: np.ndarray, opening: float, planned: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Joints f64[L, 7] straight up from where the object is put down, and out of the hand."""
+        """Joints f64[L, 7] straight up from a place with what is held or planned (T_tool_object), and off."""
+        T_tool_object = self._T_tool_object if planned is None else planned
         self.world.hold(T_tool_object)
         # A line costs a hundred times as much as one look.
         if not self.world.is_free(joints, opening, Mode.CARRY):
@@ -265,7 +264,8 @@ class Mover:
         if lift is None or not self.world.is_free(lift[-1], opening):
             return None
         self.world.release(pose_of(place))
-        leave = self._back(joints, _tool_at(place, T_tool_object), opening)
+        distances = _LEAVE if planned is None else _APPROACH
+        leave = self._back(joints, _tool_at(place, T_tool_object), opening, distances)
         return None if leave is None else (lift, leave)
 
     def put_back(self, plan: PickPlan) -> None:
@@ -304,9 +304,9 @@ class Mover:
         self.world.release(pose_of(place))
         needed, self.world.needs_room = self.world.needs_room, True
         wide, axis = min(MAX_OPENING, self._opening + WIDE), self.execution.tool[:3, 1]
-        looked_at = leave[:: len(leave) // 6 or 1]
         # One of two fingers that are not level goes down as they open.
-        is_free = abs(axis[2]) < _LEVEL and all(self.world.is_free(q, wide, Mode.COME) for q in looked_at)
+        looks = leave[:: len(leave) // 6 or 1]
+        is_free = abs(axis[2]) < _LEVEL and all(self.world.is_free(q, wide, Mode.COME) for q in looks)
         self.world.needs_room = needed
         return wide if is_free else self._opening
 
@@ -353,10 +353,12 @@ class Mover:
         above = path[round(TOUCH / LINE_STEP) :: 3]
         return path if all(self.world.is_free(each, opening, self._above) for each in above) else None
 
-    def _back(self, joints: np.ndarray, T_world_tool: np.ndarray, opening: float) -> np.ndarray | None:
-        """Joints along a straight line out of a grasp."""
-        for distance in APPROACH:
-            path = self.planner.line(joints, -distance * T_world_tool[:3, 2], opening, Mode.COME)
+    def _back(
+        self, joints: np.ndarray, tool: np.ndarray, opening: float, distances: Sequence[float] = _APPROACH
+    ) -> np.ndarray | None:
+        """Joints along a straight line out of a grasp at f64[4, 4]."""
+        for distance in distances:
+            path = self.planner.line(joints, -distance * tool[:3, 2], opening, Mode.COME)
             if path is not None and self.world.is_free(path[-1], opening):
                 return path
         return None
