@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cluttergen_jax.downstream.perception.classes import BACKGROUND
 from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.robot.frames import pose_of
@@ -26,6 +27,8 @@ IN_FRONT = 0.012
 _MOST_RAYS = 900
 _CLOSEST = 0.05
 """Metres from the eye, nearer than which a point is not projected."""
+_MOST = 6.0
+"""What a pixel says at most for one of two poses."""
 _OTHERS_WEIGHT = 0.5
 """Of rays that agree in depth where the mask says otherwise."""
 
@@ -58,7 +61,7 @@ class Comparer:
     """
 
     def __init__(self, model: ObjectModel, index: int, looks: Sequence[Look]) -> None:
-        self._sensor = model.sensor
+        self._model, self._sensor = model, model.sensor
         self._data = self._sensor.make_data()
         self._points = model.points[::10]
         self._index = index
@@ -73,6 +76,26 @@ class Comparer:
         """The share of the silhouette that is seen, in the look that shows the most."""
         found = [Agreement(*self._compared(look, pose)) for look in self._looks]
         return max((min(each.seen / each.drawn, 1.0) if each.drawn else 0.0 for each in found), default=0.0)
+
+    def evidence(self, one: np.ndarray, other: np.ndarray, top: float) -> float:
+        """By how much pose `one` f64[4, 4] explains what is seen better than `other`, where they differ.
+
+        Both are drawn before an empty table at height `top`, metres. Pixels that show another known object
+        say nothing.
+
+        Returns:
+          The difference of their logarithmic likelihoods, summed over pixels, each of which says up to
+          `_MOST` for one.
+        """
+        total = 0.0
+        for look in self._looks:
+            table = _table_depth(look.camera, top)
+            depths = [np.minimum(drawn_alone(self._model, look.camera, pose), table) for pose in (one, other)]
+            speaks = np.isfinite(look.depth) & ((look.label == BACKGROUND) | look.mask(self._index))
+            speaks &= np.abs(depths[0] - depths[1]) > IN_FRONT / 2
+            errors = [np.minimum(((look.depth - each)[speaks] / AGREES) ** 2, _MOST) for each in depths]
+            total += float((errors[1] - errors[0]).sum())
+        return total
 
     def _compared(self, look: Look, pose: np.ndarray) -> tuple[float, float, float, float]:
         mask = look.mask(self._index)
@@ -112,6 +135,14 @@ class Comparer:
         stride = max(1, int(np.ceil(np.sqrt(width * height / _MOST_RAYS))))
         columns, rows = np.arange(left, left + width, stride), np.arange(upper, upper + height, stride)
         return _part_of(camera, rows, columns), rows, columns
+
+
+def _table_depth(camera: Camera, top: float) -> np.ndarray:
+    """f64[H, W]: the depth of an empty table at a height, metres; inf where it is not seen."""
+    ones = np.ones((camera.height, camera.width), np.float32)
+    with np.errstate(divide="ignore"):
+        depth = (top - camera.eye[2]) / (camera.points(ones)[..., 2] - camera.eye[2])
+    return np.where(depth > 0, depth, np.inf)
 
 
 def drawn_alone(model: ObjectModel, camera: Camera, pose: np.ndarray) -> np.ndarray:

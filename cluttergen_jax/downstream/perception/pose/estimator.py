@@ -38,7 +38,8 @@ class PoseEstimate:
     Attributes:
       pose: f64[7], T_world_object, metres, wxyz.
       score: in [0, 1], how well its picture agrees with what was seen (`compare`).
-      gap: by how much that is better than the best pose that is another.
+      gap: by how much that is better than the best pose that is another; below zero where pixels on which
+        the two differ speak for this one.
       visible: share of its whole silhouette that is seen, in the look that shows the most.
       num_pixels: of its masks.
     """

@@ -37,8 +37,9 @@ _STEPS = ((0.03, 0.0), (0.015, 0.0), (0.006, 0.0), (0.003, 4.0), (0.0015, 2.0))
 _FREE_GAIN, _LYING_GAIN, _LEANING = 0.03, 0.05, 0.7
 """By which a pose that leans has to agree better, and one that rests in another way, as a ring that looks the
 same upside down; and the cosine of the tilt between them."""
-_KNOWN_GAIN = 0.05
-"""By which what is turned round has to agree better than what is where it was: nothing turns by itself."""
+_DECISIVE, _ALIKE = 30.0, 0.05
+"""Evidence from which on the other of two poses is believed, and by how much its score may be less: something
+small decides about a turn, as the handle of a candlestick does."""
 
 
 class RegistrationEstimator:
@@ -89,7 +90,18 @@ class RegistrationEstimator:
             freed = free(points, pose)
             tried.append((_worth(compare, freed), freed))
             tried.append(_climbed(compare, (score, pose)))
-        return self._estimate(model, _best(tried), compare, num_pixels)
+        return self._estimate(model, self._decided(model, _best(tried), compare), compare, num_pixels)
+
+    def _decided(
+        self, model: ObjectModel, ranked: list[tuple[float, np.ndarray]], compare: Comparer
+    ) -> list[tuple[float, np.ndarray]]:
+        """The same poses, first the one for which evidence speaks among those about as good as the best."""
+        first, *others = _unlike(ranked, model.symmetry)
+        for each in others[:_REFINED]:
+            is_alike = each[0] > ranked[0][0] - _ALIKE
+            if is_alike and compare.evidence(each[1], first[1], self._top) > _DECISIVE:
+                first = each
+        return [first, *ranked]
 
     def _where_it_was(
         self,
@@ -105,7 +117,9 @@ class RegistrationEstimator:
         turns = (_yaw(known), _yaw(known) + np.pi)
         poses = [registered(model, points, eyes, yaw, bottom) for yaw in turns]
         there, other = (_climbed(compare, (_worth(compare, pose), pose)) for pose in poses)
-        return [there, other] if there[0] + _KNOWN_GAIN >= other[0] else [other, there]
+        return (
+            [other, there] if compare.evidence(other[1], there[1], self._top) > _DECISIVE else [there, other]
+        )
 
     def _upright(
         self, model: ObjectModel, points: np.ndarray, eyes: np.ndarray, compare: Comparer
