@@ -132,7 +132,7 @@ def _is_rigid(T: np.ndarray) -> bool:
     if T.shape != (4, 4) or not np.isfinite(T).all():
         return False
     turn = T[:3, :3]
-    return bool(np.allclose(turn @ turn.T, np.eye(3), atol=1e-5) and np.linalg.det(turn) > 0)
+    return bool(np.abs(turn @ turn.T - np.eye(3)).max() < 1e-5 and np.linalg.det(turn) > 0)
 
 
 @lru_cache(maxsize=16)

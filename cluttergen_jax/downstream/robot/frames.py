@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 
 def matrix_of(pose: np.ndarray) -> np.ndarray:
     """f64[..., 4, 4] of poses f[..., 7]."""
     pose = np.asarray(pose, np.float64)
-    flat = Rotation.from_quat(pose[..., 3:].reshape(-1, 4), scalar_first=True).as_matrix()
-    return made(flat.reshape(*pose.shape[:-1], 3, 3), pose[..., :3])
+    quaternion = pose[..., 3:].reshape(-1, 4)
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    turn = np.empty((len(quaternion), 9))
+    for row, each in zip(turn, quaternion, strict=True):
+        mujoco.mju_quat2Mat(row, each)
+    return made(turn.reshape(*pose.shape[:-1], 3, 3), pose[..., :3])
 
 
 def pose_of(matrix: np.ndarray) -> np.ndarray:
     """f64[..., 7] of rigid matrices f[..., 4, 4]."""
-    turn = Rotation.from_matrix(matrix[..., :3, :3].reshape(-1, 3, 3)).as_quat(scalar_first=True)
-    return np.concatenate([matrix[..., :3, 3], turn.reshape(*matrix.shape[:-2], 4)], axis=-1)
+    turn = np.asarray(matrix[..., :3, :3], np.float64).reshape(-1, 9)
+    quaternion = np.empty((len(turn), 4))
+    for row, each in zip(quaternion, turn, strict=True):
+        mujoco.mju_mat2Quat(row, each)
+    return np.concatenate([matrix[..., :3, 3], quaternion.reshape(*matrix.shape[:-2], 4)], axis=-1)
 
 
 def made(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:

@@ -17,7 +17,6 @@ from cluttergen_jax.downstream.perception.classes import BACKGROUND
 from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.robot.frames import pose_of
-from cluttergen_jax.geometry import transformed
 from cluttergen_jax.sensing.camera import Camera
 
 AGREES = 0.006
@@ -64,17 +63,18 @@ class Comparer:
         self._model, self._sensor = model, model.sensor
         self._data = self._sensor.make_data()
         self._points = model.points[::10]
-        self._index = index
         self._looks = [each for each in looks if each.mask(index).any()]
+        self._masks = [each.mask(index) for each in self._looks]
+        self._boxes = [_box(mask) for mask in self._masks]
 
     def __call__(self, pose: np.ndarray) -> Agreement:
         """How well a pose f64[4, 4] agrees with all looks that show the object."""
-        found = [self._compared(look, pose) for look in self._looks]
+        found = [self._compared(k, pose) for k in range(len(self._looks))]
         return Agreement(*np.sum(found, axis=0)) if found else Agreement(0.0, 0.0, 0.0, 0.0)
 
     def visible(self, pose: np.ndarray) -> float:
         """The share of the silhouette that is seen, in the look that shows the most."""
-        found = [Agreement(*self._compared(look, pose)) for look in self._looks]
+        found = [Agreement(*self._compared(k, pose)) for k in range(len(self._looks))]
         return max((min(each.seen / each.drawn, 1.0) if each.drawn else 0.0 for each in found), default=0.0)
 
     def evidence(self, one: np.ndarray, other: np.ndarray, top: float) -> float:
@@ -88,18 +88,18 @@ class Comparer:
           `_MOST` for one.
         """
         total = 0.0
-        for look in self._looks:
+        for look, mask in zip(self._looks, self._masks, strict=True):
             table = _table_depth(look.camera, top)
             depths = [np.minimum(drawn_alone(self._model, look.camera, pose), table) for pose in (one, other)]
-            speaks = np.isfinite(look.depth) & ((look.label == BACKGROUND) | look.mask(self._index))
+            speaks = np.isfinite(look.depth) & ((look.label == BACKGROUND) | mask)
             speaks &= np.abs(depths[0] - depths[1]) > IN_FRONT / 2
             errors = [np.minimum(((look.depth - each)[speaks] / AGREES) ** 2, _MOST) for each in depths]
             total += float((errors[1] - errors[0]).sum())
         return total
 
-    def _compared(self, look: Look, pose: np.ndarray) -> tuple[float, float, float, float]:
-        mask = look.mask(self._index)
-        window, rows, columns = self._window(look.camera, mask, pose)
+    def _compared(self, number: int, pose: np.ndarray) -> tuple[float, float, float, float]:
+        look, mask = self._looks[number], self._masks[number]
+        window, rows, columns = self._window(number, pose)
         self._sensor.pose(self._data, pose_of(pose)[None])
         drawn = self._sensor.sense(self._data, window).depth
         # Beyond the picture's edge nothing was seen, for or against.
@@ -117,15 +117,10 @@ class Comparer:
         both = float(agree[in_mask].sum())
         return both, float(weight), float(is_hit.sum()), float((is_hit & in_mask).sum())
 
-    def _window(
-        self, camera: Camera, mask: np.ndarray, pose: np.ndarray
-    ) -> tuple[Camera, np.ndarray, np.ndarray]:
-        """A camera that sees the mask and the pose alone, and the pixels i[h], i[w] that it sees."""
-        moved = transformed(pose_of(pose), self._points)
-        pixels, depth = camera.project(moved)
-        rows, columns = np.nonzero(mask)
-        low = np.array([columns.min(), rows.min()], np.float64)
-        high = np.array([columns.max(), rows.max()], np.float64)
+    def _window(self, number: int, pose: np.ndarray) -> tuple[Camera, np.ndarray, np.ndarray]:
+        """A camera that sees a look's mask and the pose alone, and the pixels i[h], i[w] that it sees."""
+        camera, (low, high) = self._looks[number].camera, self._boxes[number]
+        pixels, depth = camera.project(_moved(self._points, pose))
         if (depth > _CLOSEST).all():
             size = np.array([camera.width, camera.height])
             low = np.minimum(low, np.clip(pixels.min(0), -0.5 * size, 1.5 * size))
@@ -135,6 +130,17 @@ class Comparer:
         stride = max(1, int(np.ceil(np.sqrt(width * height / _MOST_RAYS))))
         columns, rows = np.arange(left, left + width, stride), np.arange(upper, upper + height, stride)
         return _part_of(camera, rows, columns), rows, columns
+
+
+def _box(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """f64[2], f64[2]: the least and the greatest column and row of a mask bool[H, W]."""
+    pixels = np.argwhere(mask)[:, ::-1].astype(np.float64)
+    return pixels.min(0), pixels.max(0)
+
+
+def _moved(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """f64[n, 3]: points of an object that stands at a pose f64[4, 4]."""
+    return points @ pose[:3, :3].T + pose[:3, 3]
 
 
 def _table_depth(camera: Camera, top: float) -> np.ndarray:
@@ -148,7 +154,7 @@ def _table_depth(camera: Camera, top: float) -> np.ndarray:
 def drawn_alone(model: ObjectModel, camera: Camera, pose: np.ndarray) -> np.ndarray:
     """f32[H, W]: the depth of an object alone at a pose f64[4, 4], metres; inf where it is not seen."""
     depth = np.full((camera.height, camera.width), np.inf, np.float32)
-    pixels, away = camera.project(transformed(pose_of(pose), model.points[::10]))
+    pixels, away = camera.project(_moved(model.points[::10], pose))
     size = np.array([camera.width, camera.height])
     low = np.clip(np.floor(pixels.min(0)).astype(int) - 2, 0, size)
     high = np.clip(np.ceil(pixels.max(0)).astype(int) + 3, 0, size)

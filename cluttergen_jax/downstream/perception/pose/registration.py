@@ -238,8 +238,8 @@ def _worth(compare: Comparer, pose: np.ndarray) -> float:
 
 
 def _differs(pose: np.ndarray, other: np.ndarray, symmetry: int) -> bool:
-    shift, turn = offset(pose, other, symmetry)
-    return shift > _SAME_PLACE or turn > _SAME_TURN
+    is_elsewhere = ((pose[:3, 3] - other[:3, 3]) ** 2).sum() > _SAME_PLACE**2
+    return bool(is_elsewhere) or offset(pose, other, symmetry)[1] > _SAME_TURN
 
 
 def _climbed(compare: Comparer, start: tuple[float, np.ndarray]) -> tuple[float, np.ndarray]:

@@ -12,6 +12,8 @@ NUM_YAWS = 24
 _STEPS = 12
 _FIRST_TRIM, _LAST_TRIM = 0.04, 0.010
 """Metres beyond which points pair with nothing, at the first and at the last step."""
+_POINTS, _DAMPING = 0.2, 1e-8
+"""What a point's own distance counts for beside that from its plane; and what keeps an open move at none."""
 
 
 def starting_yaws(symmetry: int) -> np.ndarray:
@@ -89,22 +91,19 @@ def _solved(
       near, target, normal: f64[P, 3], seen points, the surface's points and normals; weight: f64[P].
       fixed: z does not change.
     """
-    residual = ((near - target) * normal).sum(1)
+    apart, none, one = near - target, np.zeros(len(near)), np.ones(len(near))
     # A point p of the object moves by t + w x p.
     about = target[:, 0] * normal[:, 1] - target[:, 1] * normal[:, 0]
-    design = np.column_stack([normal, about])
-    if fixed:
-        design[:, 2] = 0.0
+    planes = np.column_stack([normal[:, :2], none if fixed else normal[:, 2], about])
     # Slides that the planes leave open are held by the points themselves, a little.
-    sides = [
-        np.column_stack([np.eye(3)[axis] * np.ones((len(near), 1)), np.zeros(len(near))]) for axis in (0, 1)
-    ]
-    for axis, side in enumerate(sides):
-        side[:, 3] = -target[:, 1] if axis == 0 else target[:, 0]
-    rows = np.concatenate([design, *(0.2 * side for side in sides)])
-    aims = np.concatenate([residual, *(0.2 * (near - target)[:, axis] for axis in (0, 1))])
-    root = np.sqrt(np.tile(weight, 3))
-    damped = np.concatenate([rows * root[:, None], 1e-4 * np.eye(4)])
-    change = np.linalg.lstsq(damped, np.concatenate([aims * root, np.zeros(4)]), rcond=None)[0]
+    along_x = _POINTS * np.column_stack([one, none, none, -target[:, 1]])
+    along_y = _POINTS * np.column_stack([none, one, none, target[:, 0]])
+    aims = (apart * normal).sum(1), _POINTS * apart[:, 0], _POINTS * apart[:, 1]
+    matrix, right = _DAMPING * np.eye(4), np.zeros(4)
+    for rows, aim in zip((planes, along_x, along_y), aims, strict=True):
+        weighted = rows * weight[:, None]
+        matrix += weighted.T @ rows
+        right += weighted.T @ aim
+    change = np.linalg.solve(matrix, right)
     change[3] = np.clip(change[3], -0.3, 0.3)
     return change
