@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.expected import as_expected
+from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
+from cluttergen_jax.downstream.perception.expected import as_expected, unexplained
 from cluttergen_jax.downstream.perception.pose.compare import drawn_alone
 from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.robot.frames import matrix_of
-from tests.helpers.perception import OBJECTS, POSES, overhead, view_of
+from tests.helpers.perception import OBJECTS, POSES, TABLE, overhead, view_of
 
 RED, GREEN, BLUE = (FIRST_OBJECT + k for k in range(3))
 MODELS = [ObjectModel.of(each) for each in OBJECTS]
@@ -79,3 +79,27 @@ def test_nothing_is_concluded_of_what_is_hidden_or_not_measured(look):
     covered = Look(np.minimum(look.depth, 0.3), look.label, look.camera)
     (found,) = as_expected([covered], expected())
     assert np.array_equal(found.label, look.label)
+
+
+def test_what_no_object_explains_is_told_apart_thing_by_thing(look):
+    assert unexplained([look], expected(), TABLE.top, 40) == []
+    assert unexplained([], {}, TABLE.top, 40) == []
+    green, red, blue = (look.mask(k) for k in (1, 0, 2))
+    found = {2: expected()[2]}
+    things = unexplained([look, look], found, TABLE.top, 40)
+    assert len(things) == 2
+    for masks, own in zip(things, sorted((green, red), key=lambda mask: -mask.sum()), strict=True):
+        assert len(masks) == 2
+        for mask in masks:
+            assert (mask & own).sum() > 0.9 * own.sum()
+            assert not (mask & blue).any()
+            assert mask.sum() < 1.1 * own.sum()
+    assert unexplained([look], found, TABLE.top, 10 * int(green.sum())) == []
+    assert len(unexplained([mistaken(look, red=ARM)], found, TABLE.top, 40)) == 1
+
+
+def test_what_stands_elsewhere_than_was_said_is_not_explained(look):
+    moved = POSES.copy()
+    moved[0, :2] += 0.12
+    (thing,) = unexplained([look], expected(moved), TABLE.top, 40)
+    assert (thing[0] & look.mask(0)).sum() > 0.9 * look.mask(0).sum()

@@ -8,6 +8,7 @@ import pytest
 pytest.importorskip("small_gicp", reason="needs the extra perception")
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.downstream.perception.certainty import (
     FEATURES,
@@ -173,6 +174,17 @@ def test_what_is_hardly_seen_has_no_pose(estimator):
         estimator(7, [look])
 
 
+def test_a_tall_object_on_another_is_found_by_the_height_of_its_top():
+    """Its sides let it slide up and down, and from above hardly show: where its top is tells where it stands."""
+    (bottle,) = (each for each in find_pool("household").objects if each.name == "spray_bottle")
+    pose = standing((0.05, -0.05, 0.7))
+    pose[0, 2] = TABLE.top + 0.07 + bottle.half_extents[2]
+    view = view_of(pose, overhead(), objects=(bottle,)).view
+    look = Look(np.where(np.isfinite(view.depth), view.depth, np.nan), view.label, overhead())
+    found = RegistrationEstimator((bottle,), TABLE)(0, [look])
+    assert np.linalg.norm(found.pose[:3] - pose[0, :3]) < 0.004
+
+
 def test_a_box_has_two_equal_turns(estimator):
     assert estimator.model(0).symmetry == 2
 
@@ -288,6 +300,31 @@ def test_a_look_that_takes_one_object_for_another_does_not_mislead(where, one, o
     found = SceneFinder(OBJECTS, TABLE, ByColour())(looks)
     assert found.seen.all()
     assert np.linalg.norm(found.pose[:, :3] - POSES[:, :3], axis=1).max() < 0.005
+
+
+@pytest.mark.parametrize("wrong", [FIRST_OBJECT, FIRST_OBJECT + 1, BACKGROUND])
+def test_what_the_segmenter_took_for_another_is_found_in_what_nothing_explains(estimator, wrong):
+    """Blue lies on green, and the segmenter takes it for red, for green too, or for the table."""
+    poses = POSES.copy()
+    poses[2] = [POSES[1, 0] + 0.03, POSES[1, 1], TABLE.top + 2 * 0.07 + 0.02, *POSES[2, 3:]]
+    looks = [look_at(poses, camera) for camera in (overhead(), SIDE)]
+    looks = [
+        replace(each, label=np.where(each.mask(2), wrong, each.label).astype(np.uint8)) for each in looks
+    ]
+    found = SceneFinder(OBJECTS, TABLE, ByColour(), estimator)(looks)
+    assert found.seen.all()
+    np.testing.assert_allclose(found.pose[:, :3], poses[:, :3], atol=0.006)
+
+
+def test_a_thing_that_fits_no_object_is_taken_for_none(estimator):
+    objects = (*OBJECTS[:2], with_surface(box("stranger", (0.09, 0.09, 0.09))))
+    view = view_of(
+        standing((-0.1, 0.05, 0.4), (0.08, -0.1, 1.2), (0.0, 0.2, 0.3)), SIDE, objects=objects
+    ).view
+    label = np.where(view.label == FIRST_OBJECT + 2, BACKGROUND, view.label).astype(np.uint8)
+    depth = np.where(np.isfinite(view.depth), view.depth, np.nan)
+    found = SceneFinder(OBJECTS, TABLE, ByColour(), estimator)([Look(depth, label, SIDE)])
+    assert found.seen.tolist() == [True, True, False]
 
 
 def test_what_is_not_in_the_pictures_is_not_seen(finder):

@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, binary_opening
+from scipy.ndimage import label as connected
 
-from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
+from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.pose.compare import AGREES, IN_FRONT, drawn_alone
 from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
@@ -23,6 +24,8 @@ _FEWEST = 40
 """Pixels that should be seen, below which nothing is concluded."""
 _MARGIN = 6
 """Pixels about an object that is there, outside of which nothing else of its kind is."""
+_VOXEL = 0.012
+"""Metres between points of one thing, at most."""
 
 
 def as_expected(looks: Sequence[Look], expected: dict[int, tuple[ObjectModel, np.ndarray]]) -> list[Look]:
@@ -32,6 +35,51 @@ def as_expected(looks: Sequence[Look], expected: dict[int, tuple[ObjectModel, np
       expected: by number, the object and its pose f64[4, 4], T_world_object.
     """
     return [_corrected(look, expected) for look in looks]
+
+
+def unexplained(
+    looks: Sequence[Look], found: dict[int, tuple[ObjectModel, np.ndarray]], top: float, fewest: int
+) -> list[list[np.ndarray]]:
+    """What stands on the table, shown by depth, that is none of the objects where they were found.
+
+    Args:
+      found: by number, the object and its pose f64[4, 4], T_world_object.
+      top: height of the table, metres. fewest: pixels of a thing; with fewer it is left out.
+
+    Returns:
+      Of each thing, the one with the most pixels first, its mask bool[H, W] in each look. Things are apart if
+      their points are.
+    """
+    masks = [_unexplained(look, found, top) for look in looks]
+    points = [look.camera.points(look.depth)[mask] for look, mask in zip(looks, masks, strict=True)]
+    if not sum(map(len, points)):
+        return []
+    cells = np.floor(np.concatenate(points) / _VOXEL).astype(int)
+    cells -= cells.min(0)
+    is_full = np.zeros(cells.max(0) + 1, bool)
+    is_full[tuple(cells.T)] = True
+    things = connected(is_full, np.ones((3, 3, 3)))[0][tuple(cells.T)]
+    counts = np.bincount(things)
+    kept = [thing for thing in np.argsort(-counts, kind="stable") if counts[thing] >= fewest]
+    of_looks = np.split(things, np.cumsum([len(each) for each in points])[:-1])
+    result = []
+    for thing in kept:
+        own = [mask.copy() for mask in masks]
+        for mask, each in zip(own, of_looks, strict=True):
+            mask[mask] = each == thing
+        result.append(own)
+    return result
+
+
+def _unexplained(look: Look, found: dict[int, tuple[ObjectModel, np.ndarray]], top: float) -> np.ndarray:
+    """bool[H, W]: the pixels of one look, those at the edges of things left out."""
+    height = look.camera.points(look.depth)[..., 2]
+    with np.errstate(invalid="ignore"):
+        stands = (height > top + IN_FRONT) & (look.label != ARM)
+    for model, pose in found.values():
+        behind = look.depth - drawn_alone(model, look.camera, pose)
+        stands &= ~(np.abs(behind) < IN_FRONT)
+    return np.asarray(binary_opening(stands, np.ones((3, 3))))
 
 
 def _corrected(look: Look, expected: dict[int, tuple[ObjectModel, np.ndarray]]) -> Look:

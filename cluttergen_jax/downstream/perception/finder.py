@@ -11,8 +11,8 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.perception.certainty import Certainty, features_of, read_certainty
-from cluttergen_jax.downstream.perception.classes import ARM
-from cluttergen_jax.downstream.perception.expected import as_expected
+from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
+from cluttergen_jax.downstream.perception.expected import as_expected, unexplained
 from cluttergen_jax.downstream.perception.pose.estimator import Look, PoseEstimate, PoseEstimator
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.pose.registration import SURE, RegistrationEstimator
@@ -27,6 +27,8 @@ from cluttergen_jax.sensing.partial import Grid, levelled
 LEAST_CERTAIN = 0.1
 """Below it an object counts as not seen."""
 _RADIUS = 0.1
+_FEWEST = 60
+"""Pixels of a thing that nothing explains, from which on it is looked into."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +80,7 @@ class SceneFinder:
         self.estimator = estimator or RegistrationEstimator(objects, support)
         self._certainty, self._steady = certainty or Certainty(), SteadyCheck(objects, support)
         self._grid = Grid.of(support, _RADIUS)
-        self._objects = tuple(objects)
+        self._objects, self._top = tuple(objects), support.top
 
     def look(
         self,
@@ -137,6 +139,7 @@ class SceneFinder:
             if not all(np.array_equal(old, new) for old, new in masks):
                 found[number] = self.estimator(number, told, places.get(number))
         estimates = {number: each for number, each in found.items() if each is not None}
+        self._seek_in_the_rest(told, unsure, estimates)
         steady = self._steadiness(estimates)
         count = len(asked)
         pose, features = np.tile(np.eye(7)[3], (count, 1)), np.zeros((count, 6))
@@ -150,6 +153,30 @@ class SceneFinder:
         seen = certainty >= LEAST_CERTAIN
         return FoundScene(asked, pose, seen, np.where(seen, certainty, 0.0), features, visible)
 
+    def _seek_in_the_rest(
+        self, looks: Sequence[Look], unsure: Sequence[int], estimates: dict[int, PoseEstimate]
+    ) -> None:
+        """Each thing that none of `estimates` explains is taken for the unsure object that fits it best.
+
+        So an object is found that the segmenter took for another.
+        """
+        left = [number for number in unsure if number not in estimates or estimates[number].score < SURE]
+        while left:
+            found = {
+                k: (ObjectModel.of(self._objects[k]), matrix_of(each.pose)) for k, each in estimates.items()
+            }
+            for masks in unexplained(looks, found, self._top, _FEWEST)[: len(left)]:
+                shown = list(zip(looks, masks, strict=True))
+                tried = ((k, self.estimator(k, [_as(k, *each) for each in shown])) for k in left)
+                fits = [(k, each) for k, each in tried if each is not None and each.score >= SURE]
+                if fits:
+                    # What was wrongly said to be here leaves something else unexplained.
+                    number, estimates[number] = max(fits, key=lambda each: each[1].score)
+                    left.remove(number)
+                    break
+            else:
+                return
+
     def _as_expected(self, looks: Sequence[Look], poses: dict[int, np.ndarray]) -> list[Look]:
         expected = {k: (ObjectModel.of(self._objects[k]), matrix_of(pose)) for k, pose in poses.items()}
         return as_expected(looks, expected)
@@ -160,6 +187,12 @@ class SceneFinder:
         for number, estimate in estimates.items():
             poses[number], is_placed[number] = estimate.pose, True
         return self._steady(poses, is_placed)
+
+
+def _as(number: int, look: Look, mask: np.ndarray) -> Look:
+    """A look in which the mask bool[H, W] alone shows an object."""
+    label = np.where(look.mask(number), BACKGROUND, look.label)
+    return replace(look, label=np.where(mask, FIRST_OBJECT + number, label).astype(look.label.dtype))
 
 
 def upright_at_its_place(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:

@@ -34,6 +34,8 @@ _ALL_BUT_UPRIGHT, _ALL_BUT_DOWN = np.cos(np.radians(3)), 0.005
 _SAME_PLACE, _SAME_TURN = 0.01, np.radians(10)
 _STEPS = ((0.03, 0.0), (0.015, 0.0), (0.006, 0.0), (0.003, 4.0), (0.0015, 2.0))
 """Metres and degrees of the last refinement; long ones first: what is half hidden slides along itself."""
+_TOPMOST = 0.98
+"""Share of an object's points below what counts as its top: some bled over an edge."""
 _FREE_GAIN, _LYING_GAIN, _LEANING = 0.03, 0.05, 0.7
 """By which a pose that leans has to agree better, and one that rests in another way, as a ring that looks the
 same upside down; and the cosine of the tilt between them."""
@@ -137,6 +139,10 @@ class RegistrationEstimator:
 
         nothing = np.zeros((1, 2))
         found = from_all(self._top, nothing)
+        if _best(found)[0][0] < SURE:
+            # What stands on something else has its top where its highest points are.
+            highest = float(np.quantile(points[:, 2], _TOPMOST))
+            found += from_all(max(highest - 2 * float(model.asset.half_extents[2]), self._top), nothing)
         if _best(found)[0][0] < SURE:
             found += from_all(None, nothing)
         if _best(found)[0][0] < SURE:
