@@ -26,7 +26,7 @@ APART = 0.003
 ROOM = 0.004
 """Metres that the hand and what it holds keep besides from objects that may be off by as much."""
 _SAG = 0.0015
-"""Metres that the hand keeps besides from what lies below: the arm is not quite where it is told to be."""
+"""Metres that the hand keeps from the table, however near: the arm is not quite where it is told to be."""
 _TOUCH = -0.001
 """Metres that a held object may overlap with what it is taken from or put on."""
 _DIP = -0.005
@@ -81,7 +81,7 @@ def _thresholds() -> np.ndarray:
     for mode in set(Mode) - {Mode.TRAVEL}:
         for other in (Kind.GROUND, Kind.OTHER):
             limit[mode, Kind.HAND, other] = limit[mode, other, Kind.HAND] = NEAR
-        limit[mode, Kind.HAND, Kind.GROUND] = limit[mode, Kind.GROUND, Kind.HAND] = 0.0
+        limit[mode, Kind.HAND, Kind.GROUND] = limit[mode, Kind.GROUND, Kind.HAND] = _SAG
         limit[mode, Kind.HAND, Kind.TARGET] = limit[mode, Kind.TARGET, Kind.HAND] = NEAR
     for other in (Kind.GROUND, Kind.OTHER):
         for mode, least in ((Mode.CARRY, _TOUCH), (Mode.CLEAR, NEAR), (Mode.APART, APART)):
@@ -99,9 +99,6 @@ def _with_room(limit: np.ndarray) -> np.ndarray:
     wide = limit.copy()
     for a, b in ((Kind.HAND, Kind.OTHER), (Kind.HELD, Kind.OTHER), (Kind.HAND, Kind.TARGET)):
         wide[:, a, b] = wide[:, b, a] = limit[:, a, b] + ROOM
-    wide[:, Kind.HAND, Kind.GROUND] = wide[:, Kind.GROUND, Kind.HAND] = (
-        limit[:, Kind.HAND, Kind.GROUND] + _SAG
-    )
     return wide
 
 

@@ -39,6 +39,8 @@ _TOPMOST = 0.98
 _FREE_GAIN, _LYING_GAIN, _LEANING = 0.03, 0.05, 0.7
 """By which a pose that leans has to agree better, and one that rests in another way, as a ring that looks the
 same upside down; and the cosine of the tilt between them."""
+_OTHER_TURNS = 8
+"""Turns at which an object is sought where it was, its own among them."""
 _DECISIVE, _ALIKE = 30.0, 0.05
 """Evidence from which on the other of two poses is believed, and by how much its score may be less: something
 small decides about a turn, as the handle of a candlestick does."""
@@ -74,7 +76,7 @@ class RegistrationEstimator:
     def __call__(
         self, index: int, looks: Sequence[Look], near: np.ndarray | None = None
     ) -> PoseEstimate | None:
-        """See `estimator.PoseEstimator`; its turn and that turned round are tried first."""
+        """See `estimator.PoseEstimator`; where it was it is sought first."""
         model, free = self._known(index)
         points, eyes, num_pixels = seen_points(index, looks)
         if num_pixels < FEWEST_PIXELS or len(points) < FEWEST_PIXELS // 2:
@@ -113,15 +115,18 @@ class RegistrationEstimator:
         compare: Comparer,
         known: np.ndarray,
     ) -> list[tuple[float, np.ndarray]]:
-        """Poses at the turn and height of `known` f64[4, 4], and turned round, the likelier one first."""
+        """Poses at the height of `known` f64[4, 4], the likeliest first; its own turn if none is more so."""
         is_low = known[2, 3] - model.asset.half_extents[2] < self._top + _LOW
         bottom = self._top if is_low else None
-        turns = (_yaw(known), _yaw(known) + np.pi)
+        turns = _yaw(known) + 2 * np.pi * np.arange(_OTHER_TURNS) / _OTHER_TURNS
         poses = [registered(model, points, eyes, yaw, bottom) for yaw in turns]
-        there, other = (_climbed(compare, (_worth(compare, pose), pose)) for pose in poses)
-        return (
-            [other, there] if compare.evidence(other[1], there[1], self._top) > _DECISIVE else [there, other]
-        )
+        scored = [(_worth(compare, pose), pose) for pose in poses]
+        first = there = _climbed(compare, scored[0])
+        others = [each for each in scored[1:] if _differs(each[1], there[1], model.symmetry)]
+        for each in _unlike(others, model.symmetry)[:_BEST]:
+            if compare.evidence(each[1], first[1], self._top) > _DECISIVE:
+                first = _climbed(compare, each)
+        return [first, there, *others]
 
     def _upright(
         self, model: ObjectModel, points: np.ndarray, eyes: np.ndarray, compare: Comparer
