@@ -61,6 +61,7 @@ def test_states_are_kept_with_what_the_hand_holds():
     assert np.array_equal(turn_arm(None).data.qpos, execution.data.qpos)
 
 
+@pytest.mark.slow
 @needs_gl
 def test_the_first_of_each_outcome_is_filmed_once_and_as_its_row_says(small, tmp_path, monkeypatch):
     texts, run = [], []

@@ -139,7 +139,7 @@ def test_the_arm_keeps_its_distance_from_columns_but_may_lower_what_it_holds_bes
     assert world.blocker(joints(-0.03, 0.1), 0.04, Mode.CARRY) is not None
 
 
-@pytest.mark.parametrize("is_aside", [False, True])
+@pytest.mark.parametrize("is_aside", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_pixels_of_the_arm_and_what_it_brings_are_known_from_its_joints(is_aside):
     execution = Execution(SCENE, 0)
     if is_aside:

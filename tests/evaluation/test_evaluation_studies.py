@@ -313,6 +313,7 @@ def test_findings_are_kept_one_by_one_or_all_together(runner, tmp_path, keeps_ea
     assert asked == expected
 
 
+@pytest.mark.slow
 def test_survival_asks_the_engines_that_are_installed(runner, tmp_path):
     result = run_study(runner, SURVIVAL, (SMALL,), tmp_path, "extended", "command", False)["measure"]
     installed = [engine for engine in PEERS if importlib.util.find_spec(PACKAGES[engine])]

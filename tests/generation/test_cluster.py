@@ -99,6 +99,7 @@ def test_workers_end_with_whoever_left_early(ray):
     assert not psutil.pid_exists(process)
 
 
+@pytest.mark.slow
 def test_two_workers_of_which_one_is_killed_make_the_bank_of_one_process(ray, pool, tmp_path, monkeypatch):
     """The test of four workers below in miniature, in the Ray of all quick tests."""
     options = {"pool": pool, "num_scenes": 1100, "method": "random", "max_files": 0, "budget": 4}
