@@ -77,24 +77,23 @@ class Comparer:
         found = [Agreement(*self._compared(k, pose)) for k in range(len(self._looks))]
         return max((min(each.seen / each.drawn, 1.0) if each.drawn else 0.0 for each in found), default=0.0)
 
-    def evidence(self, one: np.ndarray, other: np.ndarray, top: float) -> float:
-        """By how much pose `one` f64[4, 4] explains what is seen better than `other`, where they differ.
+    def evidence(self, pose: np.ndarray, top: float) -> float:
+        """By how much a pose f64[4, 4] explains what is seen better than an empty table at height `top`.
 
-        Both are drawn before an empty table at height `top`, metres. Pixels that show another known object
-        say nothing.
+        Pixels that show another known object say nothing. Of two poses that differ in a handle alone those
+        decide that show the handle, or what is behind it.
 
         Returns:
-          The difference of their logarithmic likelihoods, summed over pixels, each of which says up to
-          `_MOST` for one.
+          The difference of logarithmic likelihoods, summed over pixels, of which each says up to `_MOST`.
         """
         total = 0.0
         for look, mask in zip(self._looks, self._masks, strict=True):
-            table = _table_depth(look.camera, top)
-            depths = [np.minimum(drawn_alone(self._model, look.camera, pose), table) for pose in (one, other)]
-            speaks = np.isfinite(look.depth) & ((look.label == BACKGROUND) | mask)
-            speaks &= np.abs(depths[0] - depths[1]) > IN_FRONT / 2
-            errors = [np.minimum(((look.depth - each)[speaks] / AGREES) ** 2, _MOST) for each in depths]
-            total += float((errors[1] - errors[0]).sum())
+            drawn = drawn_alone(self._model, look.camera, pose)
+            speaks = np.isfinite(drawn) & np.isfinite(look.depth) & ((look.label == BACKGROUND) | mask)
+            table = _table_depth(look.camera, top)[speaks]
+            seen, drawn = look.depth[speaks], np.minimum(drawn[speaks], table)
+            errors = [np.minimum(((seen - each) / AGREES) ** 2, _MOST) for each in (table, drawn)]
+            total += float((errors[0] - errors[1]).sum())
         return total
 
     def _compared(self, number: int, pose: np.ndarray) -> tuple[float, float, float, float]:

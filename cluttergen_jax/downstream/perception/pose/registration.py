@@ -39,11 +39,14 @@ _TOPMOST = 0.98
 _FREE_GAIN, _LYING_GAIN, _LEANING = 0.03, 0.05, 0.7
 """By which a pose that leans has to agree better, and one that rests in another way, as a ring that looks the
 same upside down; and the cosine of the tilt between them."""
-_OTHER_TURNS = 8
-"""Turns at which an object is sought where it was, its own among them."""
-_DECISIVE, _ALIKE = 30.0, 0.05
-"""Evidence from which on the other of two poses is believed, and by how much its score may be less: something
-small decides about a turn, as the handle of a candlestick does."""
+_FEW_TURNS = 8
+"""At which an object is sought where it was, its own among them; at three times as many if some are alike."""
+_DECISIVE, _ALIKE = 200.0, 0.05
+"""Evidence from which on another turn than the one that was is believed, and by how much a score may be less:
+something small decides about a turn, as the handle of a candlestick does."""
+
+Scored = tuple[float, np.ndarray]
+"""A pose f64[4, 4] after its score."""
 
 
 class RegistrationEstimator:
@@ -89,23 +92,34 @@ class RegistrationEstimator:
         found = self._upright(model, points, eyes, compare)
         if found[0][0] < SURE:
             found = _best([*found, *self._lying(model, free, points, eyes, compare)])
+        likely = self._likeliest(found, model.symmetry, compare)
         tried = list(found)
-        for score, pose in _unlike(found, model.symmetry)[:_REFINED]:
+        for score, pose in [likely, *_unlike(found, model.symmetry)][:_REFINED]:
             freed = free(points, pose)
             tried.append((_worth(compare, freed), freed))
             tried.append(_climbed(compare, (score, pose)))
-        return self._estimate(model, self._decided(model, _best(tried), compare), compare, num_pixels)
+        ranked = _best(tried)
+        # What looks alike is told apart by evidence alone, and what agrees much better is not alike.
+        is_same = [not _differs(pose, likely[1], model.symmetry) for _, pose in ranked]
+        first = next(each for each, same in zip(ranked, is_same, strict=True) if same)
+        if first[0] > ranked[0][0] - _ALIKE:
+            ranked = [first, *ranked]
+        return self._estimate(model, ranked, compare, num_pixels)
 
-    def _decided(
-        self, model: ObjectModel, ranked: list[tuple[float, np.ndarray]], compare: Comparer
-    ) -> list[tuple[float, np.ndarray]]:
-        """The same poses, first the one for which evidence speaks among those about as good as the best."""
-        first, *others = _unlike(ranked, model.symmetry)
-        for each in others[:_REFINED]:
-            is_alike = each[0] > ranked[0][0] - _ALIKE
-            if is_alike and compare.evidence(each[1], first[1], self._top) > _DECISIVE:
-                first = each
-        return [first, *ranked]
+    def _likeliest(
+        self, found: Sequence[Scored], symmetry: int, compare: Comparer, least: float = 0.0
+    ) -> Scored:
+        """The first pose, or one that agrees about as well, if evidence speaks for it by more than `least`.
+
+        Many turns have to be among them: at an edge a millimetre says as much as a handle.
+        """
+        first, alike = found[0], [each for each in found if each[0] > found[0][0] - _ALIKE]
+        is_other = np.array([_differs(each[1], first[1], symmetry) for each in alike])
+        if not is_other.any():
+            return first
+        evidence = np.array([compare.evidence(pose, self._top) for _, pose in alike])
+        best = int(evidence.argmax())
+        return alike[best] if evidence[best] > evidence[~is_other].max() + least else first
 
     def _where_it_was(
         self,
@@ -114,30 +128,33 @@ class RegistrationEstimator:
         eyes: np.ndarray,
         compare: Comparer,
         known: np.ndarray,
-    ) -> list[tuple[float, np.ndarray]]:
+    ) -> list[Scored]:
         """Poses at the height of `known` f64[4, 4], the likeliest first; its own turn if none is more so."""
         is_low = known[2, 3] - model.asset.half_extents[2] < self._top + _LOW
         bottom = self._top if is_low else None
-        turns = _yaw(known) + 2 * np.pi * np.arange(_OTHER_TURNS) / _OTHER_TURNS
-        poses = [registered(model, points, eyes, yaw, bottom) for yaw in turns]
-        scored = [(_worth(compare, pose), pose) for pose in poses]
-        first = there = _climbed(compare, scored[0])
-        others = [each for each in scored[1:] if _differs(each[1], there[1], model.symmetry)]
-        for each in _unlike(others, model.symmetry)[:_BEST]:
-            if compare.evidence(each[1], first[1], self._top) > _DECISIVE:
-                first = _climbed(compare, each)
-        return [first, there, *others]
+        yaws = starting_yaws(model.symmetry)
+
+        def from_all(turns: np.ndarray) -> list[Scored]:
+            poses = [registered(model, points, eyes, _yaw(known) + turn, bottom) for turn in turns]
+            return [(_worth(compare, pose), pose) for pose in poses]
+
+        own, *others = from_all(yaws[:: max(len(yaws) // _FEW_TURNS, 1)])
+        if any(each[0] > own[0] - _ALIKE and _differs(each[1], own[1], model.symmetry) for each in others):
+            own, *others = from_all(yaws)
+        likely = self._likeliest([own, *others], model.symmetry, compare, _DECISIVE)
+        first = _climbed(compare, likely)
+        return [first, *_best([first if likely is own else _climbed(compare, own), *others])]
 
     def _upright(
         self, model: ObjectModel, points: np.ndarray, eyes: np.ndarray, compare: Comparer
-    ) -> list[tuple[float, np.ndarray]]:
+    ) -> list[Scored]:
         """The best poses of an upright object, each with its score: on the table, and if need be elsewhere.
 
         If none on the table agrees well, it may stand on something else, or begin too far away.
         """
         yaws = starting_yaws(model.symmetry)
 
-        def from_all(bottom: float | None, offsets: np.ndarray) -> list[tuple[float, np.ndarray]]:
+        def from_all(bottom: float | None, offsets: np.ndarray) -> list[Scored]:
             starts = itertools.product(yaws, offsets)
             poses = [registered(model, points, eyes, yaw, bottom, offset) for yaw, offset in starts]
             return [(_worth(compare, pose), pose) for pose in poses]
@@ -153,13 +170,12 @@ class RegistrationEstimator:
         if _best(found)[0][0] < SURE:
             away = _OFFSET * float(np.linalg.norm(model.asset.half_extents[:2]))
             found += from_all(self._top, away * _AROUND)
-        best = _unlike(found, model.symmetry)[:_BEST]
         # Long things look much the same when they are turned round.
-        for _, pose in best[:_REFINED]:
+        for _, pose in _unlike(found, model.symmetry)[:_REFINED]:
             bottom = pose[2, 3] - model.asset.half_extents[2]
             other = registered(model, points, eyes, _yaw(pose) + np.pi, float(bottom))
-            best.append((_worth(compare, other), other))
-        return _best(best)
+            found.append((_worth(compare, other), other))
+        return _best(found)
 
     def _lying(
         self,
@@ -168,7 +184,7 @@ class RegistrationEstimator:
         points: np.ndarray,
         eyes: np.ndarray,
         compare: Comparer,
-    ) -> list[tuple[float, np.ndarray]]:
+    ) -> list[Scored]:
         """Poses of an object that rests in another way, if it has one."""
         found = []
         for resting in model.asset.resting[1:3]:
@@ -182,7 +198,7 @@ class RegistrationEstimator:
         return _best(found)[:_BEST]
 
     def _estimate(
-        self, model: ObjectModel, ranked: list[tuple[float, np.ndarray]], compare: Comparer, num_pixels: int
+        self, model: ObjectModel, ranked: list[Scored], compare: Comparer, num_pixels: int
     ) -> PoseEstimate:
         """The best of poses with their scores, best first; what all but stands on the table stands there."""
         score, pose = ranked[0]
@@ -224,13 +240,13 @@ def seen_points(index: int, looks: Sequence[Look]) -> tuple[np.ndarray, np.ndarr
     return all_points[chosen], all_eyes[chosen], number
 
 
-def _best(found: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
+def _best(found: list[Scored]) -> list[Scored]:
     return sorted(found, key=lambda each: -each[0])
 
 
-def _unlike(found: list[tuple[float, np.ndarray]], symmetry: int) -> list[tuple[float, np.ndarray]]:
+def _unlike(found: list[Scored], symmetry: int) -> list[Scored]:
     """The best of each place and turn, best first."""
-    kept: list[tuple[float, np.ndarray]] = []
+    kept: list[Scored] = []
     for score, pose in _best(found):
         if all(_differs(pose, other, symmetry) for _, other in kept):
             kept.append((score, pose))
@@ -253,7 +269,7 @@ def _differs(pose: np.ndarray, other: np.ndarray, symmetry: int) -> bool:
     return bool(is_elsewhere) or offset(pose, other, symmetry)[1] > _SAME_TURN
 
 
-def _climbed(compare: Comparer, start: tuple[float, np.ndarray]) -> tuple[float, np.ndarray]:
+def _climbed(compare: Comparer, start: Scored) -> Scored:
     """A better pose near one, by moves along its own x and y and turns, each kept if it agrees better."""
     best, pose = start
     for step, degrees in _STEPS:
