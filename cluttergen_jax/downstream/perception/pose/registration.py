@@ -100,8 +100,7 @@ class RegistrationEstimator:
             tried.append(_climbed(compare, (score, pose)))
         ranked = _best(tried)
         # What looks alike is told apart by evidence alone, and what agrees much better is not alike.
-        is_same = [not _differs(pose, likely[1], model.symmetry) for _, pose in ranked]
-        first = next(each for each, same in zip(ranked, is_same, strict=True) if same)
+        first = next(each for each in ranked if not _is_turned(each[1], likely[1], model.symmetry))
         if first[0] > ranked[0][0] - _ALIKE:
             ranked = [first, *ranked]
         return self._estimate(model, ranked, compare, num_pixels)
@@ -109,12 +108,15 @@ class RegistrationEstimator:
     def _likeliest(
         self, found: Sequence[Scored], symmetry: int, compare: Comparer, least: float = 0.0
     ) -> Scored:
-        """The first pose, or one that agrees about as well, if evidence speaks for it by more than `least`.
+        """The first pose, or one of another turn that agrees about as well, if evidence speaks for it.
 
         Many turns have to be among them: at an edge a millimetre says as much as a handle.
+
+        Args:
+          least: by how much evidence has to speak for another turn.
         """
         first, alike = found[0], [each for each in found if each[0] > found[0][0] - _ALIKE]
-        is_other = np.array([_differs(each[1], first[1], symmetry) for each in alike])
+        is_other = np.array([_is_turned(each[1], first[1], symmetry) for each in alike])
         if not is_other.any():
             return first
         evidence = np.array([compare.evidence(pose, self._top) for _, pose in alike])
@@ -139,7 +141,7 @@ class RegistrationEstimator:
             return [(_worth(compare, pose), pose) for pose in poses]
 
         own, *others = from_all(yaws[:: max(len(yaws) // _FEW_TURNS, 1)])
-        if any(each[0] > own[0] - _ALIKE and _differs(each[1], own[1], model.symmetry) for each in others):
+        if any(each[0] > own[0] - _ALIKE and _is_turned(each[1], own[1], model.symmetry) for each in others):
             own, *others = from_all(yaws)
         likely = self._likeliest([own, *others], model.symmetry, compare, _DECISIVE)
         first = _climbed(compare, likely)
@@ -266,7 +268,11 @@ def _worth(compare: Comparer, pose: np.ndarray) -> float:
 
 def _differs(pose: np.ndarray, other: np.ndarray, symmetry: int) -> bool:
     is_elsewhere = ((pose[:3, 3] - other[:3, 3]) ** 2).sum() > _SAME_PLACE**2
-    return bool(is_elsewhere) or offset(pose, other, symmetry)[1] > _SAME_TURN
+    return bool(is_elsewhere) or _is_turned(pose, other, symmetry)
+
+
+def _is_turned(pose: np.ndarray, other: np.ndarray, symmetry: int) -> bool:
+    return offset(pose, other, symmetry)[1] > _SAME_TURN
 
 
 def _climbed(compare: Comparer, start: Scored) -> Scored:
