@@ -247,6 +247,31 @@ def test_what_floats_or_overlaps_is_not_steady():
     assert check(POSES, np.array([True, False, True])).tolist() == [True, False, True]
 
 
+def test_what_overlaps_side_by_side_is_moved_apart_and_nothing_else():
+    """Half the depth each, along the table; others, what lies on top, and what overlaps by far stay."""
+    blocks = tuple(with_surface(box(name, (0.03, 0.03, 0.03))) for name in ("a", "b", "c"))
+    check, height = SteadyCheck(blocks, TABLE), TABLE.top + 0.03
+    is_there = np.ones(3, bool)
+
+    def at(*places):
+        poses = standing(*[(0.0, 0.0, 0.0)] * 3)
+        poses[:, :3] = places
+        return poses
+
+    beside = at((0.0, 0.0, height), (0.056, 0.0, height), (0.0, 0.2, height))
+    found = check.apart(beside, is_there)
+    assert found[0, 0] == pytest.approx(-0.002, abs=5e-4)
+    assert found[1, 0] - found[0, 0] == pytest.approx(0.06, abs=1e-3)
+    assert found[1, 0] - found[0, 0] > 0.06
+    np.testing.assert_array_equal(found[2], beside[2])
+    np.testing.assert_allclose(found[:, 1:], beside[:, 1:], atol=1e-6)
+    np.testing.assert_array_equal(check.apart(beside, np.array([True, False, True])), beside)
+    stacked = at((0.0, 0.0, height), (0.01, 0.0, height + 0.058), (0.0, 0.2, height))
+    np.testing.assert_array_equal(check.apart(stacked, is_there), stacked)
+    inside = at((0.0, 0.0, height), (0.03, 0.0, height), (0.0, 0.2, height))
+    np.testing.assert_array_equal(check.apart(inside, is_there), inside)
+
+
 def test_certainty_is_fitted_to_what_was_right(tmp_path):
     rng = np.random.default_rng(0)
     features = np.column_stack([np.ones(4000), *(rng.uniform(0, 1, (5, 4000)))])

@@ -140,13 +140,15 @@ class SceneFinder:
                 found[number] = self.estimator(number, told, places.get(number))
         estimates = {number: each for number, each in found.items() if each is not None}
         self._seek_in_the_rest(told, unsure, estimates)
-        steady = self._steadiness(estimates)
+        poses, is_placed = self._placed(estimates)
+        poses = self._steady.apart(poses, is_placed)
+        steady = self._steady(poses, is_placed)
         count = len(asked)
         pose, features = np.tile(np.eye(7)[3], (count, 1)), np.zeros((count, 6))
         visible, certainty = np.zeros(count), np.zeros(count)
         for place, number in enumerate(numbers):
             if number in estimates:
-                pose[place] = estimates[number].pose
+                pose[place] = poses[number]
                 features[place] = features_of(estimates[number], bool(steady[number]))
                 visible[place] = estimates[number].visible
                 certainty[place] = self._certainty(features[place])
@@ -181,12 +183,12 @@ class SceneFinder:
         expected = {k: (ObjectModel.of(self._objects[k]), matrix_of(pose)) for k, pose in poses.items()}
         return as_expected(looks, expected)
 
-    def _steadiness(self, estimates: dict[int, PoseEstimate]) -> np.ndarray:
-        """bool[K]: what stays where it is said to be, all others standing where they are said to."""
+    def _placed(self, estimates: dict[int, PoseEstimate]) -> tuple[np.ndarray, np.ndarray]:
+        """f64[K, 7], bool[K]: where the objects of the pool are said to be, and which of them are."""
         poses, is_placed = np.tile(np.eye(7)[3], (len(self.names), 1)), np.zeros(len(self.names), bool)
         for number, estimate in estimates.items():
             poses[number], is_placed[number] = estimate.pose, True
-        return self._steady(poses, is_placed)
+        return poses, is_placed
 
 
 def _as(number: int, look: Look, mask: np.ndarray) -> Look:
