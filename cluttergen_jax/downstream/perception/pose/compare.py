@@ -78,13 +78,13 @@ class Comparer:
         return max((min(each.seen / each.drawn, 1.0) if each.drawn else 0.0 for each in found), default=0.0)
 
     def evidence(self, pose: np.ndarray, top: float) -> float:
-        """By how much a pose f64[4, 4] explains what is seen better than an empty table at height `top`.
+        """The log-likelihood ratio of a pose f64[4, 4] to an empty table, summed over pixels of depth.
 
-        Pixels that show another known object say nothing. Of two poses that differ in a handle alone those
-        decide that show the handle, or what is behind it.
+        The difference of two poses is that of the pixels in which they differ: those of a handle, say.
+        Pixels that show another known object are left out, and each counts up to `_MOST`.
 
-        Returns:
-          The difference of logarithmic likelihoods, summed over pixels, of which each says up to `_MOST`.
+        Args:
+          top: the height of the table, metres.
         """
         total = 0.0
         for look, mask in zip(self._looks, self._masks, strict=True):

@@ -40,13 +40,13 @@ _FREE_GAIN, _LYING_GAIN, _LEANING = 0.03, 0.05, 0.7
 """By which a pose that leans has to agree better, and one that rests in another way, as a ring that looks the
 same upside down; and the cosine of the tilt between them."""
 _FEW_TURNS = 8
-"""At which an object is sought where it was, its own among them; at three times as many if some are alike."""
+"""Turns that are tried first where an object was; if one scores like its own, all of `starting_yaws` are."""
 _DECISIVE, _ALIKE = 200.0, 0.05
 """Evidence from which on another turn than the one that was is believed, and by how much a score may be less:
 something small decides about a turn, as the handle of a candlestick does."""
 
 Scored = tuple[float, np.ndarray]
-"""A pose f64[4, 4] after its score."""
+"""A score, and the pose f64[4, 4] that has it."""
 
 
 class RegistrationEstimator:
@@ -94,7 +94,8 @@ class RegistrationEstimator:
             found = _best([*found, *self._lying(model, free, points, eyes, compare)])
         likely = self._likeliest(found, model.symmetry, compare)
         tried = list(found)
-        for score, pose in [likely, *_unlike(found, model.symmetry)][:_REFINED]:
+        others = [each for each in _unlike(found, model.symmetry) if each is not likely]
+        for score, pose in [likely, *others][:_REFINED]:
             freed = free(points, pose)
             tried.append((_worth(compare, freed), freed))
             tried.append(_climbed(compare, (score, pose)))
@@ -108,12 +109,12 @@ class RegistrationEstimator:
     def _likeliest(
         self, found: Sequence[Scored], symmetry: int, compare: Comparer, least: float = 0.0
     ) -> Scored:
-        """The first pose, or one of another turn that agrees about as well, if evidence speaks for it.
+        """The first pose, or one of another turn with about the same score and more evidence.
 
-        Many turns have to be among them: at an edge a millimetre says as much as a handle.
+        Give it many turns: at an edge an error of a millimetre changes evidence as much as a handle does.
 
         Args:
-          least: by how much evidence has to speak for another turn.
+          least: by how much more evidence another turn has to have (`Comparer.evidence`).
         """
         first, alike = found[0], [each for each in found if each[0] > found[0][0] - _ALIKE]
         is_other = np.array([_is_turned(each[1], first[1], symmetry) for each in alike])

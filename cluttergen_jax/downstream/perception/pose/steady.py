@@ -1,4 +1,4 @@
-"""What physics says of estimated poses: do objects stay there for a moment, and does one fill another?"""
+"""Physics checks of estimated poses: objects that move when simulated, and objects that overlap."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ MOST_SHIFT = 0.003
 MOST_MOVED = 0.01
 """Metres that an object is moved at most, so that it overlaps with nothing."""
 _OVERLAP, _GAP = 0.0002, 0.0005
-"""Metres from which on two objects overlap, and that are then left between them."""
+"""Metres of penetration from which on two objects are moved apart, and of the gap that is then left."""
 _LEVEL = 0.5
-"""Height of a unit normal up to which objects stand beside each other, and not on each other."""
+"""Vertical part of a contact normal up to which objects are side by side, and not one on the other."""
 _ROUNDS = 30
 
 
 class SteadyCheck:
-    """Looks at estimated scenes as physics has them.
+    """Simulates estimated scenes for a moment, and moves overlapping objects apart.
 
     Args:
       objects: K. support: what carries them.
@@ -66,27 +66,24 @@ class SteadyCheck:
             data.qpos.reshape(-1, 7)[is_placed] = moved[is_placed]
             mujoco.mj_kinematics(self._model, data)
             mujoco.mj_collision(self._model, data)
-            push = self._pushes(is_placed)
+            push = self._pushes()
             if not push.any():
                 break
             moved[:, :2] += push
         too_far = np.linalg.norm(moved[:, :2] - poses[:, :2], axis=1).max(initial=0.0) > MOST_MOVED
         return poses.copy() if too_far else moved
 
-    def _pushes(self, is_placed: np.ndarray) -> np.ndarray:
-        """f64[K, 2]: by how much each object has to move for its deepest overlap with each other one."""
-        data, deepest = self._data, dict[tuple[int, int], tuple[float, np.ndarray]]()
-        for contact in data.contact[: data.ncon]:
-            first, second = (int(self._number[self._model.geom_bodyid[geom]]) for geom in contact.geom)
-            if min(first, second) < 0 or not (is_placed[first] and is_placed[second]):
-                continue
-            if contact.dist > -_OVERLAP or abs(contact.frame[2]) > _LEVEL:
-                continue
-            depth, pair = -float(contact.dist), (first, second)
-            if depth > deepest.get(pair, (0.0, None))[0]:
-                deepest[pair] = depth, contact.frame[:2] / np.linalg.norm(contact.frame[:2])
-        push = np.zeros((len(is_placed), 2))
-        for (first, second), (depth, normal) in deepest.items():
-            push[first] -= (depth + _GAP) / 2 * normal
-            push[second] += (depth + _GAP) / 2 * normal
+    def _pushes(self) -> np.ndarray:
+        """f64[K, 2]: by how much each object has to move, for the deepest contact of each pair."""
+        contact, deepest = self._data.contact, dict[tuple[int, int], int]()
+        pairs = self._number[self._model.geom_bodyid[contact.geom]]
+        is_beside = (contact.dist < -_OVERLAP) & (np.abs(contact.frame[:, 2]) < _LEVEL) & (pairs >= 0).all(1)
+        for k in np.flatnonzero(is_beside)[np.argsort(-contact.dist[is_beside], kind="stable")]:
+            deepest[tuple(pairs[k].tolist())] = k
+        push = np.zeros((self._model.nq // 7, 2))
+        for (first, second), k in deepest.items():
+            normal = contact.frame[k, :2] / np.linalg.norm(contact.frame[k, :2])
+            shift = (_GAP - contact.dist[k]) / 2 * normal
+            push[first] -= shift
+            push[second] += shift
         return push
