@@ -23,8 +23,9 @@ import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.rearrange import episode
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
-from cluttergen_jax.downstream.rearrange.episode import Rearranger, draw_layouts, rearrange_episode
+from cluttergen_jax.downstream.rearrange.episode import draw_layouts, rearrange_episode
 from cluttergen_jax.downstream.rearrange.judge import Judge
+from cluttergen_jax.downstream.rearrange.moves import Moves
 from cluttergen_jax.downstream.rearrange.observe import (
     Cause,
     SceneEstimate,
@@ -143,10 +144,10 @@ def test_what_cannot_be_put_down_at_its_place_is_brought_back(happens, is_lost, 
     places = np.zeros((3, 4, 4))
     if isinstance(ends, Outcome):
         with pytest.raises(Failed) as failure:
-            Rearranger._put(None, mover, None, places)
+            Moves._put(None, mover, None, places)
         assert failure.value.outcome == ends
     else:
-        assert Rearranger._put(None, mover, None, places) == (2 if ends == "back" else ends)
+        assert Moves._put(None, mover, None, places) == (2 if ends == "back" else ends)
     assert ("back" in told) == (ends == "back")
     assert not left
     assert told[:2] == [2, 1][: len(happens)]
@@ -207,6 +208,28 @@ def test_what_was_never_seen_is_said():
     assert np.isnan(result.error)
     with pytest.raises(ConfigError, match="finite where seen"):
         SceneEstimate(("a",), np.full((1, 7), np.nan), np.ones(1, bool), np.ones(1))
+
+
+def test_what_may_lie_on_a_hidden_object_is_put_aside_first():
+    class Under(TrueObserver):
+        """Red is not seen before blue has left."""
+
+        def __call__(self, world, names, known):
+            found = super().__call__(world, names, known)
+            blue = names.index("blue")
+            gone = np.linalg.norm(found.pose[blue, :2] - PLACES[1]) > 0.05
+            return replace(found, seen=np.array([name == "blue" or gone for name in names]))
+
+    goals, observer = standing([[0.05, -0.08], [0.05, 0.16]]), Under()
+    result = rearrange_episode(task_of(goals), RearrangeOptions(), observer)
+    assert result.outcome == Outcome.SUCCESS, result
+    # Blue once aside and once home; red is where it should be.
+    assert (result.picks, result.waits, result.fewest) == (2, 1, 1)
+    # Blue has to stay where it is.
+    task = task_of(goals)
+    task = replace(task, setting=replace(task.setting, num_objects=1, num_others=1))
+    result = rearrange_episode(task, RearrangeOptions(), observer)
+    assert (result.outcome, result.detail, result.picks) == (Cause.NOT_SEEN, "red", 0)
 
 
 def test_the_judge_finds_what_is_wrong():

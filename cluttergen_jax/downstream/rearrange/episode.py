@@ -1,4 +1,4 @@
-"""Episodes of rearrangement: see, choose a layout, find an order, move one object after another, look."""
+"""Episodes of rearrangement: see, uncover, choose a layout, find an order, move one object after another."""
 
 from __future__ import annotations
 
@@ -11,40 +11,25 @@ import numpy as np
 from cluttergen_jax.downstream.perception.symmetry import equal_places, offset
 from cluttergen_jax.downstream.rearrange.judge import MAX_ERROR, Judge
 from cluttergen_jax.downstream.rearrange.layouts import ROOM, Layouts, clearance_of, reach_of, roomy, unlike
+from cluttergen_jax.downstream.rearrange.moves import MAX_RETRIES, Moves
 from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, ObjectTracker, Observer
 from cluttergen_jax.downstream.rearrange.order import Meetings, lowest_first, ready, smallest_waiting
 from cluttergen_jax.downstream.rearrange.settings import AREA, RearrangeOptions
 from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeResult, RearrangeTask
-from cluttergen_jax.downstream.robot.cameras import DRAWN_BACK
-from cluttergen_jax.downstream.robot.collision import PlanningWorld
-from cluttergen_jax.downstream.robot.execute import Execution, Phase, Trace
+from cluttergen_jax.downstream.robot.execute import Execution, Trace
 from cluttergen_jax.downstream.robot.frames import matrix_of
-from cluttergen_jax.downstream.robot.grasps import Grasps
 from cluttergen_jax.downstream.robot.grips import first_grasp
-from cluttergen_jax.downstream.robot.ik import ArmKinematics
-from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.mover import Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.robot.plan import PickPlan
-from cluttergen_jax.downstream.robot.timing import timed
 
 NEAR_GOAL, NEAR_GOAL_TURN = 0.01, float(np.radians(10))
 """Metres and radians from its place within which an object counts as brought there."""
-MAX_RETRIES = 2
-"""Times an object is picked up again because it was lost, or is not where it was put."""
 MAX_WAITS = 2
 """Times an object is put down somewhere else on its way."""
-MAX_BACKS = 6
-"""Times in an episode that what was picked up and finds no place is brought back to where it was."""
 MAX_LAYOUTS = 3
 """Layouts that are tried one after another where there is no way to the one before."""
 _DRAWS = 4
 """Times that layouts are drawn, until as many have room as may be tried."""
-_CARE = ((True, True), (True, False), (False, False))
-"""How a move is planned, the most careful way first: `is_apart` of `Mover`, and whether it needs `ROOM`."""
 _PLACES = 12
-_IN_HAND = 0.06
-"""Metres that an object may have slipped and still be carried on."""
 
 
 class Rearranger:
@@ -56,7 +41,7 @@ class Rearranger:
       ask: chooses in place of the rule.
 
     Attributes:
-      picks, fewest, waits, retries, layouts, layout: of `RearrangeResult`.
+      moves: that were made. fewest, layouts, layout: of `RearrangeResult`.
       goals: f64[N, 7], the layout that was tried last.
     """
 
@@ -70,16 +55,13 @@ class Rearranger:
         ask: Chooser | None = None,
     ) -> None:
         self._task, self._options, self._scene, self._ask = task, options, task.scene, ask
-        self._execution, self._sight, self._judge = execution, sight, judge
-        self._symmetry = task.symmetry
-        self._base = base_pose(task.scene.support)
-        self._kinematics = ArmKinematics(self._base)
+        self._sight, self._symmetry = sight, task.symmetry
         self._meetings = Meetings(task.scene.objects)
         self._num_moved = task.setting.num_objects
         self._rng = np.random.default_rng(task.seed)
-        self.picks = self.fewest = self.waits = self.retries = self.layouts = 0
-        self._times, self._backs = np.zeros((2, len(task.scene.names)), int), 0
-        self._why = Failed(Cause.NO_ORDER)
+        grasps = [first_grasp(each) for each in task.grasps] if options.one_grasp else task.grasps
+        self.moves = Moves(task.scene, grasps, execution, sight, judge, self._rng)
+        self.fewest = self.layouts = 0
         self.goals, self.layout = task.scene.poses, -1
 
     def run(self) -> None:
@@ -88,22 +70,52 @@ class Rearranger:
         Raises:
           Failed: no layout could be reached, or something went wrong.
         """
+        self.look_around()
         found = self.find_layouts()
         for number in self._chosen(found)[:MAX_LAYOUTS]:
             self.layouts += 1
-            self._times[:] = 0
+            self.moves.forget()
             self.goals, self.layout = found.poses[number], number
             if self._reach_layout(self.goals):
                 return
-        raise self._why
+        raise self.moves.why
 
-    def find_layouts(self) -> Layouts:
-        """Looks, and draws unlike layouts around the objects that stay, as they are seen.
+    def look_around(self) -> None:
+        """Looks for all objects; while one is hidden, what may lie on it is put aside, each object once.
 
         Raises:
-          Failed: none stands, or an object was never seen.
+          Failed: one was never seen, or something went wrong.
         """
-        self._look()
+        self.moves.look()
+        aside: set[int] = set()
+        while self._sight.unseen:
+            for k in self._highest_first():
+                if k in aside:
+                    continue
+                aside.add(k)
+                if self.moves.first([k], [self._waiting_places(k)], is_wait=True):
+                    break
+            else:
+                raise Failed(Cause.NOT_SEEN, self._scene.names[self._sight.unseen[0]])
+
+    def _highest_first(self) -> list[int]:
+        """The seen objects that may be moved and on which nothing is seen to lie.
+
+        Those come first whose centres are highest above where they would be, did they stand on the table.
+        """
+        poses, hidden = self._sight.poses, self._sight.unseen
+        lies_on = self._meetings.relations(poses, poses).lies_on
+        rest = [asset.half_extents[2] for asset in self._scene.objects]
+        raised = poses[:, 2] - rest
+        seen = (k for k in range(self._num_moved) if k not in hidden and not lies_on[:, k].any())
+        return sorted(seen, key=lambda k: -raised[k])
+
+    def find_layouts(self) -> Layouts:
+        """Draws unlike layouts around the objects that stay, as they are seen.
+
+        Raises:
+          Failed: none stands.
+        """
         task, num_moved, poses = self._task, self._num_moved, self._sight.poses
         moved, stay = task.numbers[:num_moved], task.numbers[num_moved:]
         objects, region = self._scene.objects, task.setting.target
@@ -127,23 +139,13 @@ class Rearranger:
             poses=full,
             clearance=clearance[kept],
             reach=np.array(
-                [reach_of(objects, each, all_moved, task.grasps, support, self._kinematics) for each in full]
+                [
+                    reach_of(objects, each, all_moved, task.grasps, support, self.moves.kinematics)
+                    for each in full
+                ]
             ),
             travel=np.linalg.norm(full[:, :num_moved, :2] - poses[:num_moved, :2], axis=-1).mean(1),
         )
-
-    def _look(self, is_home: bool = True) -> None:
-        """Looks for all objects: with the hand over the table, then drawn back out of the other camera's way.
-
-        Raises:
-          Failed: an object was never seen.
-        """
-        if is_home:
-            self._sight.glance()
-            run = self._execution
-            run.follow(timed(np.linspace(run.set_point, DRAWN_BACK, 8), run.step_time), Phase.FREE)
-            run.wait(0.2, Phase.FREE)
-        self._sight()
 
     def _chosen(self, found: Layouts) -> list[int]:
         if self._ask is not None:
@@ -160,7 +162,7 @@ class Rearranger:
         pending = self._pending(goals)
         waiting = smallest_waiting(relations, pending)
         if waiting is None:
-            self._why = Failed(Cause.NO_ORDER)
+            self.moves.why = Failed(Cause.NO_ORDER)
             return False
         self.fewest += len(pending) + len(waiting)
         while pending:
@@ -176,7 +178,7 @@ class Rearranger:
         for k in range(self._num_moved):
             shift, turn = offset(now[k], goal[k], self._symmetry[k])
             # After the last try what would do is left.
-            near = NEAR_GOAL if self._times[0, k] <= MAX_RETRIES else MAX_ERROR
+            near = NEAR_GOAL if self.moves.homed[k] <= MAX_RETRIES else MAX_ERROR
             if shift > near or turn > NEAR_GOAL_TURN:
                 found.append(k)
         return found
@@ -184,144 +186,56 @@ class Rearranger:
     def _step(self, goals: np.ndarray, pending: list[int]) -> bool:
         """Moves one object home, or to where it can wait; whether one was moved."""
         if self._options.order == "lowest":
-            k = lowest_first(self._scene.objects, pending)[0]
-            return any(self._move(k, self._home(k, goals), care) for care in _CARE)
+            free = lowest_first(self._scene.objects, pending)[:1]
+            return self.moves.first(free, [self._home(k, goals) for k in free])
         relations = self._meetings.relations(self._sight.poses, goals)
         free = self._far_first(ready(relations, pending), goals)
-        # Where all goes with room to spare, nothing brushes its neighbours.
-        if any(self._move(k, self._home(k, goals), care) for care in _CARE for k in free):
+        if self.moves.first(free, [self._home(k, goals) for k in free]):
             return True
         # Those whose waiting makes an order possible, then others, which may be taken in another way later.
         asked = [*(smallest_waiting(relations, pending) or ()), *free, *pending]
         for k in dict.fromkeys(asked):
-            if relations.lies_on[:, k].any() or self._times[1, k] >= MAX_WAITS:
+            if relations.lies_on[:, k].any() or self.moves.waited[k] >= MAX_WAITS:
                 continue
-            places = self._waiting_places(k, goals, pending)
-            if any(self._move(k, places, care, is_wait=True) for care in _CARE):
+            if self.moves.first([k], [self._waiting_places(k, goals, pending)], is_wait=True):
                 return True
         return False
 
     def _far_first(self, numbers: Sequence[int], goals: np.ndarray) -> list[int]:
         """Those first whose goals are far from the arm: later ones are not in its way."""
-        far = np.linalg.norm(goals[:, :2] - self._base[:2], axis=1)
+        far = np.linalg.norm(goals[:, :2] - self.moves.base[:2], axis=1)
         return sorted(numbers, key=lambda k: -far[k])
 
     def _home(self, k: int, goals: np.ndarray) -> np.ndarray:
         return equal_places(matrix_of(goals[k]), self._symmetry[k])
 
-    def _waiting_places(self, k: int, goals: np.ndarray, pending: Sequence[int]) -> np.ndarray:
-        """f64[M, 4, 4]: where an object can wait and covers no goal, those farthest from all else first."""
-        others = [each for each in range(len(self._scene.names)) if each != k]
+    def _waiting_places(
+        self, k: int, goals: np.ndarray | None = None, pending: Sequence[int] = ()
+    ) -> np.ndarray:
+        """f64[M, 4, 4]: where an object can wait and covers no goal, those farthest from all else first.
+
+        Args:
+          goals: f64[N, 7], of the `pending` objects.
+        """
+        hidden = self._sight.unseen
+        others = [each for each in range(len(self._scene.names)) if each != k and each not in hidden]
         numbers, poses = self._task.numbers, self._sight.poses
         seed = int(self._rng.integers(2**30))
         drawn = self._task.draw(seed, [numbers[k]], AREA, [numbers[each] for each in others], poses[others])
-        drawn = drawn[:, 0]
-        clear, coming = [], [each for each in pending if each != k]
-        for place in drawn:
-            poses[k] = place
-            if not self._meetings.relations(poses, goals).blocks[k, coming].any():
-                clear.append(place)
-        if not clear:
+        clear, coming = drawn[:, 0], [each for each in pending if each != k]
+        # What is hidden is where the object is now, or near it.
+        near = poses[others + [k] * bool(hidden), :2]
+        if goals is not None and coming:
+            covers = []
+            for place in clear:
+                poses[k] = place
+                covers.append(self._meetings.relations(poses, goals).blocks[k, coming].any())
+            clear = clear[~np.array(covers, bool)]
+            near = np.concatenate([near, goals[coming, :2]])
+        if not len(clear):
             return np.zeros((0, 4, 4))
-        near = np.concatenate([self._sight.poses[others, :2], goals[coming, :2]])
-        room = np.linalg.norm(np.array(clear)[:, None, :2] - near, axis=-1).min(1)
-        return matrix_of(np.array(clear)[np.argsort(-room)[:_PLACES]])
-
-    def _move(self, k: int, places: np.ndarray, care: tuple[bool, bool], *, is_wait: bool = False) -> bool:
-        """Brings an object to one of places f64[M, 4, 4]; False if there is no way: it is where it was.
-
-        Raises:
-          Failed: something went wrong that cannot be mended.
-        """
-        if not len(places):
-            return False
-        scene, stood = self._scene, matrix_of(self._sight.poses[k])
-        world = PlanningWorld(scene.names, scene.objects, self._sight.poses, k, scene.support, self._base)
-        seed = int(self._rng.integers(2**30))
-        feels = not self._sight.sees_held
-        is_apart, room = care
-        mover = Mover(
-            self._execution, world, self._kinematics, k, seed, self._sight, is_apart, (room,), feels
-        )
-        try:
-            plan = mover.find_pick(self._grasps(k), places)
-        except Failed as failure:
-            self._why = Failed(failure.outcome, f"{scene.names[k]} {failure.detail}")
-            return False
-        self._count(k, is_wait)
-        self._execution.aim_at(k)
-        self._sight.take(k, plan.grip.T_tool_object)
-        self._judge.begin_move()
-        is_back = self._carry(mover, plan, np.concatenate([places, stood[None]])) == len(places)
-        self._look(is_home=mover.go_home())
-        self._judge.check_others(k)
-        if is_back:
-            # It counts as a pick, and as nothing else.
-            self._times[int(is_wait), k] -= 1
-            self.waits -= is_wait
-            self.retries -= not is_wait and bool(self._times[0, k])
-            self._backs += 1
-            self._why = Failed(Outcome.NO_PATH, f"{scene.names[k]} from above where it was")
-            if self._backs >= MAX_BACKS:
-                raise self._why
-        return not is_back
-
-    def _carry(self, mover: Mover, plan: PickPlan, places: np.ndarray) -> int | None:
-        """Picks up and puts down; an object that slipped is put down as it lies in the hand, or lost.
-
-        Returns:
-          At which place it was put down; None of one that slipped.
-        """
-        try:
-            mover.pick(plan)
-        except Failed as failure:
-            if failure.outcome != Outcome.SLIP:
-                raise
-        if mover.has_lost(_IN_HAND):
-            mover.let_go()
-            return None
-        try:
-            return self._put(mover, plan, places)
-        except Failed as failure:
-            if failure.outcome != Outcome.SLIP:
-                raise
-            mover.let_go()
-            return None
-
-    def _put(self, mover: Mover, plan: PickPlan, places: np.ndarray) -> int:
-        """Puts down what is held at one of places, the last of which is where it was, and says at which."""
-        slipped, last = None, len(places) - 1
-        for part, first in ((places[:last], 0), (places[last:], last)):
-            try:
-                return first + mover.place(part)
-            except Failed as failure:
-                if failure.outcome == Outcome.SLIP and slipped is None and not mover.has_lost(_IN_HAND):
-                    slipped = failure
-                elif failure.outcome != Outcome.NO_PATH:
-                    raise
-        if slipped is not None:
-            # The hand is no longer where it took the object.
-            raise slipped
-        mover.put_back(plan)
-        return last
-
-    def _count(self, k: int, is_wait: bool) -> None:
-        """Counts a pick.
-
-        Raises:
-          Failed: it is one too many.
-        """
-        is_retry = not is_wait and bool(self._times[0, k])
-        if is_retry and self._times[0, k] > MAX_RETRIES:
-            raise Failed(Cause.MISPLACED, f"{self._scene.names[k]} after {MAX_RETRIES} retries")
-        self.picks += 1
-        self.waits += is_wait
-        self.retries += is_retry
-        self._times[int(is_wait), k] += 1
-
-    def _grasps(self, k: int) -> Grasps:
-        grasps = self._task.grasps[k]
-        return first_grasp(grasps) if self._options.one_grasp else grasps
+        room = np.linalg.norm(clear[:, None, :2] - near, axis=-1).min(1)
+        return matrix_of(clear[np.argsort(-room)[:_PLACES]])
 
 
 @contextmanager
@@ -341,12 +255,13 @@ def _opened(
 
 
 def draw_layouts(task: RearrangeTask, options: RearrangeOptions, observer: Observer) -> Layouts:
-    """The layouts among which an episode has to choose; nothing is moved.
+    """The layouts among which an episode has to choose; nothing is moved but what hides an object.
 
     Raises:
       Failed: none stands, or an object was never seen.
     """
     with _opened(task, options, observer) as (worker, *_):
+        worker.look_around()
         return worker.find_layouts()
 
 
@@ -382,10 +297,10 @@ def rearrange_episode(
         setting=task.setting.name,
         objects=[asset.name for asset in task.scene.objects[:num_moved]],
         right=right.tolist(),
-        picks=worker.picks,
+        picks=worker.moves.picks,
         fewest=worker.fewest,
-        waits=worker.waits,
-        retries=worker.retries,
+        waits=worker.moves.waits,
+        retries=worker.moves.retries,
         looks=sight.num_looks,
         layouts=worker.layouts,
         error=float(error),

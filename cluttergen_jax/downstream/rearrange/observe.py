@@ -17,7 +17,6 @@ import numpy as np
 from cluttergen_jax.downstream.perception.symmetry import offset
 from cluttergen_jax.downstream.robot.execute import Execution
 from cluttergen_jax.downstream.robot.frames import matrix_of, pose_of
-from cluttergen_jax.downstream.robot.outcome import Failed
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.renderer import Renderer, open_renderer, set_range
@@ -25,6 +24,8 @@ from cluttergen_jax.sensing.camera import Camera
 
 _REACH = 1.5
 """Metres around the table that are drawn."""
+_NOWHERE = np.array([0.0, 0, -50, 1, 0, 0, 0])
+"""f64[7], a pose far below all else, where nothing meets anything."""
 NEAR, NEAR_TURN = 0.04, float(np.radians(45))
 """Metres and radians from where an object is known to be within which an estimate agrees with that."""
 AGREEING, OTHERWISE = 0.5, 0.7
@@ -212,15 +213,18 @@ class ObjectTracker:
 
     @property
     def poses(self) -> np.ndarray:
-        """f64[N, 7]: what is known without another look."""
-        return self._poses.copy()
+        """f64[N, 7]: what is known without another look; what was never seen is far below all else."""
+        poses = self._poses.copy()
+        poses[self.unseen] = _NOWHERE
+        return poses
+
+    @property
+    def unseen(self) -> list[int]:
+        """The numbers of the objects that were never seen."""
+        return np.flatnonzero(np.isnan(self._poses[:, 0])).tolist()
 
     def __call__(self, only: int | None = None) -> np.ndarray:
-        """f64[N, 7]: looks again, for one object or for all (`robot.mover.See`).
-
-        Raises:
-          Failed: an object was never seen.
-        """
+        """f64[N, 7]: looks again, for one object or for all (`robot.mover.See`); then as `poses`."""
         self._follow()
         # Nothing has happened since all was looked at.
         is_fresh = self._looked_at == self._view.time
@@ -232,8 +236,6 @@ class ObjectTracker:
             for number, pose, is_seen, certainty in told:
                 if is_seen and certainty >= self._least(number, pose):
                     self._poses[number] = pose
-        if (unseen := np.isnan(self._poses[:, 0])).any():
-            raise Failed(Cause.NOT_SEEN, self._view.names[int(unseen.argmax())])
         return self.poses
 
     def take(self, number: int, T_tool_object: np.ndarray) -> None:
