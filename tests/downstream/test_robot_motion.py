@@ -304,7 +304,7 @@ def test_room_is_kept_besides_where_it_is_asked_for(world, kinematics):
     wall = SCENE.poses[1, 0] + WALL.half_extents[0]
     world.release(np.array([0.0, 0.0, -9.0, 1, 0, 0, 0]))
     away = np.array([x for x in np.arange(0.0, 0.12, 0.0005) if is_hand_free(world, wall + x)])
-    world.needs_room = True
+    world.room = ROOM
     with_room = np.array([x for x in np.arange(0.0, 0.12, 0.0005) if is_hand_free(world, wall + x)])
     assert with_room.min() - away.min() == pytest.approx(ROOM, abs=0.001)
 
@@ -341,7 +341,7 @@ def test_what_touches_something_too_early_has_slipped(grasps, kinematics):
         return np.stack([told[0], told[1], now[TARGET]])
 
     world = PlanningWorld(SCENE.names, SCENE.objects, told, TARGET, TABLE, base_pose(TABLE))
-    mover = Mover(episode_world.execution, world, kinematics, TARGET, 0, see, rooms=(True, False), feels=True)
+    mover = Mover(episode_world.execution, world, kinematics, TARGET, 0, see, rooms=(ROOM, 0.0), feels=True)
     place = matrix_of(np.array(standing(0.15, -0.2, CUBE)))[None]
     mover.pick(mover.find_pick(grasps, place))
     with pytest.raises(Failed, match="too early") as failure:

@@ -16,6 +16,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.config import LayoutRule
 from cluttergen_jax.downstream.rearrange.settings import AREA
+from cluttergen_jax.downstream.robot.collision import ROOM as HAND_ROOM
 from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.grasp_candidates import opening_of
@@ -194,7 +195,7 @@ def reach_of(
     good = 0
     for target in moved:
         world = PlanningWorld(names, objects, poses, target, support, base_pose(support))
-        world.needs_room = True
+        world.room = HAND_ROOM
         T_world_object = matrix_of(poses[target])
         for grip in ranked(grasps[target], T_world_object):
             T_world_tool, opening = (

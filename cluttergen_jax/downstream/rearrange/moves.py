@@ -9,7 +9,7 @@ import numpy as np
 from cluttergen_jax.downstream.rearrange.judge import Judge
 from cluttergen_jax.downstream.rearrange.observe import Cause, ObjectTracker
 from cluttergen_jax.downstream.robot.cameras import DRAWN_BACK
-from cluttergen_jax.downstream.robot.collision import PlanningWorld
+from cluttergen_jax.downstream.robot.collision import ROOMS, PlanningWorld
 from cluttergen_jax.downstream.robot.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
@@ -25,8 +25,8 @@ MAX_RETRIES = 2
 """Times an object is picked up again because it was lost, or is not where it was put."""
 MAX_BACKS = 6
 """Times in an episode that what was picked up and finds no place is brought back to where it was."""
-_CARE = ((True, True), (True, False), (False, False))
-"""How a move is planned, the most careful way first: `is_apart` of `Mover`, and whether it needs `ROOM`."""
+_CARE = (*((True, room) for room in ROOMS), (False, 0.0))
+"""How a move is planned, the most careful way first: `is_apart` of `Mover`, and its room."""
 _IN_HAND = 0.06
 """Metres that an object may have slipped and still be carried on."""
 
@@ -95,7 +95,7 @@ class Moves:
             if len(where)
         )
 
-    def _move(self, k: int, places: np.ndarray, care: tuple[bool, bool], is_wait: bool) -> bool:
+    def _move(self, k: int, places: np.ndarray, care: tuple[bool, float], is_wait: bool) -> bool:
         """Brings an object to one of places f64[M, 4, 4]; False if there is no way: it is where it was."""
         scene, stood = self._scene, matrix_of(self._sight.poses[k])
         world = PlanningWorld(scene.names, scene.objects, self._sight.poses, k, scene.support, self.base)

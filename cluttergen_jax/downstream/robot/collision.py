@@ -25,6 +25,8 @@ APART = 0.003
 """Metres that what is held keeps from neighbours where it is asked to."""
 ROOM = 0.004
 """Metres that the hand and what it holds keep besides from objects that may be off by as much."""
+ROOMS = (ROOM, ROOM / 2, 0.0)
+"""The same, in the order of trying."""
 _SAG = 0.0015
 """Metres that the hand keeps from the table, however near: the arm is not quite where it is told to be."""
 _TOUCH = -0.001
@@ -94,16 +96,16 @@ def _thresholds() -> np.ndarray:
     return limit
 
 
-def _with_room(limit: np.ndarray) -> np.ndarray:
-    """The same where objects may be a few millimetres from where they are said to be."""
-    wide = limit.copy()
+def _roomy() -> np.ndarray:
+    """bool[kinds, kinds]: the pairs that keep more where objects may be off from where they are said."""
+    pairs = np.zeros((len(Kind), len(Kind)), bool)
     for a, b in ((Kind.HAND, Kind.OTHER), (Kind.HELD, Kind.OTHER), (Kind.HAND, Kind.TARGET)):
-        wide[:, a, b] = wide[:, b, a] = limit[:, a, b] + ROOM
-    return wide
+        pairs[a, b] = pairs[b, a] = True
+    return pairs
 
 
 _LIMIT = _thresholds()
-_WIDE_LIMIT = _with_room(_LIMIT)
+_IS_ROOMY = _roomy()
 
 
 class PlanningWorld:
@@ -119,7 +121,7 @@ class PlanningWorld:
       columns: boxes in place of objects of which no more is known than what was seen, and where it may hide.
 
     Attributes:
-      needs_room: the hand and what it holds keep `ROOM` more from objects.
+      room: metres that the hand and what it holds keep besides from objects, `ROOM` at most.
       num_checks: how often it was asked.
     """
 
@@ -162,7 +164,7 @@ class PlanningWorld:
         self._target = self._bodies[target]
         self._held = self.model.body(PREFIX + _HELD).id
         self._kind = self._kinds()
-        self.num_checks, self.needs_room = 0, False
+        self.num_checks, self.room = 0, 0.0
         self._home = home_pose()
         self.data.qpos[self.panda.qpos] = self._home
         mujoco.mj_kinematics(self.model, self.data)
@@ -232,8 +234,8 @@ class PlanningWorld:
             return None
         geoms = data.contact.geom
         kinds = self._kind[geoms]
-        limit = _WIDE_LIMIT if self.needs_room else _LIMIT
-        too_close = data.contact.dist < limit[mode][kinds[:, 0], kinds[:, 1]]
+        pairs = kinds[:, 0], kinds[:, 1]
+        too_close = data.contact.dist < _LIMIT[mode][pairs] + self.room * _IS_ROOMY[pairs]
         if not too_close.any():
             return None
         a, b = (self.model.body(self.model.geom_bodyid[geom]).name for geom in geoms[too_close.argmax()])

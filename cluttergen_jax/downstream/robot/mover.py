@@ -7,7 +7,7 @@ from itertools import count, product
 
 import numpy as np
 
-from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
+from cluttergen_jax.downstream.robot.collision import ROOM, ROOMS, Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.frames import angle_between, inverse, matrix_of, pose_of, raised
 from cluttergen_jax.downstream.robot.grasp_candidates import opening_of
@@ -59,7 +59,7 @@ class Mover:
     Args:
       execution: the simulation; world: its copy for planning; target: the object's number.
       seed: of what is drawn; equal seeds do the same.
-      rooms: whether grasps and places need `collision.ROOM` more than without, in the order of trying.
+      rooms: metres that grasps and places need besides (`PlanningWorld.room`), in the order of trying.
       feels: how the object lies in the hand is not seen: it is carried gently, lowered until it touches
         something, and let go with the fingers wide open.
       is_apart: what is held keeps `collision.APART` from all else once it is a centimetre above its place; it
@@ -80,7 +80,7 @@ class Mover:
         seed: int,
         see: See | None = None,
         is_apart: bool = False,
-        rooms: Sequence[bool] = (False,),
+        rooms: Sequence[float] = (0.0,),
         feels: bool = False,
     ) -> None:
         self.execution, self.world, self.kinematics, self.target = execution, world, kinematics, target
@@ -112,8 +112,8 @@ class Mover:
         stood = self._survey()
         T_world_object, furthest = matrix_of(stood), 0
         self.fitting = self._joints = None
-        for needs_room, grip in product(self._rooms, ranked(grasps, T_world_object)):
-            self.world.needs_room = needs_room
+        for room, grip in product(self._rooms, ranked(grasps, T_world_object)):
+            self.world.room = room
             T_world_tool = T_world_object @ grip.T_object_tool
             opening = float(opening_of(np.array(grip.width)))
             if not self.world.is_hand_free(T_world_tool, opening, Mode.COME):
@@ -196,7 +196,7 @@ class Mover:
             self.world.release(stood)
 
     def _pick_plan(
-        self, joints: np.ndarray, grip: Grip, stood: np.ndarray, opening: float, needs_room: bool
+        self, joints: np.ndarray, grip: Grip, stood: np.ndarray, opening: float, is_high: bool
     ) -> PickPlan | None:
         back = self._back(joints, matrix_of(stood) @ grip.T_object_tool, opening)
         if back is None:
@@ -208,7 +208,7 @@ class Mover:
         lift = next(
             (each for each in lifts if each is not None and self.world.is_free(each[-1], opening)), None
         )
-        if lift is None and not needs_room:
+        if lift is None and not is_high:
             lift = self._lifting(joints, opening)
         self.world.release(stood)
         if lift is None:
@@ -224,9 +224,9 @@ class Mover:
         Raises:
           Failed: none is reached, an unplanned contact, or the object slipped.
         """
-        rooms = (True, False) if self.world.needs_room else (False,)
-        for needs_room, (number, place) in product(rooms, enumerate(places)):
-            self.world.needs_room = needs_room
+        rooms = [room for room in ROOMS if room <= self.world.room]
+        for room, (number, place) in product(rooms, enumerate(places)):
+            self.world.room = room
             if (found := self._place_plan(place)) is not None:
                 self._carry(found.path, self._T_tool_object)
                 lower = self._corrected(found.lower, place)
@@ -302,12 +302,12 @@ class Mover:
     def _widest(self, leave: np.ndarray, place: np.ndarray) -> float:
         """How far the fingers can open and leave: what hung askew between them rocks as it is let go."""
         self.world.release(pose_of(place))
-        needed, self.world.needs_room = self.world.needs_room, True
+        needed, self.world.room = self.world.room, ROOM
         wide, axis = min(MAX_OPENING, self._opening + WIDE), self.execution.tool[:3, 1]
         # One of two fingers that are not level goes down as they open.
         looks = leave[:: len(leave) // 6 or 1]
         is_free = abs(axis[2]) < _LEVEL and all(self.world.is_free(q, wide, Mode.COME) for q in looks)
-        self.world.needs_room = needed
+        self.world.room = needed
         return wide if is_free else self._opening
 
     def _corrected(self, lower: np.ndarray, place: np.ndarray) -> np.ndarray | None:
@@ -336,7 +336,7 @@ class Mover:
     def go_home(self) -> bool:
         """Brings the empty hand back to where it starts; whether there was a path."""
         self.world.release(self._see(self.target)[self.target])
-        self.world.needs_room = False
+        self.world.room = 0.0
         run, home = self.execution, self.kinematics.home
         path = self.planner.connect(run.set_point, home, self._opening, next(self._seeds))
         if path is not None:

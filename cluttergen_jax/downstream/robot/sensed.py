@@ -8,7 +8,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.downstream.robot.camera_places import CameraPlacer, View
 from cluttergen_jax.downstream.robot.cameras import wrist_camera
-from cluttergen_jax.downstream.robot.collision import PlanningWorld
+from cluttergen_jax.downstream.robot.collision import ROOMS, PlanningWorld
 from cluttergen_jax.downstream.robot.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.frames import inverse, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
@@ -108,9 +108,7 @@ class SeeingArm:
         self._look(self._placer.overhead)
         kinematics = ArmKinematics(self._base)
         world, see = self._world(), self._object
-        mover = Mover(
-            self._execution, world, kinematics, 0, self._seed, see=see, rooms=(True, False), feels=True
-        )
+        mover = Mover(self._execution, world, kinematics, 0, self._seed, see=see, rooms=ROOMS, feels=True)
         mover.pick(self._find_pick(mover, grasps))
         return mover
 
