@@ -10,6 +10,7 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.downstream.perception.aligned import aligned
 from cluttergen_jax.downstream.perception.certainty import Certainty, features_of, read_certainty
 from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.expected import as_expected, unexplained
@@ -109,6 +110,20 @@ class SceneFinder:
             label = np.where(is_own, ARM, label)
         return Look(depth, label, camera)
 
+    def aligned(
+        self, looks: Sequence[Look], names: Sequence[str], known: np.ndarray, share: float = 1.0
+    ) -> list[Look]:
+        """The looks, their cameras corrected so that objects are where they are known to be (`aligned`).
+
+        Args:
+          names: of n objects. known: f64[n, 7], where these are; nan where that is not known.
+          share: in [0, 1], of the way that cameras are moved; less than 1 leaves what was stated its say.
+        """
+        poses = {self.names.index(name): pose for name, pose in zip(names, known, strict=True)}
+        poses = {number: pose for number, pose in poses.items() if not np.isnan(pose).any()}
+        there = self._at(poses)
+        return [aligned(look, there, share) for look in as_expected(looks, there)]
+
     def __call__(
         self, looks: Sequence[Look], names: Sequence[str] | None = None, near: np.ndarray | None = None
     ) -> FoundScene:
@@ -164,9 +179,7 @@ class SceneFinder:
         """
         left = [number for number in unsure if number not in estimates or estimates[number].score < SURE]
         while left:
-            found = {
-                k: (ObjectModel.of(self._objects[k]), matrix_of(each.pose)) for k, each in estimates.items()
-            }
+            found = self._at({k: each.pose for k, each in estimates.items()})
             for masks in unexplained(looks, found, self._top, _FEWEST)[: len(left)]:
                 shown = list(zip(looks, masks, strict=True))
                 tried = ((k, self.estimator(k, [_as(k, *each) for each in shown])) for k in left)
@@ -180,8 +193,10 @@ class SceneFinder:
                 return
 
     def _as_expected(self, looks: Sequence[Look], poses: dict[int, np.ndarray]) -> list[Look]:
-        expected = {k: (ObjectModel.of(self._objects[k]), matrix_of(pose)) for k, pose in poses.items()}
-        return as_expected(looks, expected)
+        return as_expected(looks, self._at(poses))
+
+    def _at(self, poses: dict[int, np.ndarray]) -> dict[int, tuple[ObjectModel, np.ndarray]]:
+        return {k: (ObjectModel.of(self._objects[k]), matrix_of(pose)) for k, pose in poses.items()}
 
     def _placed(self, estimates: dict[int, PoseEstimate]) -> tuple[np.ndarray, np.ndarray]:
         """f64[K, 7], bool[K]: where the objects of the pool are said to be, and which of them are."""
