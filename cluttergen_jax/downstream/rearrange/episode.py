@@ -89,7 +89,8 @@ class Rearranger:
         self.moves.look()
         aside: set[int] = set()
         while self._sight.unseen:
-            for k in self._highest_first():
+            # Who looks only once sees nothing appear.
+            for k in self._highest_first() if self._options.relook else ():
                 if k in aside:
                     continue
                 aside.add(k)
