@@ -25,6 +25,8 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.partial import Grid, levelled
 
+_AGREED = 0.5
+"""Certainty from which on a pose tells where a camera is."""
 LEAST_CERTAIN = 0.1
 """Below it an object counts as not seen."""
 _RADIUS = 0.1
@@ -110,29 +112,22 @@ class SceneFinder:
             label = np.where(is_own, ARM, label)
         return Look(depth, label, camera)
 
-    def aligned(
-        self, looks: Sequence[Look], names: Sequence[str], known: np.ndarray, share: float = 1.0
-    ) -> list[Look]:
-        """The looks, their cameras corrected so that objects are where they are known to be (`aligned`).
-
-        Args:
-          names: of n objects. known: f64[n, 7], where these are; nan where that is not known.
-          share: in [0, 1], of the way that cameras are moved; less than 1 leaves what was stated its say.
-        """
-        poses = {self.names.index(name): pose for name, pose in zip(names, known, strict=True)}
-        poses = {number: pose for number, pose in poses.items() if not np.isnan(pose).any()}
-        there = self._at(poses)
-        return [aligned(look, there, share) for look in as_expected(looks, there)]
-
     def __call__(
-        self, looks: Sequence[Look], names: Sequence[str] | None = None, near: np.ndarray | None = None
+        self,
+        looks: Sequence[Look],
+        names: Sequence[str] | None = None,
+        near: np.ndarray | None = None,
+        share: float = 1.0,
     ) -> FoundScene:
         """Where objects are; all if no names are given.
+
+        Cameras are first brought to agree with what is known of the objects, or several with each other.
 
         Args:
           looks: of one moment, in which nothing moved.
           near: f64[n, 7], where those of these names probably are, which depth then confirms or not
             (`expected`); nan where that is not known.
+          share: in [0, 1], of the way that cameras are brought to agree with `near`.
 
         Raises:
           ConfigError: an object of that name is not known.
@@ -140,9 +135,21 @@ class SceneFinder:
         asked = self.names if names is None else tuple(names)
         if strange := [name for name in asked if name not in self.names]:
             raise ConfigError(f"objects {', '.join(strange)}", ", ".join(self.names))
-        numbers = [self.names.index(name) for name in asked]
-        known = [None if near is None or np.isnan(near[k]).any() else near[k] for k in range(len(asked))]
-        places = {number: at for number, at in zip(numbers, known, strict=True) if at is not None}
+        if near is None or np.isnan(near).all():
+            found = self._found(looks, asked, np.full((len(asked), 7), np.nan))
+            near, share = np.where(found.certainty[:, None] >= _AGREED, found.pose, np.nan), 1.0
+            if len(looks) == 1 or np.isnan(near).all():
+                return found
+        return self._found(self._aligned(looks, asked, near, share), asked, near)
+
+    def _aligned(
+        self, looks: Sequence[Look], names: Sequence[str], known: np.ndarray, share: float
+    ) -> list[Look]:
+        there = self._at(_told(self.names, names, known))
+        return [aligned(look, there, share) for look in as_expected(looks, there)]
+
+    def _found(self, looks: Sequence[Look], asked: Sequence[str], near: np.ndarray) -> FoundScene:
+        numbers, places = [self.names.index(name) for name in asked], _told(self.names, asked, near)
         looks = self._as_expected(looks, places)
         found = {number: self.estimator(number, looks, places.get(number)) for number in numbers}
         # What is there for sure is nothing else.
@@ -168,7 +175,7 @@ class SceneFinder:
                 visible[place] = estimates[number].visible
                 certainty[place] = self._certainty(features[place])
         seen = certainty >= LEAST_CERTAIN
-        return FoundScene(asked, pose, seen, np.where(seen, certainty, 0.0), features, visible)
+        return FoundScene(tuple(asked), pose, seen, np.where(seen, certainty, 0.0), features, visible)
 
     def _seek_in_the_rest(
         self, looks: Sequence[Look], unsure: Sequence[int], estimates: dict[int, PoseEstimate]
@@ -204,6 +211,12 @@ class SceneFinder:
         for number, estimate in estimates.items():
             poses[number], is_placed[number] = estimate.pose, True
         return poses, is_placed
+
+
+def _told(known: Sequence[str], names: Sequence[str], poses: np.ndarray) -> dict[int, np.ndarray]:
+    """Poses f64[n, 7] of objects by their numbers; those that are nan are left out."""
+    told = ((known.index(name), pose) for name, pose in zip(names, poses, strict=True))
+    return {number: pose for number, pose in told if not np.isnan(pose).any()}
 
 
 def _as(number: int, look: Look, mask: np.ndarray) -> Look:

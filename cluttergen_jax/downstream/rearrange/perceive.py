@@ -30,7 +30,7 @@ class PerceptionObserver:
     object's pose is that which agrees best with both pictures. Where one of several is not sure, the camera
     above takes a second picture, with noise of its own. Where cameras stand is known to millimetres and
     tenths of a degree only: each moment's looks are brought to agree with what is known
-    (`finder.SceneFinder.aligned`), and count as much as those of any moment before. What is in the hand the
+    (`finder.SceneFinder`), and count as much as those of any moment before. What is in the hand the
     fingers mostly hide: nothing is said of it.
 
     Args:
@@ -63,31 +63,19 @@ class PerceptionObserver:
     def __call__(self, world: EpisodeView, names: Sequence[str], known: np.ndarray) -> SceneEstimate:
         """See `observe.Observer`."""
         looks, self._glances = self._glances, []
-        if np.isnan(known).all():
-            self._num_before = 0
+        before = 0 if np.isnan(known).all() else self._num_before
+        self._num_before = before + 1
         found: FoundScene | None = None
         for number in range(MOST_LOOKS):
             looks += self._look(world, above(self._support), number)
             if looks:
-                found = self._found(looks, names, known)
+                found = self._finder(looks, names, known, before / (before + 1))
                 if (found.certainty >= UNSURE).all():
                     break
-        self._num_before += 1
         if found is None:
             nothing = np.zeros(len(names))
             return SceneEstimate(tuple(names), np.zeros((len(names), 7)), nothing.astype(bool), nothing)
         return SceneEstimate(found.names, found.pose, found.seen, found.certainty)
-
-    def _found(self, looks: Sequence[Look], names: Sequence[str], known: np.ndarray) -> FoundScene:
-        """What looks of one moment tell, once their cameras agree with what is known, or with each other."""
-        before = self._num_before
-        if not before:
-            found = self._finder(looks, names)
-            known = np.where(found.certainty[:, None] >= UNSURE, found.pose, np.nan)
-            if len(looks) == 1 or np.isnan(known).all():
-                return found
-        share = before / (before + 1) if before else 1.0
-        return self._finder(self._finder.aligned(looks, names, known, share), names, known)
 
     def _look(self, world: EpisodeView, camera: Camera, number: int) -> list[Look]:
         """The picture of that number from here; none where nothing was measured."""
