@@ -49,8 +49,8 @@ def _title(result: Result, title: str) -> str:
 
 def provenance(result: Result) -> str:
     """How the figures came about, in one paragraph."""
-    told = [_made(each) for each in (result, *result.get("earlier", ()))]
-    return " Rows that it did not make again: ".join(told)
+    made, *earlier = dict.fromkeys(_made(each) for each in (result, *result.get("earlier", ())))
+    return f"{made} Rows that it did not make again: {' '.join(earlier)}" if earlier else made
 
 
 def _made(result: Result) -> str:
