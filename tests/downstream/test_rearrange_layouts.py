@@ -16,7 +16,7 @@ from cluttergen_jax.downstream.perception.symmetry import (
     turn_matrix,
     turn_symmetry,
 )
-from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, roomy, unlike
+from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, preferred, unlike
 from cluttergen_jax.downstream.rearrange.settings import AREA, SETTINGS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed
@@ -59,11 +59,14 @@ def test_gaps_are_those_of_the_shadows_of_what_is_moved():
     assert 10 < apart < 60
 
 
-def test_layouts_with_room_are_kept_or_those_with_the_most():
-    gaps = np.array([0.012, 0.0, 0.003, 0.02, 0.01, 0.007])
-    assert roomy(gaps, 2).tolist() == [0, 3, 4]
-    assert roomy(gaps, 4).tolist() == [0, 3, 4, 5]
-    assert roomy(gaps, 9).tolist() == [0, 1, 2, 3, 4, 5]
+def test_layouts_that_are_reached_with_room_are_kept_or_the_best_of_the_others():
+    gaps = np.array([0.012, 0.0, 0.003, 0.02, 0.01, 0.03])
+    reach = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.8])
+    assert preferred(reach, gaps, 2).tolist() == [0, 3, 4]
+    assert preferred(reach, gaps, 4).tolist() == [0, 2, 3, 4]
+    assert preferred(reach, gaps, 5).tolist() == [0, 1, 2, 3, 4]
+    assert preferred(reach, gaps, 9).tolist() == [0, 1, 2, 3, 4, 5]
+    assert preferred(reach / 2, gaps, 2).tolist() == [0, 3]
 
 
 def test_unlike_layouts_are_far_from_each_other():

@@ -10,7 +10,7 @@ import numpy as np
 
 from cluttergen_jax.downstream.perception.symmetry import equal_places, offset
 from cluttergen_jax.downstream.rearrange.judge import MAX_ERROR, Judge
-from cluttergen_jax.downstream.rearrange.layouts import ROOM, Layouts, clearance_of, reach_of, roomy, unlike
+from cluttergen_jax.downstream.rearrange.layouts import ROOM, Layouts, Reach, clearance_of, preferred, unlike
 from cluttergen_jax.downstream.rearrange.moves import MAX_RETRIES, Moves
 from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, ObjectTracker, Observer
 from cluttergen_jax.downstream.rearrange.order import Meetings, lowest_first, ready, smallest_waiting
@@ -28,7 +28,7 @@ MAX_WAITS = 2
 MAX_LAYOUTS = 3
 """Layouts that are tried one after another where there is no way to the one before."""
 _DRAWS = 4
-"""Times that layouts are drawn, until as many have room as may be tried."""
+"""Times that layouts are drawn at most: until enough are reached, with room or without."""
 _PLACES = 12
 
 
@@ -119,34 +119,25 @@ class Rearranger:
         """
         task, num_moved, poses = self._task, self._num_moved, self._sight.poses
         moved, stay = task.numbers[:num_moved], task.numbers[num_moved:]
-        objects, region = self._scene.objects, task.setting.target
-        full, clearance = np.zeros((0, len(poses), 7)), np.zeros(0)
+        objects, region, number = self._scene.objects, task.setting.target, self._options.num_layouts
+        reach_of = Reach(objects, task.grasps, range(num_moved), self._scene.support)
+        full, gap, reach = np.zeros((0, len(poses), 7)), np.zeros(0), np.zeros(0)
         for draw in range(_DRAWS):
             drawn = task.draw(task.seed + draw, moved, region, stay, poses[num_moved:])
             others = np.broadcast_to(poses[num_moved:], (len(drawn), len(stay), 7))
             more = np.concatenate([drawn, others], axis=1)
-            gaps = [clearance_of(objects, each, num_moved) for each in more]
-            full, clearance = np.concatenate([full, more]), np.concatenate([clearance, gaps])
-            if (clearance >= ROOM).sum() >= MAX_LAYOUTS:
+            full = np.concatenate([full, more])
+            gap = np.append(gap, [clearance_of(objects, each, num_moved) for each in more])
+            reach = np.append(reach, [reach_of(each) for each in more])
+            is_whole = reach == 1
+            if (is_whole & (gap >= ROOM)).sum() >= MAX_LAYOUTS or is_whole.sum() >= 2 * number:
                 break
         if not len(full):
             raise Failed(Cause.NO_LAYOUT)
-        drawn = full[:, :num_moved]
-        kept = roomy(clearance, 2 * self._options.num_layouts)
-        kept = kept[unlike(objects[:num_moved], drawn[kept], region, self._options.num_layouts)]
-        drawn, full = drawn[kept], full[kept]
-        all_moved, support = range(num_moved), self._scene.support
-        return Layouts(
-            poses=full,
-            clearance=clearance[kept],
-            reach=np.array(
-                [
-                    reach_of(objects, each, all_moved, task.grasps, support, self.moves.kinematics)
-                    for each in full
-                ]
-            ),
-            travel=np.linalg.norm(full[:, :num_moved, :2] - poses[:num_moved, :2], axis=-1).mean(1),
-        )
+        kept = preferred(reach, gap, 2 * number)
+        kept = kept[unlike(objects[:num_moved], full[kept, :num_moved], region, number)]
+        way = np.linalg.norm(full[kept, :num_moved, :2] - poses[:num_moved, :2], axis=-1)
+        return Layouts(poses=full[kept], clearance=gap[kept], reach=reach[kept], travel=way.mean(1))
 
     def _chosen(self, found: Layouts) -> list[int]:
         if self._ask is not None:

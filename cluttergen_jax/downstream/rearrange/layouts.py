@@ -21,7 +21,7 @@ from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.grasp_candidates import opening_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
-from cluttergen_jax.downstream.robot.grips import ranked
+from cluttergen_jax.downstream.robot.grips import FIRM, ranked
 from cluttergen_jax.downstream.robot.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.errors import ConfigError
@@ -110,7 +110,7 @@ class Layouts:
     Attributes:
       poses: f64[L, N, 7], T_world_object.
       clearance: f64[L], metres, seen from above: the least gap between one that is moved and any other.
-      reach: f64[L], share of the objects that the arm can let go of with room in the finished layout.
+      reach: f64[L], share of the objects that the arm can hold firmly, with room, in the finished layout.
       travel: f64[L], metres, the mean way in plan from where objects stand.
     """
 
@@ -141,10 +141,14 @@ def unlike(objects: Sequence[ObjectAsset], poses: np.ndarray, region: Rectangle,
     return np.array(chosen)
 
 
-def roomy(clearance: np.ndarray, number: int) -> np.ndarray:
-    """i[M]: of layouts with gaps f64[S], metres, those of `ROOM` or more, or the `number` with the widest."""
-    by_gap = np.argsort(-clearance, kind="stable")
-    return np.sort(by_gap[: max(number, int((clearance >= ROOM).sum()))])
+def preferred(reach: np.ndarray, clearance: np.ndarray, number: int) -> np.ndarray:
+    """i[M]: of layouts with f64[S] each those that are reached wholly and have `ROOM`, but at least `number`.
+
+    If they are fewer, those follow that are reached best, of these those with the widest gaps.
+    """
+    is_good = (reach == 1) & (clearance >= ROOM)
+    best = np.lexsort((-clearance, -reach, ~is_good))
+    return np.sort(best[: max(number, int(is_good.sum()))])
 
 
 def clearance_of(objects: Sequence[ObjectAsset], poses: np.ndarray, num_moved: int) -> float:
@@ -178,34 +182,48 @@ def _is_over(one: np.ndarray, other: np.ndarray) -> bool:
     return bool((other @ planes[:, :2].T + planes[:, 2] < 0).all(1).any())
 
 
-def reach_of(
-    objects: Sequence[ObjectAsset],
-    poses: np.ndarray,
-    moved: Sequence[int],
-    grasps: Sequence[Grasps],
-    support: SupportAsset,
-    kinematics: ArmKinematics,
-) -> float:
-    """The share of objects at f64[N, 7] that the arm could take with room, all others standing where they do.
+class Reach:
+    """Which objects the arm could take firmly and with room, as all stand.
 
     Args:
-      moved: the numbers of the objects that count; grasps: of each of all N.
+      objects: N; grasps: of each. moved: the numbers of the objects that count. support: the table.
     """
-    names, rng = [str(number) for number in range(len(objects))], np.random.default_rng(0)
-    good = 0
-    for target in moved:
-        world = PlanningWorld(names, objects, poses, target, support, base_pose(support))
-        world.room = HAND_ROOM
-        T_world_object = matrix_of(poses[target])
-        for grip in ranked(grasps[target], T_world_object):
+
+    def __init__(
+        self,
+        objects: Sequence[ObjectAsset],
+        grasps: Sequence[Grasps],
+        moved: Sequence[int],
+        support: SupportAsset,
+    ) -> None:
+        self._grasps, base = grasps, base_pose(support)
+        self._kinematics = ArmKinematics(base)
+        names, nowhere = (
+            [str(number) for number in range(len(objects))],
+            np.tile(np.eye(7)[3], (len(objects), 1)),
+        )
+        self._worlds = {k: PlanningWorld(names, objects, nowhere, k, support, base) for k in moved}
+        for world in self._worlds.values():
+            world.room = HAND_ROOM
+
+    def __call__(self, poses: np.ndarray) -> float:
+        """The share of those that count, all N at f64[N, 7]."""
+        return float(np.mean([self._is_taken(k, poses) for k in self._worlds]))
+
+    def _is_taken(self, target: int, poses: np.ndarray) -> bool:
+        world, T_world_object = self._worlds[target], matrix_of(poses[target])
+        for number, pose in enumerate(poses):
+            world.move(number, pose)
+        for grip in ranked(self._grasps[target], T_world_object):
+            if grip.lever > FIRM:
+                continue
             T_world_tool, opening = (
                 T_world_object @ grip.T_object_tool,
                 float(opening_of(np.array(grip.width))),
             )
             if not world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
-            found = kinematics.solutions(T_world_tool, 1, rng)
+            found = self._kinematics.solutions(T_world_tool, 1, np.random.default_rng(0))
             if found and world.is_free(found[0], opening, Mode.COME):
-                good += 1
-                break
-    return good / max(len(moved), 1)
+                return True
+        return False

@@ -15,7 +15,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.perception.symmetry import turn_symmetry
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
-from cluttergen_jax.downstream.rearrange.layouts import SceneDraw, reach_of
+from cluttergen_jax.downstream.rearrange.layouts import Reach, SceneDraw
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
 from cluttergen_jax.downstream.rearrange.order import Meetings
 from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions, RearrangeSetting
@@ -24,8 +24,6 @@ from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeResult, R
 from cluttergen_jax.downstream.robot.execute import Trace
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
 from cluttergen_jax.downstream.robot.grasps import Grasps, grasps_of
-from cluttergen_jax.downstream.robot.ik import ArmKinematics
-from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.rows import RowFile, share_of
 from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed
 from cluttergen_jax.errors import ConfigError
@@ -127,8 +125,7 @@ def is_stacked(scene: Scene, grasps: Sequence[Grasps], number: int) -> bool:
     top = np.flatnonzero(lies_on.any(1) & ~lies_on.any(0)).tolist()
     if lies_on.any(1).sum() < number:
         return False
-    arm = ArmKinematics(base_pose(scene.support))
-    return reach_of(scene.objects, scene.poses, top, grasps, scene.support, arm) == 1
+    return Reach(scene.objects, grasps, top, scene.support)(scene.poses) == 1
 
 
 @dataclass(frozen=True, eq=False)

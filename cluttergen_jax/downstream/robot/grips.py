@@ -13,6 +13,8 @@ from cluttergen_jax.downstream.robot.grasps import Grasps
 
 _LEVER = 10.0
 """What a metre from the line between the fingers to the object's middle takes from a grasp's worth."""
+FIRM = 0.04
+"""Metres of it up to which an object hardly swings in the hand."""
 _SWING = 4.0
 """What a radian by which the object turned between the fingers takes from it, when it was tested."""
 _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -24,11 +26,13 @@ class Grip(NamedTuple):
     Attributes:
       T_object_tool: f64[4, 4], before the fingers close; T_tool_object: f64[4, 4], once it is lifted.
       width: metres between the fingers.
+      lever: metres in plan from the line between them to the object's middle, about which it swings.
     """
 
     T_object_tool: np.ndarray
     T_tool_object: np.ndarray
     width: float
+    lever: float
 
 
 def ranked(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[Grip]:
@@ -41,10 +45,12 @@ def ranked(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[Grip]:
     down = -turned[:, 2, 2]
     # A centimetre of slip or of shift counts as much as half a turn from straight down.
     worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip)
-    worth -= _SWING * grasps.turn + _LEVER * _levers(turned)
+    levers = _levers(turned)
+    worth -= _SWING * grasps.turn + _LEVER * levers
     for index in np.argsort(-worth, kind="stable"):
         for turn in (np.eye(4), _FLIP):
-            yield Grip(pose[index] @ turn, turn @ held[index], float(grasps.width[index]))
+            width, lever = float(grasps.width[index]), float(levers[index])
+            yield Grip(pose[index] @ turn, turn @ held[index], width, lever)
 
 
 def _levers(pose: np.ndarray) -> np.ndarray:
