@@ -232,6 +232,30 @@ def test_what_may_lie_on_a_hidden_object_is_put_aside_first():
     assert (result.outcome, result.detail, result.picks) == (Cause.NOT_SEEN, "red", 0)
 
 
+def test_a_first_estimate_that_is_unsure_is_believed_last():
+    class Half(TrueObserver):
+        """Of red half is hidden as long as blue is where it was; where it seems to be it is not."""
+
+        def __call__(self, world, names, known):
+            found = super().__call__(world, names, known)
+            blue = world.true_poses(["blue"])[0]
+            if "red" in names and np.linalg.norm(blue[:2] - PLACES[1]) < 0.05:
+                red = names.index("red")
+                found.pose[red, 1] -= 0.06
+                found.certainty[red] = 0.4
+            return found
+
+    goals = standing([[0.05, -0.16], [0.05, 0.16]])
+    result = rearrange_episode(task_of(goals), RearrangeOptions(), Half())
+    assert (result.outcome, result.picks, result.waits) == (Outcome.SUCCESS, 3, 1)
+    # Where blue has to stay the estimate is all that there is.
+    task = task_of(standing([[0.05, -0.14], PLACES[1]]))
+    task = replace(task, setting=replace(task.setting, num_objects=1, num_others=1))
+    result = rearrange_episode(task, RearrangeOptions(), Half())
+    assert result.layouts == 1
+    assert result.outcome != Cause.NOT_SEEN
+
+
 def test_the_judge_finds_what_is_wrong():
     execution = Execution(SCENE, 0)
     judge = Judge(execution, SCENE, 1, [1, 1])

@@ -97,7 +97,9 @@ class Rearranger:
                 if self.moves.first([k], [self._waiting_places(k)], is_wait=True):
                     break
             else:
-                raise Failed(Cause.NOT_SEEN, self._scene.names[self._sight.unseen[0]])
+                self._sight.guess()
+                if hidden := self._sight.unseen:
+                    raise Failed(Cause.NOT_SEEN, self._scene.names[hidden[0]])
 
     def _highest_first(self) -> list[int]:
         """The seen objects that may be moved and on which nothing is seen to lie.

@@ -29,7 +29,8 @@ _NOWHERE = np.array([0.0, 0, -50, 1, 0, 0, 0])
 NEAR, NEAR_TURN = 0.04, float(np.radians(45))
 """Metres and radians from where an object is known to be within which an estimate agrees with that."""
 AGREEING, OTHERWISE = 0.5, 0.7
-"""Certainty from which an estimate is believed: one that agrees with what is known, and one that does not."""
+"""Certainty from which an estimate is believed: an object's first, or one that agrees with what is known, and
+one that does not."""
 
 
 class Cause(StrEnum):
@@ -204,7 +205,7 @@ class ObjectTracker:
         self._symmetry = symmetry or [1] * len(view.names)
         self.num_looks, self._looked_at = 0, -1.0
         self._held, self._T_tool_object = -1, np.eye(4)
-        self._poses = np.full((len(view.names), 7), np.nan)
+        self._poses, self._guesses = np.full((2, len(view.names), 7), np.nan)
 
     @property
     def sees_held(self) -> bool:
@@ -213,15 +214,19 @@ class ObjectTracker:
 
     @property
     def poses(self) -> np.ndarray:
-        """f64[N, 7]: what is known without another look; what was never seen is far below all else."""
+        """f64[N, 7]: what is known without another look; what is unseen is far below all else."""
         poses = self._poses.copy()
         poses[self.unseen] = _NOWHERE
         return poses
 
     @property
     def unseen(self) -> list[int]:
-        """The numbers of the objects that were never seen."""
+        """The numbers of the objects of which no estimate was believed so far."""
         return np.flatnonzero(np.isnan(self._poses[:, 0])).tolist()
+
+    def guess(self) -> None:
+        """Believes the latest estimate of what is unseen, if there is one, however unsure it is."""
+        self._poses[self.unseen] = self._guesses[self.unseen]
 
     def __call__(self, only: int | None = None) -> np.ndarray:
         """f64[N, 7]: looks again, for one object or for all (`robot.mover.See`); then as `poses`."""
@@ -236,6 +241,8 @@ class ObjectTracker:
             for number, pose, is_seen, certainty in told:
                 if is_seen and certainty >= self._least(number, pose):
                     self._poses[number] = pose
+                elif is_seen:
+                    self._guesses[number] = pose
         return self.poses
 
     def take(self, number: int, T_tool_object: np.ndarray) -> None:
@@ -248,10 +255,10 @@ class ObjectTracker:
             self._observer.glance(self._view)
 
     def _least(self, number: int, pose: np.ndarray) -> float:
-        """The certainty from which a pose f64[7] of an object is believed; any where nothing is known yet."""
+        """The certainty from which a pose f64[7] of an object is believed."""
         known = self._poses[number]
         if np.isnan(known[0]):
-            return 0.0
+            return AGREEING
         shift, turn = offset(matrix_of(pose), matrix_of(known), self._symmetry[number])
         if shift <= NEAR and turn <= NEAR_TURN:
             return AGREEING

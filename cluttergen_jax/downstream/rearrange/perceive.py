@@ -75,7 +75,9 @@ class PerceptionObserver:
         if found is None:
             nothing = np.zeros(len(names))
             return SceneEstimate(tuple(names), np.zeros((len(names), 7)), nothing.astype(bool), nothing)
-        return SceneEstimate(found.names, found.pose, found.seen, found.certainty)
+        # What was never seen and is half hidden may be anywhere under what hides it.
+        least = np.where(np.isnan(known).any(1), found.visible, 1.0)
+        return SceneEstimate(found.names, found.pose, found.seen, np.minimum(found.certainty, least))
 
     def _look(self, world: EpisodeView, camera: Camera, number: int) -> list[Look]:
         """The picture of that number from here; none where nothing was measured."""
