@@ -18,7 +18,7 @@ from cluttergen_jax.downstream.rearrange.settings import AREA, RearrangeOptions
 from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeResult, RearrangeTask
 from cluttergen_jax.downstream.robot.execute import Execution, Trace
 from cluttergen_jax.downstream.robot.frames import matrix_of
-from cluttergen_jax.downstream.robot.grips import first_grasp
+from cluttergen_jax.downstream.robot.grips import FIRM, first_grasp
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 
 NEAR_GOAL, NEAR_GOAL_TURN = 0.01, float(np.radians(10))
@@ -122,7 +122,7 @@ class Rearranger:
         task, num_moved, poses = self._task, self._num_moved, self._sight.poses
         moved, stay = task.numbers[:num_moved], task.numbers[num_moved:]
         objects, region, number = self._scene.objects, task.setting.target, self._options.num_layouts
-        reach_of = Reach(objects, task.grasps, range(num_moved), self._scene.support)
+        reach_of = Reach(objects, task.grasps, range(num_moved), self._scene.support, FIRM)
         full, gap, reach = np.zeros((0, len(poses), 7)), np.zeros(0), np.zeros(0)
         for draw in range(_DRAWS):
             drawn = task.draw(task.seed + draw, moved, region, stay, poses[num_moved:])

@@ -21,7 +21,7 @@ from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.grasp_candidates import opening_of
 from cluttergen_jax.downstream.robot.grasps import Grasps
-from cluttergen_jax.downstream.robot.grips import FIRM, ranked
+from cluttergen_jax.downstream.robot.grips import ranked
 from cluttergen_jax.downstream.robot.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.errors import ConfigError
@@ -183,10 +183,11 @@ def _is_over(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 class Reach:
-    """Which objects the arm could take firmly and with room, as all stand.
+    """Which objects the arm could take with room, as all stand.
 
     Args:
       objects: N; grasps: of each. moved: the numbers of the objects that count. support: the table.
+      max_lever: metres, of the grasps that count (`grips.Grip`).
     """
 
     def __init__(
@@ -195,8 +196,9 @@ class Reach:
         grasps: Sequence[Grasps],
         moved: Sequence[int],
         support: SupportAsset,
+        max_lever: float = np.inf,
     ) -> None:
-        self._grasps, base = grasps, base_pose(support)
+        self._grasps, self._max_lever, base = grasps, max_lever, base_pose(support)
         self._kinematics = ArmKinematics(base)
         names, nowhere = (
             [str(number) for number in range(len(objects))],
@@ -215,7 +217,7 @@ class Reach:
         for number, pose in enumerate(poses):
             world.move(number, pose)
         for grip in ranked(self._grasps[target], T_world_object):
-            if grip.lever > FIRM:
+            if grip.lever > self._max_lever:
                 continue
             T_world_tool, opening = (
                 T_world_object @ grip.T_object_tool,
