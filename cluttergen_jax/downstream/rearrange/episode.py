@@ -89,7 +89,7 @@ class Rearranger:
         self.moves.look()
         aside: set[int] = set()
         while self._sight.unseen:
-            # Who looks only once sees nothing appear.
+            # After a single look nothing more will be seen.
             for k in self._highest_first() if self._options.relook else ():
                 if k in aside:
                     continue
