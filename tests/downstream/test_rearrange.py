@@ -296,7 +296,7 @@ def test_a_heap_counts_if_the_arm_gets_at_what_lies_on_top():
     no_way = (grasps[0], replace(grasps[1], pose=upwards))
     assert is_stacked(heap, grasps, 1)
     # Any grasp counts, also by an end: heaps are not made easier.
-    ends = replace(grasps[1], pose=grasps[1].pose + [0, 0.05, 0, 0, 0, 0, 0])
+    ends = replace(grasps[1], pose=grasps[1].pose + np.eye(7)[1] * 0.05)
     assert is_stacked(heap, (grasps[0], ends), 1)
     assert not is_stacked(heap, grasps, 2)
     assert not is_stacked(heap, no_way, 1)
