@@ -225,7 +225,7 @@ class Reach:
             )
             if not world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
-            found = self._kinematics.solutions(T_world_tool, 1, np.random.default_rng(0))
+            found = self._kinematics.solutions(T_world_tool, 1)
             if found and world.is_free(found[0], opening, Mode.COME):
                 return True
         return False

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Iterator
+from functools import cache
+from itertools import islice
 from typing import Any
 
 import mujoco
 import numpy as np
+from scipy.spatial import KDTree
 
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.frames import inverse, matrix_of, pose_of
@@ -22,6 +26,11 @@ LINE_STEP = 0.002
 _ITERATIONS = 25
 _GAIN = 1.0
 _NEAR_LIMIT = np.radians(1)
+_NUM_STARTS = 10_000
+_NEAREST = 24
+"""Solutions are sought from those of so many joints, drawn at random, whose tools are nearest to a pose."""
+_TURN_METRES = 0.15
+"""Metres that count as much as a radian in this."""
 
 
 def need(module: str, purpose: str) -> Any:
@@ -45,13 +54,7 @@ class ArmKinematics:
 
     def __init__(self, base: np.ndarray) -> None:
         mink = need("mink", "inverse kinematics")
-        spec = panda_spec(ContactConfig())
-        for geom in list(spec.geoms):
-            spec.delete(geom)
-        for mesh in list(spec.meshes):
-            spec.delete(mesh)
-        model = spec.compile()
-        arm = Panda.of(model, prefix="")
+        model, arm = _arm()
         self._solve_ik: Any = mink.solve_ik
         self._SE3: Any = mink.SE3
         self._state = mink.Configuration(model)
@@ -60,7 +63,7 @@ class ArmKinematics:
         self._limits = [mink.ConfigurationLimit(model)]
         self._arm, self._data = arm, mujoco.MjData(model)
         self._model = model
-        self.low, self.high = arm.low + _NEAR_LIMIT, arm.high - _NEAR_LIMIT
+        self.low, self.high = _limits()
         self.home = home_pose()
         self.T_world_base = matrix_of(base)
         self._T_base_world = inverse(self.T_world_base)
@@ -94,21 +97,27 @@ class ArmKinematics:
             self._state.integrate_inplace(speed, _GAIN)
         return None
 
-    def solutions(self, T_world_tool: np.ndarray, number: int, rng: np.random.Generator) -> list[np.ndarray]:
-        """Up to so many different solutions, the first sought from the home pose, turned to the target."""
-        towards = (self._T_base_world @ T_world_tool)[:2, 3]
+    def solutions(self, T_world_tool: np.ndarray, number: int) -> list[np.ndarray]:
+        """Up to so many different solutions, f64[7] each."""
         found: list[np.ndarray] = []
-        for attempt in range(2 * number):
-            start = self.home.copy()
-            start[0] = np.arctan2(towards[1], towards[0])
-            if attempt:
-                start += rng.normal(0, 0.6, 7)
+        for start in islice(self._starts(self._T_base_world @ T_world_tool), 2 * number):
             joints = self.solve(T_world_tool, start)
             if joints is not None and all(np.abs(joints - each).max() > 0.2 for each in found):
                 found.append(joints)
             if len(found) == number:
                 break
         return found
+
+    def _starts(self, T_base_tool: np.ndarray) -> Iterator[np.ndarray]:
+        """Joints f64[7] whose tool is near there, those nearest to the home pose first."""
+        starts, turns, tree = _start_table()
+        features, turn = _from_axis(T_base_tool[None])
+        near = tree.query(features[0], _NEAREST)[1]
+        for index in near[np.argsort(np.linalg.norm(starts[near] - self.home, axis=1))]:
+            start = starts[index].copy()
+            start[0] = (turn[0] - turns[index] + np.pi) % (2 * np.pi) - np.pi
+            if self.low[0] <= start[0] <= self.high[0]:
+                yield start
 
     def line(self, start: np.ndarray, along: np.ndarray) -> np.ndarray | None:
         """Joints f64[L, 7] along a straight line of the tool, from `start`, both ends included.
@@ -140,3 +149,48 @@ class ArmKinematics:
         cut = int(np.flatnonzero(far)[-1 if from_end else 0]) if far.any() else len(path) // 2
         cut = min(max(cut, 1), len(path) - 2)
         return path[: cut + 1], path[cut:]
+
+
+@cache
+def _arm() -> tuple[mujoco.MjModel, Panda]:
+    """The arm without its shapes."""
+    spec = panda_spec(ContactConfig())
+    for geom in list(spec.geoms):
+        spec.delete(geom)
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
+    model = spec.compile()
+    return model, Panda.of(model, prefix="")
+
+
+def _limits() -> tuple[np.ndarray, np.ndarray]:
+    arm = _arm()[1]
+    return arm.low + _NEAR_LIMIT, arm.high - _NEAR_LIMIT
+
+
+@cache
+def _start_table() -> tuple[np.ndarray, np.ndarray, KDTree]:
+    """Joints f64[S, 7], their first 0; the turns of their tools about its axis; and the tools, to search."""
+    model, arm = _arm()
+    data = mujoco.MjData(model)
+    starts = np.random.default_rng(0).uniform(*_limits(), (_NUM_STARTS, len(ARM)))
+    starts[:, 0] = 0
+    tools = np.empty((_NUM_STARTS, 4, 4))
+    for index, joints in enumerate(starts):
+        data.qpos[: len(ARM)] = joints
+        mujoco.mj_kinematics(model, data)
+        tools[index] = arm.tool(data)
+    features, turns = _from_axis(tools)
+    return starts, turns, KDTree(features)
+
+
+def _from_axis(T_base_tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses f64[n, 4, 4] as seen from the first joint's axis: f64[n, 8], and their turns about it, f64[n]."""
+    x, y, z = T_base_tool[:, :3, 3].T
+    turns = np.arctan2(y, x)
+    cos, sin = np.cos(turns), np.sin(turns)
+    axes = T_base_tool[:, :3, 1:3]
+    ahead = cos[:, None] * axes[:, 0] + sin[:, None] * axes[:, 1]
+    aside = cos[:, None] * axes[:, 1] - sin[:, None] * axes[:, 0]
+    turned = _TURN_METRES * np.concatenate([ahead, aside, axes[:, 2]], axis=1)
+    return np.column_stack([np.hypot(x, y), z, turned]), turns

@@ -86,7 +86,7 @@ class Mover:
         self.execution, self.world, self.kinematics, self.target = execution, world, kinematics, target
         self._see: See = see or (lambda only: execution.poses())
         self.planner = Planner(world, kinematics)
-        self._rng, self._seeds = np.random.default_rng(seed), count(seed + 1)
+        self._seeds = count(seed)
         self._above = Mode.APART if is_apart else Mode.CLEAR
         self._rooms, self._feels = rooms, feels
         self._opening, self._T_tool_object, self._grasped = 0.0, np.eye(4), np.eye(4)
@@ -131,7 +131,7 @@ class Mover:
             if places is not None and not fitting:
                 continue
             furthest = max(furthest, 3)
-            for joints in self.kinematics.solutions(T_world_tool, _ARMS, self._rng):
+            for joints in self.kinematics.solutions(T_world_tool, _ARMS):
                 furthest = 4
                 if not self.world.is_free(joints, opening, Mode.COME):
                     continue
@@ -187,7 +187,7 @@ class Mover:
         try:
             for number, place in places.items():
                 target = _tool_at(place, T_tool_object)
-                for joints in self.kinematics.solutions(target, _ARMS, self._rng):
+                for joints in self.kinematics.solutions(target, _ARMS):
                     if self._lowering(joints, place, opening, T_tool_object) is not None:
                         self.fitting, self._joints = number, joints
                         return True
@@ -240,7 +240,7 @@ class Mover:
         """How what is held comes to a place and the hand away, if it can by joints as they were planned."""
         target = _tool_at(place, self._T_tool_object)
         known = [] if self._joints is None else [self.kinematics.solve(target, self._joints)]
-        for joints in (*known, *self.kinematics.solutions(target, 2 * _ARMS, self._rng)):
+        for joints in (*known, *self.kinematics.solutions(target, 2 * _ARMS)):
             found = None if joints is None else self._lowering(joints, place, self._opening)
             if found is None:
                 continue
