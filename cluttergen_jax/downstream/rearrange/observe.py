@@ -31,6 +31,8 @@ NEAR, NEAR_TURN = 0.04, float(np.radians(45))
 AGREEING, OTHERWISE = 0.5, 0.7
 """Certainty from which an estimate is believed: an object's first, or one that agrees with what is known, and
 one that does not."""
+_MOMENTS = 2
+"""Moments that have told where an object is, from which on one alone does not turn it round on the spot."""
 
 
 class Cause(StrEnum):
@@ -206,6 +208,8 @@ class ObjectTracker:
         self.num_looks, self._looked_at = 0, -1.0
         self._held, self._T_tool_object = -1, np.eye(4)
         self._poses, self._guesses = np.full((2, len(view.names), 7), np.nan)
+        # Of each object the latest moments that told the pose that is known, and another turn.
+        self._agreed, self._turned = np.zeros((2, len(view.names)), int)
 
     @property
     def sees_held(self) -> bool:
@@ -239,7 +243,7 @@ class ObjectTracker:
             found = self._seen(asked)
             told = zip(asked, found.pose, found.seen, found.certainty, strict=True)
             for number, pose, is_seen, certainty in told:
-                if is_seen and certainty >= self._least(number, pose):
+                if is_seen and self._is_believed(number, pose, certainty):
                     self._poses[number] = pose
                 elif is_seen:
                     self._guesses[number] = pose
@@ -248,21 +252,35 @@ class ObjectTracker:
     def take(self, number: int, T_tool_object: np.ndarray) -> None:
         """From the next closing of the hand on it holds an object, which then lies in it at f64[4, 4]."""
         self._held, self._T_tool_object = number, T_tool_object
+        self._agreed[number], self._turned[number] = min(self._agreed[number], 1), 0
 
     def glance(self) -> None:
         """Has the observer look from here, for the next time that all objects are looked for."""
         if self._relook or not self.num_looks:
             self._observer.glance(self._view)
 
-    def _least(self, number: int, pose: np.ndarray) -> float:
-        """The certainty from which a pose f64[7] of an object is believed."""
+    def _is_believed(self, number: int, pose: np.ndarray, certainty: float) -> bool:
+        """Whether an object is taken to be at a pose f64[7] from now on.
+
+        Nothing turns round on the spot: where several moments have told how it stands, as many in a row must
+        tell another turn, unless one is wholly certain.
+        """
         known = self._poses[number]
         if np.isnan(known[0]):
-            return AGREEING
+            self._agreed[number] = 1
+            return certainty >= AGREEING
         shift, turn = offset(matrix_of(pose), matrix_of(known), self._symmetry[number])
         if shift <= NEAR and turn <= NEAR_TURN:
-            return AGREEING
-        return OTHERWISE
+            self._agreed[number], self._turned[number] = min(self._agreed[number] + 1, _MOMENTS), 0
+            return certainty >= AGREEING
+        if certainty < OTHERWISE:
+            return False
+        if shift <= NEAR and certainty < 1:
+            self._turned[number] += 1
+            if self._turned[number] < self._agreed[number]:
+                return False
+        self._agreed[number], self._turned[number] = 1, 0
+        return True
 
     def _seen(self, numbers: Sequence[int]) -> SceneEstimate:
         if len(numbers) == len(self._poses):
