@@ -95,7 +95,7 @@ def test_solutions_bring_the_tool_where_it_should_be(kinematics):
     missed = 0
     for _ in range(30):
         target = made(DOWN, np.append(rng.uniform(-0.25, 0.25, 2), TOP + rng.uniform(0.02, 0.3)))
-        found = kinematics.solutions(target, 2)
+        found = list(kinematics.solutions(target, 2))
         missed += not found
         for joints in found:
             tool = kinematics.tool(joints)
@@ -103,7 +103,7 @@ def test_solutions_bring_the_tool_where_it_should_be(kinematics):
             assert angle_between(tool, target) <= TURN_TOLERANCE + 1e-6
             assert ((joints >= kinematics.low) & (joints <= kinematics.high)).all()
     assert missed <= 1
-    assert kinematics.solutions(made(DOWN, np.array([0.6, 0.0, TOP])), 1) == []
+    assert list(kinematics.solutions(made(DOWN, np.array([0.6, 0.0, TOP])), 1)) == []
 
 
 def test_most_of_what_is_reached_is_found_in_two_tries(kinematics):
@@ -112,11 +112,11 @@ def test_most_of_what_is_reached_is_found_in_two_tries(kinematics):
         tool = kinematics.tool(rng.uniform(kinematics.low, kinematics.high))
         if tool[2, 2] < 0 and 0 < tool[2, 3] - TOP < 0.5:
             tools.append(tool)
-    assert np.mean([len(kinematics.solutions(tool, 1)) for tool in tools]) >= 0.9
+    assert np.mean([len(list(kinematics.solutions(tool, 1))) for tool in tools]) >= 0.9
 
 
 def test_a_line_is_straight_and_without_jumps(kinematics):
-    start = kinematics.solutions(made(DOWN, np.array([0.1, 0.1, TOP + 0.1])), 1)[0]
+    start = next(kinematics.solutions(made(DOWN, np.array([0.1, 0.1, TOP + 0.1])), 1))
     path = kinematics.line(start, np.array([0.0, 0.0, 0.1]))
     places = np.array([kinematics.tool(joints)[:3, 3] for joints in path])
     assert np.abs(places[:, :2] - places[0, :2]).max() < 2 * TOLERANCE
@@ -137,7 +137,7 @@ def nearest(world):
 
 def test_what_is_free_keeps_its_distance(world, kinematics):
     rng = np.random.default_rng(2)
-    near = kinematics.solutions(made(DOWN, np.array([0.0, 0.0, TOP + 0.3])), 1)[0]
+    near = next(kinematics.solutions(made(DOWN, np.array([0.0, 0.0, TOP + 0.3])), 1))
     frees = 0
     for _ in range(60):
         joints = near + rng.normal(0, 0.25, 7)
@@ -153,7 +153,7 @@ def test_what_is_free_keeps_its_distance(world, kinematics):
 
 
 def test_what_is_held_is_looked_at_and_what_is_put_down_too(world, kinematics):
-    above = kinematics.solutions(made(DOWN, np.array([0.15, 0.0, TOP + 0.2])), 1)[0]
+    above = next(kinematics.solutions(made(DOWN, np.array([0.15, 0.0, TOP + 0.2])), 1))
     assert world.is_free(above, 0.03)
     # A cube held 18 cm below the tool reaches into the table.
     world.hold(made(np.eye(3), np.array([0, 0, 0.18])))
@@ -163,7 +163,7 @@ def test_what_is_held_is_looked_at_and_what_is_put_down_too(world, kinematics):
     world.hold(made(np.eye(3), np.array([0, 0, 0.02])))
     assert world.is_free(above, 0.03)
     world.release(SCENE.poses[TARGET])
-    at = kinematics.solutions(made(DOWN, np.array([0.15, 0.0, TOP + 0.08])), 1)[0]
+    at = next(kinematics.solutions(made(DOWN, np.array([0.15, 0.0, TOP + 0.08])), 1))
     assert "cube" in world.blocker(at, 0.005, Mode.COME)
     assert world.is_free(at, 0.024, Mode.COME)
     assert not world.is_free(at, 0.024, Mode.TRAVEL)
@@ -172,7 +172,7 @@ def test_what_is_held_is_looked_at_and_what_is_put_down_too(world, kinematics):
 @pytest.fixture
 def ends(kinematics):
     places = np.array([[-0.19, 0, TOP + 0.08], [0.15, 0, TOP + 0.15]])
-    return [kinematics.solutions(made(DOWN, place), 1)[0] for place in places]
+    return [next(kinematics.solutions(made(DOWN, place), 1)) for place in places]
 
 
 def test_a_way_leads_around_what_stands_between(world, kinematics, ends):
@@ -274,7 +274,7 @@ def test_causes_of_failure_are_told_apart(grasps):
 
 def test_an_unplanned_contact_stops_the_arm(kinematics):
     episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
-    start = kinematics.solutions(made(DOWN, np.array([0.15, 0.0, TOP + 0.15])), 1)[0]
+    start = next(kinematics.solutions(made(DOWN, np.array([0.15, 0.0, TOP + 0.15])), 1))
     episode_world.execution.follow(timed(np.linspace(kinematics.home, start, 20), 1 / 960), Phase.FREE)
     with pytest.raises(Failed) as told:
         episode_world.execution.follow(
@@ -427,7 +427,7 @@ def test_the_hand_is_not_turned_into_the_table(kinematics, degrees, is_corrected
     turned = matrix_of(np.array([0, 0, 0, np.cos(half), np.sin(half), 0, 0]))
     place = matrix_of(np.array(standing(-0.15, 0.1, CUBE)))
     level = made(DOWN, place[:3, 3] - [0, 0, CUBE.half_extents[2] - 0.013])
-    start = kinematics.solutions(raised(level, LIFT), 1)[0]
+    start = next(kinematics.solutions(raised(level, LIFT), 1))
     lower = kinematics.line(start, np.array([0, 0, -LIFT]))
     mover._T_tool_object, mover._opening = turned @ inverse(level) @ place, 0.03
     path = mover._corrected(lower, place)
@@ -495,7 +495,7 @@ def test_the_hand_leaves_by_a_shorter_way_if_the_arm_reaches_no_farther(grasps, 
     monkeypatch.setattr(mover.planner, "line", short)
     place = matrix_of(np.array(standing(0.15, -0.15, CUBE)))
     target = raised(place, 0.001) @ inverse(mover._T_tool_object)
-    joints = kinematics.solutions(target, 1)[0]
+    joints = next(kinematics.solutions(target, 1))
     assert mover._lowering(joints, place, mover._opening, mover._T_tool_object) is None
     assert mover.place(place[None]) == 0
     assert mover.go_home()

@@ -129,7 +129,7 @@ def test_the_arm_keeps_its_distance_from_columns_but_may_lower_what_it_holds_bes
     def joints(gap, z):
         """The box is held beside the columns' end, its side so far from them."""
         target = made(turn, np.array([edge + 0.03 + gap, -0.01, TOP + z]))
-        return kinematics.solutions(target, 1)[0]
+        return next(kinematics.solutions(target, 1))
 
     assert world.blocker(joints(0.02, 0.1), 0.04) is None
     near = joints(0.002, 0.1)

@@ -226,6 +226,6 @@ class Reach:
             if not world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
             found = self._kinematics.solutions(T_world_tool, 1)
-            if found and world.is_free(found[0], opening, Mode.COME):
+            if any(world.is_free(joints, opening, Mode.COME) for joints in found):
                 return True
         return False

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterator
 from functools import cache
-from itertools import islice
 from typing import Any
 
 import mujoco
@@ -97,27 +96,33 @@ class ArmKinematics:
             self._state.integrate_inplace(speed, _GAIN)
         return None
 
-    def solutions(self, T_world_tool: np.ndarray, number: int) -> list[np.ndarray]:
-        """Up to so many different solutions, f64[7] each."""
+    def solutions(self, T_world_tool: np.ndarray, number: int) -> Iterator[np.ndarray]:
+        """Up to so many different solutions, f64[7] each, unlike one another where the arm allows it."""
+        starts = self._starts(self._T_base_world @ T_world_tool)
         found: list[np.ndarray] = []
-        for start in islice(self._starts(self._T_base_world @ T_world_tool), 2 * number):
-            joints = self.solve(T_world_tool, start)
-            if joints is not None and all(np.abs(joints - each).max() > 0.2 for each in found):
-                found.append(joints)
+        for _ in range(min(2 * number, len(starts))):
+            # Begun near one that is known, a search ends there.
+            unlike = [
+                min((float(np.linalg.norm(start - each)) for each in found), default=0.0) for start in starts
+            ]
+            joints = self.solve(T_world_tool, starts.pop(int(np.argmax(unlike))))
+            if joints is None or any(np.abs(joints - each).max() <= 0.2 for each in found):
+                continue
+            found.append(joints)
+            yield joints
             if len(found) == number:
-                break
-        return found
+                return
 
-    def _starts(self, T_base_tool: np.ndarray) -> Iterator[np.ndarray]:
-        """Joints f64[7] whose tool is near there, those nearest to the home pose first."""
+    def _starts(self, T_base_tool: np.ndarray) -> list[np.ndarray]:
+        """Joints f64[7] whose tool is near there, those nearest to the home pose turned there first."""
         starts, turns, tree = _start_table()
         features, turn = _from_axis(T_base_tool[None])
         near = tree.query(features[0], _NEAREST)[1]
-        for index in near[np.argsort(np.linalg.norm(starts[near] - self.home, axis=1))]:
-            start = starts[index].copy()
-            start[0] = (turn[0] - turns[index] + np.pi) % (2 * np.pi) - np.pi
-            if self.low[0] <= start[0] <= self.high[0]:
-                yield start
+        joints = starts[near].copy()
+        joints[:, 0] = (turn[0] - turns[near] + np.pi) % (2 * np.pi) - np.pi
+        joints = joints[(joints[:, 0] >= self.low[0]) & (joints[:, 0] <= self.high[0])]
+        home = np.array([turn[0], *self.home[1:]])
+        return list(joints[np.argsort(np.linalg.norm(joints - home, axis=1))])
 
     def line(self, start: np.ndarray, along: np.ndarray) -> np.ndarray | None:
         """Joints f64[L, 7] along a straight line of the tool, from `start`, both ends included.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import count, product
+from itertools import chain, count, product
 
 import numpy as np
 
@@ -240,7 +240,7 @@ class Mover:
         """How what is held comes to a place and the hand away, if it can by joints as they were planned."""
         target = _tool_at(place, self._T_tool_object)
         known = [] if self._joints is None else [self.kinematics.solve(target, self._joints)]
-        for joints in (*known, *self.kinematics.solutions(target, 2 * _ARMS)):
+        for joints in chain(known, self.kinematics.solutions(target, 2 * _ARMS)):
             found = None if joints is None else self._lowering(joints, place, self._opening)
             if found is None:
                 continue
