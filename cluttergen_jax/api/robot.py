@@ -13,7 +13,7 @@ from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.query import Placer
-    from cluttergen_jax.downstream.robot.grasp_sets import GraspSets
+    from cluttergen_jax.downstream.robot.grasping.sets import GraspSets
     from cluttergen_jax.downstream.robot.trials import RobotTrials
 
 _MOST_GRASPS = 4096
@@ -59,8 +59,8 @@ def robot_grasps(
       RendererError: a picture is wanted, and nothing here can draw.
     """
     from cluttergen_jax.assets.pool import find_pool
-    from cluttergen_jax.downstream.robot.grasp_sets import grasp_sets
-    from cluttergen_jax.downstream.robot.grasps import write_grasps
+    from cluttergen_jax.downstream.robot.grasping.grasps import write_grasps
+    from cluttergen_jax.downstream.robot.grasping.sets import grasp_sets
     from cluttergen_jax.placement.setup import check_names, check_range
 
     check_file(out, "out", "grasps.parquet")
@@ -75,7 +75,7 @@ def robot_grasps(
     if out is not None:
         write_grasps(Path(out), sets.sets)
     if picture is not None:
-        from cluttergen_jax.downstream.robot.grasp_picture import grasp_sheet
+        from cluttergen_jax.downstream.robot.grasping.picture import grasp_sheet
         from cluttergen_jax.rendering.sheet import save_png
 
         save_png(grasp_sheet(chosen, sets), picture)

@@ -50,7 +50,7 @@ class Inspect:
             from cluttergen_jax.rendering.sheet import save_png
 
             if self.grasps:
-                from cluttergen_jax.downstream.robot.grasp_picture import grasp_sheet
+                from cluttergen_jax.downstream.robot.grasping.picture import grasp_sheet
 
                 image = grasp_sheet(objects, sets, self.columns)
             else:

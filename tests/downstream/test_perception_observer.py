@@ -16,8 +16,8 @@ from cluttergen_jax.downstream.rearrange import perceive
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView
 from cluttergen_jax.downstream.rearrange.perceive import MOST_LOOKS, PerceptionObserver
 from cluttergen_jax.downstream.robot.cameras import DRAWN_BACK, above
-from cluttergen_jax.downstream.robot.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.model import base_pose
+from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.silhouette import ArmSilhouette
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.scene import Scene

@@ -34,8 +34,8 @@ from cluttergen_jax.downstream.rearrange.observe import (
 from cluttergen_jax.downstream.rearrange.settings import SETTINGS, RearrangeOptions, RearrangeSetting
 from cluttergen_jax.downstream.rearrange.task import RearrangeResult
 from cluttergen_jax.downstream.rearrange.trials import Rearrangements, is_stacked, run_rearrangements
-from cluttergen_jax.downstream.robot.execute import Execution
-from cluttergen_jax.downstream.robot.mover import Mover
+from cluttergen_jax.downstream.robot.motion.execute import Execution
+from cluttergen_jax.downstream.robot.motion.mover import Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.trials import EPISODES
 from cluttergen_jax.errors import BankError, ConfigError

@@ -19,8 +19,8 @@ from cluttergen_jax.downstream.rearrange.sheet import layout_sheet, layout_words
 from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
 from cluttergen_jax.downstream.robot import film as robot_film
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
-from cluttergen_jax.downstream.robot.execute import Execution, Phase, Trace
 from cluttergen_jax.downstream.robot.film import FPS, check_films, film_firsts
+from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase, Trace
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.rendering import gl
 from cluttergen_jax.rendering.figure import GREEN

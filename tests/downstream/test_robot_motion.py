@@ -12,9 +12,6 @@ pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
-from cluttergen_jax.downstream.robot import execute as robot_execute
-from cluttergen_jax.downstream.robot import plan as robot_plan
-from cluttergen_jax.downstream.robot.collision import CLEARANCE, ROOM, Kind, Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.episode import (
     EpisodeWorld,
     Put,
@@ -23,16 +20,19 @@ from cluttergen_jax.downstream.robot.episode import (
     place_episode,
     stand_beside,
 )
-from cluttergen_jax.downstream.robot.execute import Phase
 from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of, raised
-from cluttergen_jax.downstream.robot.grasps import Grasps
-from cluttergen_jax.downstream.robot.grips import first_grasp, ranked
-from cluttergen_jax.downstream.robot.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
+from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
+from cluttergen_jax.downstream.robot.grasping.grips import first_grasp, ranked
 from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.mover import LIFT, Mover
+from cluttergen_jax.downstream.robot.motion import execute as robot_execute
+from cluttergen_jax.downstream.robot.motion import plan as robot_plan
+from cluttergen_jax.downstream.robot.motion.collision import CLEARANCE, ROOM, Kind, Mode, PlanningWorld
+from cluttergen_jax.downstream.robot.motion.execute import Phase
+from cluttergen_jax.downstream.robot.motion.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
+from cluttergen_jax.downstream.robot.motion.mover import LIFT, Mover
+from cluttergen_jax.downstream.robot.motion.plan import Planner
+from cluttergen_jax.downstream.robot.motion.timing import MAX_ACCELERATION, MAX_SPEED, SHARE, timed
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.robot.plan import Planner
-from cluttergen_jax.downstream.robot.timing import MAX_ACCELERATION, MAX_SPEED, SHARE, timed
 from cluttergen_jax.scene import Scene
 from tests.helpers.worlds import box
 

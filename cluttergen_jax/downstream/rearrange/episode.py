@@ -16,9 +16,9 @@ from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, Obje
 from cluttergen_jax.downstream.rearrange.order import Meetings, lowest_first, ready, smallest_waiting
 from cluttergen_jax.downstream.rearrange.settings import AREA, RearrangeOptions
 from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeResult, RearrangeTask
-from cluttergen_jax.downstream.robot.execute import Execution, Trace
 from cluttergen_jax.downstream.robot.frames import matrix_of
-from cluttergen_jax.downstream.robot.grips import FIRM, first_grasp
+from cluttergen_jax.downstream.robot.grasping.grips import FIRM, first_grasp
+from cluttergen_jax.downstream.robot.motion.execute import Execution, Trace
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 
 NEAR_GOAL, NEAR_GOAL_TURN = 0.01, float(np.radians(10))

@@ -16,14 +16,14 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.config import LayoutRule
 from cluttergen_jax.downstream.rearrange.settings import AREA
-from cluttergen_jax.downstream.robot.collision import ROOM as HAND_ROOM
-from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.frames import matrix_of
-from cluttergen_jax.downstream.robot.grasp_candidates import opening_of
-from cluttergen_jax.downstream.robot.grasps import Grasps
-from cluttergen_jax.downstream.robot.grips import ranked
-from cluttergen_jax.downstream.robot.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.grasping.candidates import opening_of
+from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
+from cluttergen_jax.downstream.robot.grasping.grips import ranked
 from cluttergen_jax.downstream.robot.model import base_pose
+from cluttergen_jax.downstream.robot.motion.collision import ROOM as HAND_ROOM
+from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
+from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed, scene_distances
 from cluttergen_jax.generation.make import make_sampler

@@ -15,8 +15,8 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from cluttergen_jax.downstream.perception.symmetry import offset
-from cluttergen_jax.downstream.robot.execute import Execution
 from cluttergen_jax.downstream.robot.frames import matrix_of, pose_of
+from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.renderer import Renderer, open_renderer, set_range
@@ -233,7 +233,7 @@ class ObjectTracker:
         self._poses[self.unseen] = self._guesses[self.unseen]
 
     def __call__(self, only: int | None = None) -> np.ndarray:
-        """f64[N, 7]: looks again, for one object or for all (`robot.mover.See`); then as `poses`."""
+        """f64[N, 7]: looks again, for one object or for all (`robot.motion.mover.See`); then as `poses`."""
         self._follow()
         # Nothing has happened since all was looked at.
         is_fresh = self._looked_at == self._view.time

@@ -9,7 +9,7 @@ import numpy as np
 
 from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw
 from cluttergen_jax.downstream.rearrange.settings import RearrangeSetting
-from cluttergen_jax.downstream.robot.grasps import Grasps
+from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.scene import Scene
 

@@ -21,9 +21,9 @@ from cluttergen_jax.downstream.rearrange.order import Meetings
 from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions, RearrangeSetting
 from cluttergen_jax.downstream.rearrange.sheet import save_sheets
 from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeResult, RearrangeTask
-from cluttergen_jax.downstream.robot.execute import Trace
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
-from cluttergen_jax.downstream.robot.grasps import Grasps, grasps_of
+from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
+from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.rows import RowFile, share_of
 from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed
 from cluttergen_jax.errors import ConfigError

@@ -1,1 +1,1 @@
-"""A robot arm in simulation: grasps, motion, and objects picked up and put down."""
+"""A robot arm in simulation: episodes in which objects are picked up and put down."""

@@ -15,8 +15,8 @@ from cluttergen_jax.downstream.placer.judge import world_pose
 from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer
 from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.downstream.robot.cameras import above
-from cluttergen_jax.downstream.robot.columns import CELL, Columns, columns_of
 from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.robot.motion.columns import CELL, Columns, columns_of
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.placement.search.fit import Candidates, lower_onto
 from cluttergen_jax.scene.bank.bank import Bank

@@ -12,13 +12,13 @@ import numpy as np
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
-from cluttergen_jax.downstream.robot.collision import PlanningWorld
-from cluttergen_jax.downstream.robot.execute import Execution, Phase, Trace
 from cluttergen_jax.downstream.robot.frames import angle_between, matrix_of
-from cluttergen_jax.downstream.robot.grasps import Grasps
-from cluttergen_jax.downstream.robot.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import PandaConfig, base_pose
-from cluttergen_jax.downstream.robot.mover import LIFT, MAX_SLIP, MAX_TURN, Mover
+from cluttergen_jax.downstream.robot.motion.collision import PlanningWorld
+from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase, Trace
+from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.motion.mover import LIFT, MAX_SLIP, MAX_TURN, Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.sensed import SeeingArm
 from cluttergen_jax.geometry import product, turned, yaw_quaternion

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.config import FilmFormat
-from cluttergen_jax.downstream.robot.execute import Trace
 from cluttergen_jax.downstream.robot.model import Panda, PandaConfig
+from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import inside
 from cluttergen_jax.progress import Progress

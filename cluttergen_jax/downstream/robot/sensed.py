@@ -8,17 +8,17 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.downstream.robot.camera_places import CameraPlacer, View
 from cluttergen_jax.downstream.robot.cameras import wrist_camera
-from cluttergen_jax.downstream.robot.collision import ROOMS, PlanningWorld
-from cluttergen_jax.downstream.robot.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.frames import inverse, matrix_of, pose_of
-from cluttergen_jax.downstream.robot.grasps import Grasps
-from cluttergen_jax.downstream.robot.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.mover import Mover
+from cluttergen_jax.downstream.robot.motion.collision import ROOMS, PlanningWorld
+from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
+from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.motion.mover import Mover
+from cluttergen_jax.downstream.robot.motion.plan import PickPlan
+from cluttergen_jax.downstream.robot.motion.timing import timed
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.robot.plan import PickPlan
 from cluttergen_jax.downstream.robot.silhouette import ArmSilhouette
-from cluttergen_jax.downstream.robot.timing import timed
 from cluttergen_jax.sensing.camera import Camera
 
 _ASIDE = -1.3

@@ -19,9 +19,9 @@ from cluttergen_jax.downstream.robot.episode import (
     place_episode,
     sensed_place_episode,
 )
-from cluttergen_jax.downstream.robot.execute import Trace
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
-from cluttergen_jax.downstream.robot.grasps import Grasps, grasps_of
+from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
+from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.rows import RowFile, share_of
 from cluttergen_jax.errors import BankError

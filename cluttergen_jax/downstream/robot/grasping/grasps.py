@@ -19,8 +19,8 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.downstream.robot.frames import pose_of
-from cluttergen_jax.downstream.robot.grasp_candidates import Candidates, candidates_of, spread
-from cluttergen_jax.downstream.robot.grip_test import GripTest, grip_test
+from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, candidates_of, spread
+from cluttergen_jax.downstream.robot.grasping.grip_test import GripTest, grip_test
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.files import file_whole
 from cluttergen_jax.progress import Progress

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.downstream.robot.grasps import MIN_GRASPS, Grasps, grasps_of
+from cluttergen_jax.downstream.robot.grasping.grasps import MIN_GRASPS, Grasps, grasps_of
 from cluttergen_jax.tables import aligned_table
 
 _HEADINGS = ("object", "grasps", "low", "tested", "shift mm", "slip mm", "turn deg", "margin")

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.downstream.robot.collision import Mode, PlanningWorld
-from cluttergen_jax.downstream.robot.grips import Grip
-from cluttergen_jax.downstream.robot.ik import ArmKinematics, need
+from cluttergen_jax.downstream.robot.grasping.grips import Grip
+from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
+from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics, need
 
 MOST_CHECKS = 15_000
 """Collision queries after which a search is given up; time would depend on the machine."""

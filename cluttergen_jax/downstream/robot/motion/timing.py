@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.downstream.robot.ik import need
+from cluttergen_jax.downstream.robot.motion.ik import need
 
 MAX_SPEED = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])
 """rad/s, Franka's limits for the Panda."""

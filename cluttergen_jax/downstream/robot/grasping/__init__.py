@@ -1,0 +1,1 @@
+"""How a hand can hold an object: grasps found on its collision parts, each tried in simulation."""

@@ -1,0 +1,1 @@
+"""How the arm moves: inverse kinematics, paths around what stands, time laws, and the motors."""
