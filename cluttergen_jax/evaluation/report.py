@@ -48,21 +48,32 @@ def _title(result: Result, title: str) -> str:
 
 
 def provenance(result: Result) -> str:
-    """How the figures came about, in one paragraph."""
-    made, *earlier = dict.fromkeys(_made(each) for each in (result, *result.get("earlier", ())))
-    return f"{made} Rows that it did not make again: {' '.join(earlier)}" if earlier else made
+    """How the figures came about, in one paragraph; rows that were kept, by the machine that made them."""
+    made, *earlier = (_made(each) for each in (result, *result.get("earlier", ())))
+    commands: dict[str, dict[str, None]] = {}
+    for command, date, how in earlier:
+        commands.setdefault(how, {})[f"{command} ({date})" if date else command] = None
+    kept = "; ".join(f"{', '.join(each)}: {how}" for how, each in commands.items())
+    command, date, how = made
+    told = ", ".join(filter(None, (command, date, how)))
+    return f"{told}." + (f" Rows that it did not make again: {kept}." if kept else "")
 
 
-def _made(result: Result) -> str:
+def _made(result: Result) -> tuple[str, str, str]:
+    """The command, the day, if it is known, and where and with how many trials."""
     trials = " or ".join(f"{each:,}" for each in result["trials"])
-    others = "".join(f"; other rows {_when_and_where(each)}" for each in result.get("also_made", ()))
-    return f"`{result['command']}`, {trials} trials a row, {_when_and_where(result)}{others}."
+    others = "".join(
+        f"; other rows {', '.join(filter(None, _when_and_where(each)))}"
+        for each in result.get("also_made", ())
+    )
+    date, where = _when_and_where(result)
+    return f"`{result['command']}`", date, f"{trials} trials a row, {where}{others}"
 
 
-def _when_and_where(origin: dict[str, Any]) -> str:
+def _when_and_where(origin: dict[str, Any]) -> tuple[str, str]:
     if origin["machine"] is None:
-        return "kept by an older version, which did not note when and where it made them"
-    return f"{origin['date']}, on {sentence(origin['machine'])}"
+        return "", "kept by an older version, which did not note when and where it made them"
+    return origin["date"], f"on {sentence(origin['machine'])}"
 
 
 def with_earlier_rows(result: Result, earlier: Result) -> Result:
