@@ -17,7 +17,7 @@ from cluttergen_jax.evaluation.studies.contact_sheets import SAMPLES, sheet
 from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
 from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, named_rows
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid, of_methods
-from cluttergen_jax.evaluation.studies.table1 import first_seed
+from cluttergen_jax.evaluation.studies.table1 import CLUTTERGEN, first_seed
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.rendering.assets import render_scene
 from cluttergen_jax.rendering.gl import renderer_status
@@ -28,13 +28,13 @@ _EXAMPLES = 2
 
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
-    """Of table 1: our policy and chance. Beside them `guided` and `spread` by their own rules.
+    """Of table 1: the paper's method, our policy and chance. Beside them `guided` and `spread` by their own rules.
 
     Nobody is asked for a support margin, as in table 1.
     """
     bases = grid(scale.trial(1000, 6), pool=scale.chosen(*EMBEDDED))
     ours = [replace(each, min_margin=0.0) for each in named_rows(bases, "spread", "guided")]
-    return (*of_methods(first_seed(scale), "policy", "random"), *ours)
+    return (*of_methods(first_seed(scale), CLUTTERGEN, "policy", "random"), *ours)
 
 
 def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
