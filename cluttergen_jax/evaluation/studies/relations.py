@@ -28,7 +28,7 @@ _EXAMPLES = 2
 
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
-    """Of table 1: the paper's method, our policy and chance. Beside them `guided` and `spread` by their own rules.
+    """Of table 1: the paper's method, our policy and chance; `guided` and `spread` by their own rules.
 
     Nobody is asked for a support margin, as in table 1.
     """

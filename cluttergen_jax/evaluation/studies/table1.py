@@ -215,8 +215,8 @@ def differences(result: dict[str, Any]) -> tuple[str, ...]:
 
 
 _NOT_NOTED = (
-    "learned rows that name neither reward nor encoder were kept by an older version, which did not note them, "
-    "nor discount and prior: they are of preset `cpu`, as the rows with the reward compressed and discount 0.9"
+    "learned rows that name neither reward nor encoder were kept by an older version, which did not note "
+    "them, nor discount and prior: they are of preset `cpu`, as those with reward compressed and discount 0.9"
 )
 
 
