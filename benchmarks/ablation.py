@@ -144,8 +144,13 @@ def compare(
     parser.add_argument("--num-attempts", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--encoder-weights", required=needs_encoder, help="of `cluttergen pretrain`")
+    names = [row.name for row in rows]
+    parser.add_argument("--rows", nargs="+", choices=names, help="these alone, such as with a larger budget")
     parser.add_argument("--write", action="store_true", help="put the section into benchmarks/README.md")
     args = parser.parse_args()
+    if args.rows and args.write:
+        parser.error("--write puts the whole section into the file: it takes no --rows")
+    rows = [row for row in rows if args.rows is None or row.name in args.rows]
     for row in rows:
         train(row, args.out, args.pool, args.num_attempts, args.seed, args.encoder_weights)
     body = prose(
