@@ -21,7 +21,7 @@ pytest.importorskip("toppra", reason="needs the extra robot")
 
 import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.downstream.rearrange import episode
+from cluttergen_jax.downstream.rearrange import moves
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
 from cluttergen_jax.downstream.rearrange.episode import draw_layouts, rearrange_episode
 from cluttergen_jax.downstream.rearrange.judge import Judge
@@ -164,7 +164,7 @@ def test_an_object_that_is_put_back_is_no_retry_and_not_put_back_for_ever(most, 
         return place(self, places)
 
     monkeypatch.setattr(Mover, "place", back)
-    monkeypatch.setattr(episode, "MAX_BACKS", most)
+    monkeypatch.setattr(moves, "MAX_BACKS", most)
     goals = standing([[0.05, 0.25], [0.05, 0.08]])
     only_red = replace(SCENE, poses=standing([[0.05, -0.15], [0.05, 0.08]]))
     result = rearrange_episode(task_of(goals, only_red), RearrangeOptions(), TrueObserver())

@@ -298,7 +298,9 @@ def test_ctrl_c_ends_the_command_in_good_order(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_session_ends_with_the_scenes_that_were_saved_and_the_next_adds_to_them(tmp_path, monkeypatch):
+def test_a_session_ends_with_the_scenes_that_were_saved_and_the_next_adds_to_them(
+    tmp_path, monkeypatch, request
+):
     panels = []
 
     class Panel(viewing.PlacingPanel):
@@ -321,6 +323,9 @@ def test_a_session_ends_with_the_scenes_that_were_saved_and_the_next_adds_to_the
 
     monkeypatch.setattr(viewing, "PlacingPanel", Panel)
     monkeypatch.setattr(webbrowser, "open", person)
+    # What a shell starts in the background ignores Ctrl-C.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     for number in (1, 2):
         told = []
         bank = cg.place_by_hand(
