@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,13 @@ KIND = "segmenter"
 _HINT = "the folder named segmenter of a run of `cluttergen perception train`"
 _BIN, _SPREAD, _REACH = 2, 2.0, 25.0
 """Pixels: of the votes' histogram, of its blur, and from its peak within which votes are believed."""
+_MIRRORED: tuple[Callable[[np.ndarray], np.ndarray], ...] = (
+    lambda image: image,
+    np.fliplr,
+    np.flipud,
+    lambda image: image[::-1, ::-1],
+)
+"""Each is its own inverse."""
 
 _answers: Any = jax.jit(
     lambda learner, params, rgb, depth, height: learner.answers(params, network_images(rgb, depth, height)),
@@ -78,10 +85,11 @@ class NetworkSegmenter:
         """See `segmenter.Segmenter`."""
         rgb, depth = checked_images(rgb, depth, camera)
         height = (camera.points(depth)[..., 2] - self._top).astype(np.float32)
-        # The picture and its mirror image, which the network has learned from alike.
-        images = (np.stack([each, each[:, ::-1]]) for each in shrunk(rgb, depth, height))
+        # The picture and its mirror images, which the network has learned from alike.
+        images = (np.stack([turn(each) for turn in _MIRRORED]) for each in shrunk(rgb, depth, height))
         chances, centers = (np.asarray(each) for each in _answers(self._learner, self._params, *images))
-        chance = enlarged((chances[0] + chances[1][:, ::-1]) / 2, depth.shape)
+        mean = np.mean([turn(each) for turn, each in zip(_MIRRORED, chances, strict=True)], axis=0)
+        chance = enlarged(mean, depth.shape)
         height = smoothed(height)
         absent = [k for k, name in enumerate(self._names) if among is not None and name not in among]
         chance[..., [FIRST_OBJECT + k for k in absent]] = 0.0
