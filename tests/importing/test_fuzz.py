@@ -2,6 +2,7 @@
 
 import json
 import random
+import resource
 import subprocess
 import sys
 
@@ -101,8 +102,9 @@ def test_mutants_differ_and_repeat():
 @pytest.mark.parametrize("name", ["bank_record_signed", "urdf"])
 def test_the_guided_search_runs(name):
     pytest.importorskip("atheris", reason="needs the extra fuzz")
-    # A child's peak memory begins with its parent's, which libFuzzer would take for its own.
-    options = ["-max_total_time=10", "-seed=1", "-rss_limit_mb=0"]
+    # A child's peak memory begins with its parent's: libFuzzer's usual limit is put on top of that.
+    limit = 2048 + resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+    options = ["-max_total_time=10", "-seed=1", f"-rss_limit_mb={limit}"]
     words = [sys.executable, "-m", "tests.helpers.fuzz_guided", name, *options]
     done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=CORPUS.parent.parent)
     assert done.returncode == 0, done.stderr
