@@ -29,6 +29,7 @@ from cluttergen_jax.downstream.studies.study import (
     SuiteFolder,
 )
 from cluttergen_jax.downstream.studies.training_seeds import TRAINING_SEEDS
+from cluttergen_jax.downstream.studies.transfer import TRANSFER
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.machine import machine
 from cluttergen_jax.evaluation.report import Result, document, write_report
@@ -46,6 +47,7 @@ STUDIES = {
         SET_SIZE,
         SOURCE,
         TRAINING_SEEDS,
+        TRANSFER,
         PRETRAINED,
         PROTOCOL,
         PERCEPTION,

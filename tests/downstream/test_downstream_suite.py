@@ -17,7 +17,7 @@ from cluttergen_jax.downstream.rearrange.trials import Rearrangements
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.trials import RobotTrials
-from cluttergen_jax.downstream.studies import perception, rearrangement, robot
+from cluttergen_jax.downstream.studies import perception, rearrangement, robot, transfer
 from cluttergen_jax.downstream.studies.placement import PLACEMENT, found_of
 from cluttergen_jax.downstream.studies.protocol import PROTOCOL, _table
 from cluttergen_jax.downstream.studies.study import SETS, Found, Scale
@@ -102,6 +102,14 @@ def test_a_share_of_fewer_queries_has_the_interval_of_so_many():
     assert pooled([{"share": None, "queries": 0}] * 2, 100)["share"] is None
     table = _table([[trained_row(seed, 90) for seed in range(3)]], [[trained_row(0, 70)]])
     assert SEEDS_NOTE in table.notes
+
+
+def test_sets_of_the_study_transfer_say_what_is_new_in_them():
+    told = {one.name: transfer.new_there(one) for one in (*SETS, *transfer.CAMERAS)}
+    assert told.pop("household") == ""
+    assert told.pop("small-table") == "table"
+    assert (told.pop("overhead"), told.pop("side")) == ("camera", "camera")
+    assert set(told.values()) == {"objects"}
 
 
 def test_a_studys_command_says_what_was_asked():

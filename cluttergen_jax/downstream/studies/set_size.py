@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cluttergen_jax.downstream.placer.pairs.stored import PairSet
 from cluttergen_jax.downstream.studies.study import VALIDATING, DownstreamStudy, Found, SuiteFolder
-from cluttergen_jax.downstream.studies.trained import Variant, rows_of, table_of
+from cluttergen_jax.downstream.studies.trained import Variant, household_placers, rows_of, table_of
 
 SIZES = (200, 1000, 5000, 20_000)
 _FEW_SCENES = 5000
@@ -23,9 +23,7 @@ def run(suite: SuiteFolder) -> Found:
     variants = []
     for head in scale.chosen("scored", "mixture"):
         for size in sizes:
-            pairs = _pairs(suite, size)
-            name = f"household-{head}-{size}"
-            runs = {seed: suite.trained(name, pairs, head, seed, size) for seed in scale.training_seeds}
+            runs = household_placers(suite, head, size, _pairs(suite, size))
             variants.append(Variant({"head": head, "pairs": f"{size:,}"}, runs))
     rows = rows_of(suite.trials(suite.test_set()), variants)
     title = f"{rows[0]['trial']['queries']} queries of household, by pairs learned from"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
-from cluttergen_jax.config import PlacerHead, PlacerNoise
+from cluttergen_jax.config import PlacerHead, PlacerNoise, SensedFrom
 from cluttergen_jax.downstream.perception.evaluation.evaluate import PerceptionResult
 from cluttergen_jax.downstream.perception.views.stored import ViewSet
 from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials
@@ -47,11 +47,16 @@ class ApiCalls:
 
 @dataclass(frozen=True)
 class PlacementSet:
-    """Queries that placers are compared on: scenes of a pool on a support, one unseen camera a query."""
+    """Queries that placers are compared on: scenes of a pool on a support, one camera a query.
+
+    Attributes:
+      camera: `free` draws one for each query; see `cluttergen_jax.placer_data`.
+    """
 
     name: str
     pool: str
     support: str = "table"
+    camera: SensedFrom = "free"
 
 
 SETS = (
@@ -151,6 +156,7 @@ class SuiteFolder:
             f"{asked.name}-{number}",
             pool=asked.pool,
             support=asked.support,
+            camera=asked.camera,
             num_scenes=number,
             num_objects=NUM_OBJECTS,
             split="test",

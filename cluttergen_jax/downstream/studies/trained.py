@@ -10,7 +10,8 @@ import numpy as np
 
 from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials
 from cluttergen_jax.downstream.placer.evaluation.tables import MAIN, NOTES, Row, main_cells
-from cluttergen_jax.downstream.studies.study import NOISES
+from cluttergen_jax.downstream.placer.pairs.stored import PairSet
+from cluttergen_jax.downstream.studies.study import NOISES, SuiteFolder
 from cluttergen_jax.proportions import wilson
 from cluttergen_jax.tables import Table
 
@@ -30,6 +31,12 @@ class Variant(NamedTuple):
 
     labels: dict[str, str]
     runs: dict[int, Path] | str
+
+
+def household_placers(suite: SuiteFolder, head: str, num_pairs: int, pairs: PairSet) -> dict[int, Path]:
+    """Placers that learned from the first so many pairs of household alone, by training seed."""
+    name = f"household-{head}-{num_pairs}"
+    return {seed: suite.trained(name, pairs, head, seed, num_pairs) for seed in suite.scale.training_seeds}
 
 
 def rows_of(trials: Trials, variants: Sequence[Variant], noises: Sequence[float] = NOISES) -> list[Row]:
