@@ -158,19 +158,25 @@ def test_rearrangements_are_counted_by_episode_and_by_object():
 
 def test_moments_are_counted_over_all_their_objects():
     moment = JudgedMoment(
-        moment=0, has_arm=False, confused=[8, 0, 0, 0, 4, 0, 0, 2, 2], visible=2, found=1, masks=2, false=1,
+        moment=0, has_arm=False, confused=[[800, 0, 0, 0, 400, 0, 0, 200, 200]],
+        corrected=[[800, 0, 0, 0, 400, 0, 0, 0, 400]],
         objects=["mug", "mug"], share=[0.9, 0.1], adds=[0.001, 0.2], turn=[0.2, 0.0], shift=[0.0, 0.0],
         certainty=[0.9, 0.1], features=[[0.0] * 6] * 2, cpu=2.0,
     )  # fmt: skip
     row = PerceptionRow(1, 1.0, (moment, moment), ("mug",))
-    figures = perception.row_of(PerceptionResult("household", (row,)), row)["figures"]
-    assert (figures["found"]["share"], figures["false"]["share"]) == (0.5, 0.5)
+    told = perception.row_of(PerceptionResult("household", (row,)), row)
+    figures, masks = told["figures"], told["figures"]["segmenter"]
+    assert (masks["found"]["share"], masks["false"]["share"]) == (1, 0), "half of it is found"
+    assert masks["mean_iou"] == pytest.approx(np.mean([1, 4 / 6, 2 / 4]))
+    assert figures["corrected"]["mean_iou"] == 1
+    pixels, poses = perception.tables_of([told])
+    assert [row[0] for row in pixels.rows] == ["household", "household, corrected by poses"]
+    assert len(poses.rows) == 1
     (told,) = PerceptionResult("household", (row,))._by_object()
     assert told == ("mug", "2", "1.000", "0.000", "0.000"), "of what is well seen"
     # Of the two objects only the one that is well seen counts.
     assert (figures["adds"]["share"], figures["turn"]["share"], figures["both"]["share"]) == (1, 0, 0)
-    assert figures["mean_iou"] == pytest.approx(np.mean([1, 4 / 6, 2 / 4]))
-    assert "found" not in perception.row_of(PerceptionResult("true", (row,)), row)["figures"]
+    assert "segmenter" not in perception.row_of(PerceptionResult("true", (row,)), row)["figures"]
 
 
 def test_studies_of_the_robot_name_the_extra_that_is_missing(tmp_path, monkeypatch):

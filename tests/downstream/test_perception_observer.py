@@ -140,6 +140,7 @@ class Unsure:
             np.full(number, 0.2),
             np.zeros((number, 6)),
             np.ones(number),
+            (),
         )
 
 

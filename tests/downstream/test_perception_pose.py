@@ -18,7 +18,7 @@ from cluttergen_jax.downstream.perception.certainty import (
     write_certainty,
 )
 from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.evaluation.judged import judged
+from cluttergen_jax.downstream.perception.evaluation.judged import judged, mask_figures
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.pose import registration
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
@@ -27,6 +27,7 @@ from cluttergen_jax.downstream.perception.pose.free import FreeRegistration
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator, seen_points
 from cluttergen_jax.downstream.perception.pose.steady import SteadyCheck
+from cluttergen_jax.downstream.perception.segment.scores import intersection_over_union
 from cluttergen_jax.downstream.perception.symmetry import offset, turn_matrix
 from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE
 from cluttergen_jax.downstream.robot.frames import matrix_of, pose_of
@@ -344,6 +345,14 @@ def test_what_the_segmenter_took_for_another_is_found_in_what_nothing_explains(e
     found = SceneFinder(OBJECTS, TABLE, ByColour(), estimator)(looks)
     assert found.seen.all()
     np.testing.assert_allclose(found.pose[:, :3], poses[:, :3], atol=0.006)
+    # Where it was found the pixels are its own again, whatever the segmenter said.
+    right = [look_at(poses, camera).label for camera in (overhead(), SIDE)]
+    before, after = (
+        np.array([intersection_over_union(one, true, 3) for one, true in zip(labels, right, strict=True)])
+        for labels in ([look.label for look in looks], found.labels)
+    )
+    assert before[:, FIRST_OBJECT + 2].max() == 0
+    assert after[:, FIRST_OBJECT:].min() > 0.8
 
 
 def test_a_thing_that_fits_no_object_is_taken_for_none(estimator):
@@ -380,7 +389,7 @@ def test_bad_input_is_refused(finder, estimator):
 def test_a_moment_is_judged_against_the_truth(finder, estimator):
     models = [estimator.model(k) for k in range(3)]
     row = judged([view_of(POSES, overhead())], finder, models, REALSENSE.scaled(0.0), 0, False)
-    assert (row.visible, row.found, row.masks, row.false) == (3, 3, 3, 0)
+    assert mask_figures(row.confused, 3)[1:] == mask_figures(row.corrected, 3)[1:] == (3, 3, 3, 0)
     assert row.is_right == [True, True, True]
     assert max(row.adds) < 0.003
     assert min(row.share) > 0.9

@@ -44,6 +44,8 @@ class FoundScene:
       seen: bool[N]. certainty: f64[N] in [0, 1], the chance that the pose is right; 0 where not seen.
       features: f64[N, 6], what that was told from (`certainty.FEATURES`).
       visible: f64[N], share of each silhouette that is seen.
+      labels: of each look u8[H, W], which object each pixel shows (`classes`): the segmenter's word,
+        corrected by depth where an object of these names was found.
     """
 
     names: tuple[str, ...]
@@ -52,6 +54,7 @@ class FoundScene:
     certainty: np.ndarray
     features: np.ndarray
     visible: np.ndarray
+    labels: tuple[np.ndarray, ...]
 
 
 class SceneFinder:
@@ -175,7 +178,9 @@ class SceneFinder:
                 visible[place] = estimates[number].visible
                 certainty[place] = self._certainty(features[place])
         seen = certainty >= LEAST_CERTAIN
-        return FoundScene(tuple(asked), pose, seen, np.where(seen, certainty, 0.0), features, visible)
+        there = {number: pose[place] for place, number in enumerate(numbers) if seen[place]}
+        labels = tuple(look.label for look in self._as_expected(looks, there))
+        return FoundScene(tuple(asked), pose, seen, np.where(seen, certainty, 0.0), features, visible, labels)
 
     def _seek_in_the_rest(
         self, looks: Sequence[Look], unsure: Sequence[int], estimates: dict[int, PoseEstimate]

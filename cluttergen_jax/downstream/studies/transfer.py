@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from cluttergen_jax.downstream.placer.heads.trained import embedded_placers
 from cluttergen_jax.downstream.studies.study import (
     HOUSEHOLD,
@@ -36,7 +38,7 @@ def run(suite: SuiteFolder) -> Found:
     rows = []
     for one in sets[: 1 if scale.quick else None]:
         labels = {"set": one.name, "new": new_there(one)}
-        placers = {"scored": runs, "geometry-occupied": "geometry-occupied"}
+        placers: dict[str, dict[int, Path] | str] = {"scored": runs, "geometry-occupied": "geometry-occupied"}
         placers |= {f"{name}, all pools": name for name in embedded_placers()}
         variants = [Variant(labels | {"placer": name}, each) for name, each in placers.items()]
         rows += rows_of(suite.trials(suite.test_set(one)), variants)

@@ -17,16 +17,16 @@ from cluttergen_jax.downstream.perception.certainty import (
     reliability,
     write_certainty,
 )
-from cluttergen_jax.downstream.perception.classes import num_classes
 from cluttergen_jax.downstream.perception.evaluation.judged import (
     GOOD_ADDS,
     GOOD_TURN,
     JudgedMoment,
+    MaskFigures,
     judged,
+    mask_figures,
 )
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
-from cluttergen_jax.downstream.perception.segment.scores import iou_of
 from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation, Segmenter
 from cluttergen_jax.downstream.perception.segment.trained import (
     load_segmenter,
@@ -46,6 +46,8 @@ TRUE_MASKS = "true"
 """In place of a segmenter: the true labels."""
 WELL_SEEN = 0.3
 """Share of an object's silhouette that is seen, from which on its pose is asked for."""
+_FORMAT = 2
+"""Of rows on disk: those of another are left alone."""
 _SHARES = ((0.0, 0.1), (0.1, WELL_SEEN), (WELL_SEEN, 0.6), (0.6, 1.01))
 
 
@@ -75,12 +77,10 @@ class PerceptionRow:
     moments: tuple[JudgedMoment, ...]
     names: tuple[str, ...]
 
-    @property
-    def mean_iou(self) -> float:
-        """Over the classes that are there, background and arm among them, all pixels together."""
-        number = num_classes(len(self.names))
-        confused = np.sum([each.confused for each in self.moments], axis=0).reshape(number, number)
-        return float(np.nanmean(iou_of(confused)))
+    def masks(self, corrected: bool = False) -> MaskFigures:
+        """Of the segmenter's masks, or of those that poses and depth have corrected."""
+        told = [each.corrected if corrected else each.confused for each in self.moments]
+        return mask_figures([picture for each in told for picture in each], len(self.names))
 
     def right(self, low: float = WELL_SEEN, high: float = np.inf, only: str | None = None) -> np.ndarray:
         """bool[n, 3] of objects with a visible share in [low, high): ADD-S, turn, and both are good.
@@ -121,17 +121,20 @@ class PerceptionResult:
     rows: tuple[PerceptionRow, ...]
 
     def __str__(self) -> str:
-        columns = ("", "cameras", "noise", "moments", "mean IoU", "found", "false", "CPU-s")
+        columns = ("masks", "cameras", "noise", "moments", "mean IoU", "found", "false", "CPU-s")
+        # Of true masks there is nothing to tell.
+        kinds = (None,) if self.segmenter == TRUE_MASKS else (False, True)
         masks = [
             (
-                self.segmenter,
+                self.segmenter + (", corrected by poses" if corrected else ""),
                 str(row.cameras),
                 f"{row.noise:g}",
                 str(len(row.moments)),
-                *(("-",) * 3 if self.segmenter == TRUE_MASKS else _mask_shares(row)),
+                *(("-",) * 3 if corrected is None else _mask_shares(row.masks(corrected))),
                 f"{np.mean([m.cpu for m in row.moments]):.2f}",
             )
             for row in self.rows
+            for corrected in kinds
         ]
         limits = f"ADD-S < {1e3 * GOOD_ADDS:g} mm", f"turn < {np.degrees(GOOD_TURN):g} deg", "both"
         poses = [
@@ -168,12 +171,9 @@ class PerceptionResult:
         return rows
 
 
-def _mask_shares(row: PerceptionRow) -> tuple[str, str, str]:
+def _mask_shares(told: MaskFigures) -> tuple[str, str, str]:
     """Mean IoU, objects found, and false masks."""
-    found, visible, false, masks = (
-        sum(getattr(each, name) for each in row.moments) for name in ("found", "visible", "false", "masks")
-    )
-    return f"{row.mean_iou:.3f}", share_of(found, visible), share_of(false, masks)
+    return f"{told.mean_iou:.3f}", share_of(told.found, told.visible), share_of(told.false, told.masks)
 
 
 def _shares(row: PerceptionRow, low: float, high: float) -> tuple[str, str, str]:
@@ -204,6 +204,7 @@ def evaluate_perception(
     estimator = RegistrationEstimator(views.objects, views.support)
     finder = SceneFinder(views.objects, views.support, known, estimator, certainty)
     recipe = {
+        "format": _FORMAT,
         "views": views.digest(split),
         "segmenter": TRUE_MASKS if folder is None else network_hash(folder),
         "certainty": list(certainty.weights),

@@ -5,16 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
+from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT, num_classes
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
 from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.segment.examples import sensed
-from cluttergen_jax.downstream.perception.segment.scores import confusion
+from cluttergen_jax.downstream.perception.segment.scores import confusion, iou_of
 from cluttergen_jax.downstream.perception.symmetry import offset
 from cluttergen_jax.downstream.perception.views.stored import StoredView
 from cluttergen_jax.downstream.robot.frames import matrix_of
@@ -37,9 +38,9 @@ class JudgedMoment:
 
     Attributes:
       moment: its number. has_arm: the arm was in view.
-      confused: pixels of each true class taken for each class, row by row.
-      visible: objects with `VISIBLE_PIXELS` or more, counted for each picture; found: of these, those with a
-        good mask; masks: masks of as many pixels; false: of these, those mostly of something else.
+      confused: of each picture the pixels of each true class that the segmenter took for each class, row by
+        row.
+      corrected: the same by `finder.FoundScene.labels`.
       objects: names. share: of their silhouettes that is seen, truly.
       adds: metres (ADD-S on surfaces); turn: radians up to symmetry; shift: metres; None where not seen.
       certainty, features: see `finder.FoundScene`.
@@ -48,11 +49,8 @@ class JudgedMoment:
 
     moment: int
     has_arm: bool
-    confused: list[int]
-    visible: int
-    found: int
-    masks: int
-    false: int
+    confused: list[list[int]]
+    corrected: list[list[int]]
     objects: list[str]
     share: list[float]
     adds: list[float | None]
@@ -90,9 +88,9 @@ def judged(
     looks = [finder.look(each.rgb, each.depth, each.camera) for each in seen]
     if true_masks:
         looks = [replace(look, label=each.label) for look, each in zip(looks, seen, strict=True)]
-    confused = [confusion(look.label, each.label, number) for look, each in zip(looks, seen, strict=True)]
-    counts = np.sum([_counted(each) for each in confused], axis=0)
-    pixels = np.max([each.sum(1)[FIRST_OBJECT:] for each in confused], axis=0)
+    labels = [each.label for each in seen]
+    pixels = np.max([np.bincount(each.ravel(), minlength=num_classes(number)) for each in labels], axis=0)
+    pixels = pixels[FIRST_OBJECT:]
     asked = [k for k in views[0].objects.tolist() if pixels[k] >= VISIBLE_PIXELS]
     scene = finder(looks, [finder.names[k] for k in asked])
     cpu = time.process_time() - begun
@@ -105,11 +103,8 @@ def judged(
     return JudgedMoment(
         moment=views[0].number,
         has_arm=views[0].has_arm,
-        confused=np.sum(confused, axis=0).ravel().tolist(),
-        visible=int(counts[0]),
-        found=int(counts[1]),
-        masks=int(counts[2]),
-        false=int(counts[3]),
+        confused=_confused([look.label for look in looks], labels, number),
+        corrected=_confused(scene.labels, labels, number),
         objects=list(scene.names),
         share=[Comparer(models[k], k, exact).visible(true[k]) for k in asked],
         adds=[each[0] for each in errors],
@@ -126,8 +121,36 @@ def _errors(model: ObjectModel, true: np.ndarray, found: np.ndarray) -> tuple[fl
     return model.surface_distance(true, found), turn, shift
 
 
+def _confused(labels: Sequence[np.ndarray], true: Sequence[np.ndarray], number: int) -> list[list[int]]:
+    found = [confusion(each, right, number) for each, right in zip(labels, true, strict=True)]
+    return [each.ravel().tolist() for each in found]
+
+
+class MaskFigures(NamedTuple):
+    """How good the masks of some pictures are.
+
+    Attributes:
+      mean_iou: over the classes that are there, background and arm among them, all pixels together.
+      visible: objects with `VISIBLE_PIXELS` or more, counted for each picture; found: of these, those with a
+        good mask; masks: masks of as many pixels; false: of these, those mostly of something else.
+    """
+
+    mean_iou: float
+    visible: int
+    found: int
+    masks: int
+    false: int
+
+
+def mask_figures(confused: Sequence[Sequence[int]], number: int) -> MaskFigures:
+    """Of pictures of `number` objects; `confused` is a matrix for each, row by row (`JudgedMoment`)."""
+    matrices = np.array(confused).reshape(-1, num_classes(number), num_classes(number))
+    counts = np.sum([_counted(each) for each in matrices], axis=0)
+    return MaskFigures(float(np.nanmean(iou_of(matrices.sum(0)))), *map(int, counts))
+
+
 def _counted(confused: np.ndarray) -> tuple[int, int, int, int]:
-    """Objects that are visible in a picture, those found, masks, and false ones (`JudgedMoment`)."""
+    """The counts of `MaskFigures`, of one picture."""
     both = np.diag(confused)[FIRST_OBJECT:]
     true, found = confused.sum(1)[FIRST_OBJECT:], confused.sum(0)[FIRST_OBJECT:]
     is_visible, is_mask = true >= VISIBLE_PIXELS, found >= VISIBLE_PIXELS
