@@ -8,6 +8,8 @@ from cluttergen_jax.errors import ConfigError
 
 MAX_TEXTURE = 1024
 """Pixels a side that an imported image has at most, unless asked."""
+MAX_PART_VERTICES = 32
+"""Vertices that a convex part has at most."""
 NUM_TRIALS = 256
 """Placements by which an object's solo stability is measured."""
 

@@ -11,7 +11,6 @@ from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.texture import Texture
 
 CLOUD_SIZE = 1024
-MAX_PART_VERTICES = 32
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from cluttergen_jax.assets.config import MAX_PART_VERTICES
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.object import MAX_PART_VERTICES
 
 # Vertices this near the lowest point belong to the bottom, unless the object itself is thin.
 BOTTOM_REACH = 0.003

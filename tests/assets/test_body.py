@@ -9,11 +9,11 @@ import trimesh
 
 from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.cloud import farthest_first, sample_surface
-from cluttergen_jax.assets.config import DecompositionConfig
+from cluttergen_jax.assets.config import MAX_PART_VERTICES, DecompositionConfig
 from cluttergen_jax.assets.deviation import deviation, is_within_parts
 from cluttergen_jax.assets.inertia import mass_properties
 from cluttergen_jax.assets.mesh import Mesh, joined
-from cluttergen_jax.assets.object import CLOUD_SIZE, MAX_PART_VERTICES
+from cluttergen_jax.assets.object import CLOUD_SIZE
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.parts import (
     finished,

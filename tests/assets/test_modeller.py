@@ -11,11 +11,11 @@ import trimesh
 from manifold3d import Manifold, OpType
 from scipy.spatial import ConvexHull
 
+from cluttergen_jax.assets.config import MAX_PART_VERTICES
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import parts, solids
 from cluttergen_jax.assets.modeller.catalog import FAMILIES, POOLS, make_shape
 from cluttergen_jax.assets.modeller.vessel import Vessel
-from cluttergen_jax.assets.object import MAX_PART_VERTICES
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.errors import AssetError, PoolError
 

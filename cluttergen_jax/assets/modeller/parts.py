@@ -12,9 +12,9 @@ from manifold3d import Manifold
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from cluttergen_jax.assets.config import MAX_PART_VERTICES
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller.solids import Points2, ellipse, section_rings, to_mesh
-from cluttergen_jax.assets.object import MAX_PART_VERTICES
 from cluttergen_jax.errors import AssetError
 
 # More than what a body dropped from a few millimetres sinks in when it lands: then only the feet touch.
