@@ -7,6 +7,7 @@ import json
 import jax
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from cluttergen_jax.downstream.fitting.fit import FitConfig, num_examples, taken
 from cluttergen_jax.downstream.placer.heads.features import (
@@ -17,7 +18,7 @@ from cluttergen_jax.downstream.placer.heads.features import (
     features_of,
     own_shape,
 )
-from cluttergen_jax.downstream.placer.heads.mixture import MixtureConfig, MixtureHead
+from cluttergen_jax.downstream.placer.heads.mixture import MixtureConfig, MixtureHead, mass_around
 from cluttergen_jax.downstream.placer.heads.regression import (
     Clouds,
     RegressionConfig,
@@ -178,6 +179,21 @@ def _wider(heights):
 
 
 # Learning
+
+
+def test_a_neighbourhood_outweighs_a_lone_cell():
+    mass = np.zeros((6, 5, 4), np.float32)
+    mass[1, 1, 2] = 0.2
+    mass[3:, 2:, [3, 0, 1]] = 0.8 / 27
+    around = np.asarray(mass_around(mass))
+    assert np.unravel_index(mass.argmax(), mass.shape) == (1, 1, 2)
+    # Turns go round: the middle of 3, 0 and 1 is 0.
+    assert np.unravel_index(around.argmax(), around.shape) == (4, 3, 0)
+    assert around.max() == pytest.approx(0.8)
+    by_hand = ndimage.convolve1d(mass, np.ones(3), axis=2, mode="wrap")
+    for axis in (0, 1):
+        by_hand = ndimage.convolve1d(by_hand, np.ones(3), axis=axis, mode="constant")
+    np.testing.assert_allclose(around, by_hand, rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", HEADS)

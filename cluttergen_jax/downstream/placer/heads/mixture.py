@@ -102,8 +102,18 @@ def cell_features(query: PlacementQuery, config: MixtureConfig) -> Array:
     return jnp.stack(columns, axis=1)
 
 
+def mass_around(mass: Array) -> Array:
+    """f32[G, G, T]: the mass of each cell and turn and of all beside it; nothing is beyond the region."""
+    # Turns go round.
+    mass = jnp.concatenate([mass[..., -1:], mass, mass[..., :1]], axis=-1)
+    return jax.lax.reduce_window(mass, 0.0, jax.lax.add, (3, 3, 3), (1, 1, 1), ((1, 1), (1, 1), (0, 0)))
+
+
 class MixturePlacer(struct.PyTreeNode, eq=False):
-    """Proposes the likeliest cells and turns, lowered onto what was seen.
+    """Proposes the middles of the likeliest neighbourhoods of cells and turns, lowered onto what was seen.
+
+    The likeliest cell alone is often the only good one around, such as the lid of a box, from which an object
+    falls that is put down beside it.
 
     Attributes:
       params: the network's weights; config: its sizes.
@@ -116,8 +126,9 @@ class MixturePlacer(struct.PyTreeNode, eq=False):
         """See `query.Placer`; nothing is drawn."""
         del key
         found: Any = MixtureNet(self.config).apply(self.params, cell_features(query, self.config))
-        cells = cells_of(query, self.config)
-        best = best_apart(-found.log_weight, cells.xy, NUM_PROPOSALS)
+        cells, shape = cells_of(query, self.config), (*[self.config.num_cells] * 2, self.config.num_turns)
+        mass = mass_around(jnp.exp(found.log_weight).reshape(shape)).ravel()
+        best = best_apart(-mass, cells.xy, NUM_PROPOSALS)
         inside = found.inside.mean() - _MIDDLE
         step = jnp.append(2 * query.region_half_extents / self.config.num_cells, 0.0)
         turn = 2 * jnp.pi / self.config.num_turns
