@@ -25,7 +25,7 @@ _NOTES = (
     "sets differ from that in what stands under `new`",
     "scored, all pools: the placer of the package, which learned from household and from all pools together, "
     "on the same table; of dining, kitchen, office and study nothing but the scenes is new to it",
-    "overhead: straight down, where nothing hides anything; side: the paper's camera, twice as fine",
+    "overhead: straight down, where nothing hides anything; side: the paper's camera, always in one place",
 )
 
 
