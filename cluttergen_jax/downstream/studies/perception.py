@@ -30,7 +30,8 @@ _NOTES = (
 _MASK_NOTES = (
     "found: objects of 150 pixels or more of which the mask overlaps the true one by half; false: masks "
     "mostly of something else",
-    "corrected by poses: a pixel whose depth is that of an object where it was found shows that object",
+    "corrected by poses: a pixel whose depth is that of an object where it was found shows that object; "
+    "poses are sought of those objects that are there, which the segmenter alone is not told",
 )
 
 
