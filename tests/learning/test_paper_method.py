@@ -45,9 +45,9 @@ def successes(num_objects, side, num_updates, network=SEEN, **ppo):
 @pytest.mark.timeout(1800)
 def test_one_object_is_placed_beside_another():
     """Two boxes of 10 cm on a table of 20 cm: the second has one side of the first at most."""
-    found = successes(2, 0.2, 40)
+    found = successes(2, 0.2, 60)
     assert found[:3].mean() < 0.5
-    assert found[-5:].mean() > 0.9
+    assert found[-5:].mean() > 0.95
 
 
 @pytest.mark.slow
