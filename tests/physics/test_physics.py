@@ -68,17 +68,16 @@ def outcome(name, case):
     return Verdict(int(report.verdict)), report, batch()[0][row]
 
 
-def assert_close(first, second, exactly):
+def assert_close(first, second, exactly, motion_rtol=1e-2):
     for field in dataclasses.fields(first):
         ours, theirs = (np.asarray(getattr(report, field.name)) for report in (first, second))
         assert ours.shape == theirs.shape, field.name
         if exactly or ours.dtype.kind in "bi":
             np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
         else:
-            # XLA adds in another order for another batch size, and on another processor: velocities differ by
-            # rounding over a step.
+            # XLA adds in another order for another batch size: velocities differ by rounding over a step.
             is_motion = field.name in ("trajectory", "motion_sum", "speed_sum")
-            rtol, atol = (5e-2, 2e-3) if is_motion else (1e-3, 1e-5)
+            rtol, atol = (motion_rtol, 2e-3) if is_motion else (1e-3, 1e-5)
             np.testing.assert_allclose(ours, theirs, rtol=rtol, atol=atol, err_msg=field.name)
 
 
@@ -180,10 +179,11 @@ def test_every_report_is_the_native_engines(name):
         np.testing.assert_allclose(first, second, atol=error, rtol=0, err_msg=field)
     # Where bodies overlap or meet an edge the engines find contacts differently, and small differences grow.
     others = ~np.isin(list(SCENES), ["overlapping", "pushed", "near the edge"])
-    for field in ("motion_sum", "speed_sum"):
+    # How much a box at rest trembles in pure JAX depends on the processor; a fall of a millimetre sums to 60.
+    trembling = 1.0 if name == "jax" else 5e-2
+    for field, atol in (("motion_sum", trembling), ("speed_sum", 5e-2)):
         first, second = getattr(ours, field)[others], getattr(native, field)[others]
-        # A millimetre's fall is 60; how much a box at rest trembles in float32 depends on the processor.
-        np.testing.assert_allclose(first, second, rtol=0.5, atol=1.0)
+        np.testing.assert_allclose(first, second, rtol=0.5, atol=atol)
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -221,7 +221,8 @@ def test_vmap_of_vmap_is_vmap(name):
 def test_one_scene_alone_is_as_in_a_batch(name):
     args = batch(["dropped 1 mm"])
     report = jax.jit(engine_of(name).settle)(*(array[0] for array in args))
-    assert_close(report, outcome(name, "dropped 1 mm")[1], name == "native")
+    rounding = 2e-2 if name == "jax" else 1e-2  # seen: 1.4 % on one of two processors
+    assert_close(report, outcome(name, "dropped 1 mm")[1], name == "native", rounding)
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -487,7 +488,7 @@ def test_engines_agree(name):
     assert {Verdict.STABLE, Verdict.DISPLACED} <= set(native.verdict[clear].tolist())
     stable = native.verdict == Verdict.STABLE
     apart = np.linalg.norm(native.poses[..., :3] - other.poses[..., :3], axis=-1) * is_placed
-    differ = (native.verdict != other.verdict) | stable & (apart.max(axis=-1) >= 1e-3)
+    differ = (native.verdict != other.verdict) | stable & ~(apart.max(axis=-1) < 1e-3)
     assert (clear & differ).sum() <= MOST_THROWN[name]
 
 
