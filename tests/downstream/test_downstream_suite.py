@@ -162,7 +162,7 @@ def test_moments_are_counted_over_all_their_objects():
         confused=[[800, 0, 0, 0, 400, 0, 0, 200, 200], [600, 0, 200, 0, 400, 0, 300, 0, 100]],
         corrected=[[800, 0, 0, 0, 400, 0, 0, 0, 400]] * 2,
         objects=["mug", "mug"], share=[0.9, 0.1], adds=[0.001, 0.2], turn=[0.2, 0.0], shift=[0.0, 0.0],
-        certainty=[0.9, 0.1], features=[[0.0] * 6] * 2, cpu=2.0,
+        certainty=[0.9, 0.1], features=[[0.0] * 7] * 2, cpu=2.0,
     )  # fmt: skip
     row = PerceptionRow(1, 1.0, (moment, moment), ("mug",))
     told = perception.row_of(PerceptionResult("household", (row,)), row)

@@ -112,6 +112,20 @@ def test_a_small_handle_tells_that_an_object_has_turned(yaw, turned_by):
     assert errors(estimator, 0, estimator(0, [look], turned[0]), true[0])[1] < 5
 
 
+@pytest.mark.parametrize(("yaw", "is_told"), [(0.0, True), (1.6, True), (2.5, False), (4.0, False)])
+def test_how_surely_a_turn_is_told_depends_on_whether_its_handle_is_seen(yaw, is_told):
+    mug, true = with_handle(), standing((0.0, 0.0, yaw))
+    true[0, 2] = TABLE.top + mug.half_extents[2]
+    view = view_of(true, SIDE, objects=(mug,)).view
+    look = Look(np.where(np.isfinite(view.depth), view.depth, np.nan), view.label, SIDE)
+    estimator = RegistrationEstimator((mug,), TABLE)
+    found = estimator(0, [look])
+    assert found.lead == 1 if is_told else found.lead < 0.1
+    assert not is_told or errors(estimator, 0, found, true[0])[1] < 5
+    # What is known of its turn counts as much as a handle that is seen.
+    assert estimator(0, [look], true[0]).lead > 0.9
+
+
 def test_where_nothing_speaks_for_the_other_turn_an_object_has_not_turned_round(estimator):
     looks = [look_at(POSES, camera) for camera in (overhead(), SIDE)]
     for known in (matrix_of(POSES[0]), matrix_of(POSES[0]) @ turn_matrix(np.pi)):
@@ -275,8 +289,8 @@ def test_what_overlaps_side_by_side_is_moved_apart_and_nothing_else():
 
 def test_certainty_is_fitted_to_what_was_right(tmp_path):
     rng = np.random.default_rng(0)
-    features = np.column_stack([np.ones(4000), *(rng.uniform(0, 1, (5, 4000)))])
-    true = np.array([-3.0, 4.0, 2.0, 0.0, 0.0, 1.0])
+    features = np.column_stack([np.ones(4000), *(rng.uniform(0, 1, (len(FEATURES) - 1, 4000)))])
+    true = np.array([-3.0, 4.0, 2.0, 1.0, 0.0, 0.0, 1.0])
     right = rng.uniform(size=4000) < 1 / (1 + np.exp(-features @ true))
     fitted = Certainty().fitted(features, right)
     np.testing.assert_allclose(fitted.weights, true, atol=0.5)

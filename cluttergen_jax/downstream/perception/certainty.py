@@ -14,7 +14,7 @@ from cluttergen_jax.errors import PoolError
 from cluttergen_jax.files import write_atomically
 
 FILE = "certainty.json"
-FEATURES = ("bias", "score", "gap", "visible", "pixels", "steady")
+FEATURES = ("bias", "score", "gap", "lead", "visible", "pixels", "steady")
 _PRIOR = 2.0
 """Strength of what holds the weights near to the usual ones, in poses."""
 _STEPS = 50
@@ -29,15 +29,15 @@ class Certainty:
       number: poses that they were fitted to; 0 for the usual ones.
     """
 
-    weights: tuple[float, ...] = (-5.0, 6.0, 4.0, 1.5, 0.3, 1.0)
+    weights: tuple[float, ...] = (-6.0, 6.0, 4.0, 1.0, 1.5, 0.3, 1.0)
     number: int = 0
 
     def __call__(self, features: np.ndarray) -> np.ndarray:
-        """f64[...] in (0, 1): the chance that poses with features f[..., 6] are right."""
+        """f64[...] in (0, 1): the chance that poses with features f[..., 7] are right."""
         return 1 / (1 + np.exp(-np.asarray(features, np.float64) @ np.array(self.weights)))
 
     def fitted(self, features: np.ndarray, is_right: np.ndarray) -> Certainty:
-        """The rule that fits poses best, bool[P], with features f[P, 6] (Newton's method)."""
+        """The rule that fits poses best, bool[P], with features f[P, 7] (Newton's method)."""
         usual = np.array(self.weights)
         weights, prior = usual.copy(), _PRIOR * np.eye(len(usual)) / 4
         for _ in range(_STEPS):
@@ -52,9 +52,9 @@ class Certainty:
 
 
 def features_of(estimate: PoseEstimate, is_steady: bool) -> np.ndarray:
-    """f64[6], in the order of `FEATURES`."""
-    pixels = np.log10(max(estimate.num_pixels, 1)) - 2
-    return np.array([1.0, estimate.score, estimate.gap, estimate.visible, pixels, float(is_steady)])
+    """f64[7], in the order of `FEATURES`."""
+    pixels, told = np.log10(max(estimate.num_pixels, 1)) - 2, (estimate.score, estimate.gap, estimate.lead)
+    return np.array([1.0, *told, estimate.visible, pixels, float(is_steady)])
 
 
 def read_certainty(folder: Path) -> Certainty:

@@ -11,7 +11,7 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.perception.aligned import aligned
-from cluttergen_jax.downstream.perception.certainty import Certainty, features_of, read_certainty
+from cluttergen_jax.downstream.perception.certainty import FEATURES, Certainty, features_of, read_certainty
 from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.expected import as_expected, unexplained
 from cluttergen_jax.downstream.perception.pose.estimator import Look, PoseEstimate, PoseEstimator
@@ -29,6 +29,7 @@ _AGREED = 0.5
 """Certainty from which on a pose tells where a camera is."""
 LEAST_CERTAIN = 0.1
 """Below it an object counts as not seen."""
+_LEAD = FEATURES.index("lead")
 _RADIUS = 0.1
 _FEWEST = 60
 """Pixels of a thing that nothing explains, from which on it is looked into."""
@@ -42,7 +43,7 @@ class FoundScene:
       names: of the objects.
       pose: f64[N, 7], T_world_object, metres, wxyz; the identity where not seen.
       seen: bool[N]. certainty: f64[N] in [0, 1], the chance that the pose is right; 0 where not seen.
-      features: f64[N, 6], what that was told from (`certainty.FEATURES`).
+      features: f64[N, 7], what that was told from (`certainty.FEATURES`).
       visible: f64[N], share of each silhouette that is seen.
       labels: of each look u8[H, W], which object each pixel shows (`classes`): the segmenter's word,
         corrected by depth where an object of these names was found.
@@ -138,12 +139,15 @@ class SceneFinder:
         asked = self.names if names is None else tuple(names)
         if strange := [name for name in asked if name not in self.names]:
             raise ConfigError(f"objects {', '.join(strange)}", ", ".join(self.names))
+        lead = np.ones(len(asked))
         if near is None or np.isnan(near).all():
-            found = self._found(looks, asked, np.full((len(asked), 7), np.nan))
+            found = self._found(looks, asked, np.full((len(asked), 7), np.nan), lead)
             near, share = np.where(found.certainty[:, None] >= _AGREED, found.pose, np.nan), 1.0
             if len(looks) == 1 or np.isnan(near).all():
                 return found
-        return self._found(self._aligned(looks, asked, near, share), asked, near)
+            # What these looks told of a turn, they do not tell once more.
+            lead = np.where(np.isnan(near).any(1), 1.0, found.features[:, _LEAD])
+        return self._found(self._aligned(looks, asked, near, share), asked, near, lead)
 
     def _aligned(
         self, looks: Sequence[Look], names: Sequence[str], known: np.ndarray, share: float
@@ -151,7 +155,10 @@ class SceneFinder:
         there = self._at(_told(self.names, names, known))
         return [aligned(look, there, share) for look in as_expected(looks, there)]
 
-    def _found(self, looks: Sequence[Look], asked: Sequence[str], near: np.ndarray) -> FoundScene:
+    def _found(
+        self, looks: Sequence[Look], asked: Sequence[str], near: np.ndarray, most: np.ndarray
+    ) -> FoundScene:
+        """As `__call__`; `most` f64[n]: what each pose's lead is at most."""
         numbers, places = [self.names.index(name) for name in asked], _told(self.names, asked, near)
         looks = self._as_expected(looks, places)
         found = {number: self.estimator(number, looks, places.get(number)) for number in numbers}
@@ -169,12 +176,13 @@ class SceneFinder:
         poses = self._steady.apart(poses, is_placed)
         steady = self._steady(poses, is_placed)
         count = len(asked)
-        pose, features = np.tile(np.eye(7)[3], (count, 1)), np.zeros((count, 6))
+        pose, features = np.tile(np.eye(7)[3], (count, 1)), np.zeros((count, len(FEATURES)))
         visible, certainty = np.zeros(count), np.zeros(count)
         for place, number in enumerate(numbers):
             if number in estimates:
                 pose[place] = poses[number]
                 features[place] = features_of(estimates[number], bool(steady[number]))
+                features[place, _LEAD] = min(features[place, _LEAD], most[place])
                 visible[place] = estimates[number].visible
                 certainty[place] = self._certainty(features[place])
         seen = certainty >= LEAST_CERTAIN

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.downstream.perception.certainty import (
+    FEATURES,
     Certainty,
     read_certainty,
     reliability,
@@ -46,7 +47,7 @@ TRUE_MASKS = "true"
 """In place of a segmenter: the true labels."""
 WELL_SEEN = 0.3
 """Share of an object's silhouette that is seen, from which on its pose is asked for."""
-_FORMAT = 2
+_FORMAT = 3
 """Of rows on disk: those of another are left alone."""
 _SHARES = ((0.0, 0.1), (0.1, WELL_SEEN), (WELL_SEEN, 0.6), (0.6, 1.01))
 
@@ -98,7 +99,7 @@ class PerceptionRow:
         return np.column_stack([found, found.all(1)])
 
     def certainties(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of all poses that were told: chances f64[n], features f64[n, 6], and which are right bool[n]."""
+        """Of all poses that were told: chances f64[n], features f64[n, 7], and which are right bool[n]."""
         rows = [
             (chance, features, is_right)
             for each in self.moments
@@ -106,7 +107,7 @@ class PerceptionRow:
             if any(features)
         ]
         chance, features, right = zip(*rows, strict=True) if rows else ((), (), ())
-        return np.array(chance), np.array(features).reshape(-1, 6), np.array(right, bool)
+        return np.array(chance), np.array(features).reshape(-1, len(FEATURES)), np.array(right, bool)
 
 
 @dataclass(frozen=True)

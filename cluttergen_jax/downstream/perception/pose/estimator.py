@@ -40,6 +40,8 @@ class PoseEstimate:
       score: in [0, 1], how well its picture agrees with what was seen (`compare`).
       gap: by how much that is better than the best pose that is another; below zero where pixels on which
         the two differ speak for this one.
+      lead: in [0, 1], how surely its turn is told from others that agree about as well, by the pixels on
+        which they differ; 1 where there are none.
       visible: share of its whole silhouette that is seen, in the look that shows the most.
       num_pixels: of its masks.
     """
@@ -47,6 +49,7 @@ class PoseEstimate:
     pose: np.ndarray
     score: float
     gap: float
+    lead: float
     visible: float
     num_pixels: int
 

@@ -86,13 +86,13 @@ class RegistrationEstimator:
             return None
         compare = Comparer(model, index, looks)
         if near is not None and (known := matrix_of(near))[2, 2] > _NEARLY_UPRIGHT:
-            found = self._where_it_was(model, points, eyes, compare, known)
+            found, lead = self._where_it_was(model, points, eyes, compare, known)
             if found[0][0] >= SURE:
-                return self._estimate(model, found, compare, num_pixels)
+                return self._estimate(model, found, compare, num_pixels, lead)
         found = self._upright(model, points, eyes, compare)
         if found[0][0] < SURE:
             found = _best([*found, *self._lying(model, free, points, eyes, compare)])
-        likely = self._likeliest(found, model.symmetry, compare)
+        likely, lead = self._likeliest(found, model.symmetry, compare)
         tried = list(found)
         others = [each for each in _unlike(found, model.symmetry) if each is not likely]
         for score, pose in [likely, *others][:_REFINED]:
@@ -104,25 +104,34 @@ class RegistrationEstimator:
         first = next(each for each in ranked if not _is_turned(each[1], likely[1], model.symmetry))
         if first[0] > ranked[0][0] - _ALIKE:
             ranked = [first, *ranked]
-        return self._estimate(model, ranked, compare, num_pixels)
+        # Once refined, another turn may agree as well.
+        likely, again = self._likeliest([ranked[0], *tried[len(found) :]], model.symmetry, compare)
+        lead = min(lead, again) if likely is ranked[0] else 0.0
+        return self._estimate(model, ranked, compare, num_pixels, lead)
 
     def _likeliest(
-        self, found: Sequence[Scored], symmetry: int, compare: Comparer, least: float = 0.0
-    ) -> Scored:
-        """The first pose, or one of another turn with about the same score and more evidence.
+        self, found: Sequence[Scored], symmetry: int, compare: Comparer, prior: float = 0.0
+    ) -> tuple[Scored, float]:
+        """The first pose, or one of another turn with about the same score and more evidence; and its lead.
 
         Give it many turns: at an edge an error of a millimetre changes evidence as much as a handle does.
 
         Args:
-          least: by how much more evidence another turn has to have (`Comparer.evidence`).
+          prior: evidence for the first one's turn before anything is seen (`Comparer.evidence`).
+
+        Returns:
+          Also by how much more evidence its turn has than the next best (`PoseEstimate.lead`).
         """
         first, alike = found[0], [each for each in found if each[0] > found[0][0] - _ALIKE]
         is_other = np.array([_is_turned(each[1], first[1], symmetry) for each in alike])
         if not is_other.any():
-            return first
+            return first, 1.0
         evidence = np.array([compare.evidence(pose, self._top) for _, pose in alike])
+        evidence += np.where(is_other, 0.0, prior)
         best = int(evidence.argmax())
-        return alike[best] if evidence[best] > evidence[~is_other].max() + least else first
+        likely = alike[best] if is_other[best] else first
+        is_rival = np.array([_is_turned(each[1], likely[1], symmetry) for each in alike])
+        return likely, min(float(evidence[best] - evidence[is_rival].max()) / _DECISIVE, 1.0)
 
     def _where_it_was(
         self,
@@ -131,8 +140,12 @@ class RegistrationEstimator:
         eyes: np.ndarray,
         compare: Comparer,
         known: np.ndarray,
-    ) -> list[Scored]:
-        """Poses at the height of `known` f64[4, 4], the likeliest first; its own turn if none is more so."""
+    ) -> tuple[list[Scored], float]:
+        """Poses at the height of `known` f64[4, 4], the likeliest first; its own turn if none is more so.
+
+        Returns:
+          Also the lead of the first (`_likeliest`).
+        """
         is_low = known[2, 3] - model.asset.half_extents[2] < self._top + _LOW
         bottom = self._top if is_low else None
         yaws = starting_yaws(model.symmetry)
@@ -144,9 +157,9 @@ class RegistrationEstimator:
         own, *others = from_all(yaws[:: max(len(yaws) // _FEW_TURNS, 1)])
         if any(each[0] > own[0] - _ALIKE and _is_turned(each[1], own[1], model.symmetry) for each in others):
             own, *others = from_all(yaws)
-        likely = self._likeliest([own, *others], model.symmetry, compare, _DECISIVE)
+        likely, lead = self._likeliest([own, *others], model.symmetry, compare, _DECISIVE)
         first = _climbed(compare, likely)
-        return [first, *_best([first if likely is own else _climbed(compare, own), *others])]
+        return [first, *_best([first if likely is own else _climbed(compare, own), *others])], lead
 
     def _upright(
         self, model: ObjectModel, points: np.ndarray, eyes: np.ndarray, compare: Comparer
@@ -201,7 +214,7 @@ class RegistrationEstimator:
         return _best(found)[:_BEST]
 
     def _estimate(
-        self, model: ObjectModel, ranked: list[Scored], compare: Comparer, num_pixels: int
+        self, model: ObjectModel, ranked: list[Scored], compare: Comparer, num_pixels: int, lead: float
     ) -> PoseEstimate:
         """The best of poses with their scores, best first; what all but stands on the table stands there."""
         score, pose = ranked[0]
@@ -213,6 +226,7 @@ class RegistrationEstimator:
             pose=pose_of(pose),
             score=max(score, 0.0),
             gap=score - max(others, default=0.0),
+            lead=lead,
             visible=visible,
             num_pixels=num_pixels,
         )
