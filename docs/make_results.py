@@ -3,6 +3,9 @@
 python docs/make_results.py                          from what is there
 python docs/make_results.py out/paper out/extended   after taking over what those suites made
 python docs/make_results.py --keep-rows out/paper    the same, and rows that were not made again stay
+
+Of a suite that had episodes of the arm their rows come too, to docs/results/episodes: copied into the folder
+of `evaluate --out` as they lie there, that command takes them up again.
 """
 
 from __future__ import annotations
@@ -39,6 +42,8 @@ def take_over(folder: Path, keep_rows: bool) -> None:
             redrawn = redraw(result, Path(drawn)) if name in earlier else []
             for picture in shown_pictures(result):
                 shutil.copyfile(Path(drawn if picture in redrawn else folder) / picture, FOLDER / picture)
+    for rows in folder.glob("episodes/**/*.jsonl"):
+        write_atomically(FOLDER / rows.relative_to(folder), rows.read_bytes())
 
 
 def main() -> None:

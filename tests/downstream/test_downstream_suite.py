@@ -1,7 +1,9 @@
 """The suite `downstream`: studies whose results bring their tables along; what is made is not made again."""
 
 import json
+import shlex
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from cluttergen_jax.downstream.rearrange.episode import RearrangeResult
 from cluttergen_jax.downstream.rearrange.trials import Rearrangements
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.outcome import Outcome
-from cluttergen_jax.downstream.robot.trials import RobotTrials
+from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials
 from cluttergen_jax.downstream.studies import perception, rearrangement, robot, transfer
 from cluttergen_jax.downstream.studies.placement import PLACEMENT, found_of
 from cluttergen_jax.downstream.studies.protocol import PROTOCOL, _table
@@ -154,6 +156,20 @@ def test_rearrangements_are_counted_by_episode_and_by_object():
     assert found["figures"]["right"]["share"] == 0.75
     assert found["figures"]["causes"] == {"contact": 1}
     assert (found["figures"]["picks"], found["figures"]["fewest"]) == (2, 2)
+
+
+def test_the_pages_rearrangements_are_those_of_the_rows_beside_it():
+    results = Path(__file__).parents[2] / "docs" / "results"
+    made = json.loads((results / "rearrangement.json").read_text())
+    words = shlex.split(made["command"])
+    seed = words[words.index("--seed") + 1]
+    for record in made["records"]:
+        asked = {name: record["trial"][name] for name in ("setting", "observer", "row")}
+        folder = results / "episodes" / f"rearrange-{seed}-{asked['observer']}" / asked["setting"]
+        _, *lines = (folder / EPISODES).read_text().splitlines()
+        rows = tuple(RearrangeResult(**json.loads(line)) for line in lines[: record["trial"]["episodes"]])
+        again = rearrangement.row_of(asked, Rearrangements(asked["setting"], asked["observer"], rows))
+        assert json.loads(json.dumps(again)) == record
 
 
 def test_moments_are_counted_over_all_their_objects():
