@@ -26,7 +26,14 @@ from cluttergen_jax.downstream.robot.grasping.grips import first_grasp, ranked
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion import execute as robot_execute
 from cluttergen_jax.downstream.robot.motion import plan as robot_plan
-from cluttergen_jax.downstream.robot.motion.collision import CLEARANCE, ROOM, Kind, Mode, PlanningWorld
+from cluttergen_jax.downstream.robot.motion.collision import (
+    CLEARANCE,
+    ROOM,
+    SELF_CLEARANCE,
+    Kind,
+    Mode,
+    PlanningWorld,
+)
 from cluttergen_jax.downstream.robot.motion.execute import Phase
 from cluttergen_jax.downstream.robot.motion.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import LIFT, Mover
@@ -150,6 +157,45 @@ def test_what_is_free_keeps_its_distance(world, kinematics):
         frees += blocker is None
         assert (blocker is None) == (distance >= CLEARANCE), (blocker, distance)
     assert 10 < frees < 55
+
+
+def nearest_link(world, joints):
+    """Metres between links that are no neighbours, or a link and the hand, by MuJoCo's distances."""
+    model, data = world.model, world.data
+    data.qpos[world.panda.qpos], data.qpos[world.panda.fingers] = joints, 0.04
+    mujoco.mj_kinematics(model, data)
+    rigid = model.body_weldid
+    before = rigid[model.body_parentid[rigid]]
+    bodies = model.geom_bodyid
+    links = np.flatnonzero(world._kind == Kind.ARM)
+    others = np.flatnonzero(np.isin(world._kind, [Kind.ARM, Kind.HAND]))
+    return min(
+        mujoco.mj_geomDistance(model, data, a, b, 0.05, None)
+        for a in links
+        for b in others
+        if rigid[bodies[a]] != rigid[bodies[b]]
+        and before[bodies[a]] != rigid[bodies[b]]
+        and before[bodies[b]] != rigid[bodies[a]]
+    )
+
+
+def test_links_keep_their_distance_from_each_other(world):
+    # Folded, the wrist comes to the shoulder; nothing else is near.
+    home, folded = world._home, world._home.copy()
+    folded[3] = world.panda.low[3]
+    folded[5] = world.panda.low[5]
+    assert nearest_link(world, home) > 2 * SELF_CLEARANCE
+    assert nearest_link(world, folded) < 0
+    for share in (0.5, 1.5):
+        near, far = 1.0, 0.0
+        while near - far > 1e-6:
+            middle = (near + far) / 2
+            if nearest_link(world, home + middle * (folded - home)) < share * SELF_CLEARANCE:
+                near = middle
+            else:
+                far = middle
+        blocker = world.blocker(home + near * (folded - home), 0.04)
+        assert (blocker is None) == (share > 1), (share, blocker)
 
 
 def test_what_is_held_is_looked_at_and_what_is_put_down_too(world, kinematics):

@@ -27,6 +27,8 @@ ROOM = 0.004
 """Metres that the hand and what it holds keep besides from objects that may be off by as much."""
 ROOMS = (ROOM, ROOM / 2, 0.0)
 """The same, in the order of trying."""
+SELF_CLEARANCE = 0.002
+"""Metres that the links of the arm keep from each other, the hand, and what it holds."""
 _SAG = 0.0015
 """Metres that the hand keeps from the table, however near: the arm is not quite where it is told to be."""
 _TOUCH = -0.001
@@ -78,8 +80,8 @@ def _thresholds() -> np.ndarray:
     moving = (Kind.ARM, Kind.HAND, Kind.HELD)
     for a in moving:
         for b in moving:
-            # The arm is near to itself wherever it is.
-            limit[:, a, b] = 0.0
+            # Fingers are near to each other and to what they hold; a link that only passes is not.
+            limit[:, a, b] = SELF_CLEARANCE if Kind.ARM in (a, b) else 0.0
     for mode in set(Mode) - {Mode.TRAVEL}:
         for other in (Kind.GROUND, Kind.OTHER):
             limit[mode, Kind.HAND, other] = limit[mode, other, Kind.HAND] = NEAR
