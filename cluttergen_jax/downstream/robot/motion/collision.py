@@ -80,7 +80,7 @@ def _thresholds() -> np.ndarray:
     moving = (Kind.ARM, Kind.HAND, Kind.HELD)
     for a in moving:
         for b in moving:
-            # Fingers are near to each other and to what they hold; a link that only passes is not.
+            # Fingers may touch each other and what they hold; no link may touch anything.
             limit[:, a, b] = SELF_CLEARANCE if Kind.ARM in (a, b) else 0.0
     for mode in set(Mode) - {Mode.TRAVEL}:
         for other in (Kind.GROUND, Kind.OTHER):
