@@ -369,6 +369,7 @@ def test_grasps_beside_the_middle_come_later(grasps):
     both = replace(grasps, pose=beside, width=np.array([0.05, 0.04]))
     assert next(ranked(grasps, np.eye(4))).width == 0.06
     assert next(ranked(both, np.eye(4))).width == 0.04
+    assert first_grasp(both).width.tolist() == [0.04]
 
 
 def test_grasps_in_which_the_object_turned_come_later(grasps):

@@ -41,16 +41,20 @@ def ranked(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[Grip]:
     Those that come from above and hold well are first.
     """
     pose, held = matrix_of(grasps.pose), matrix_of(grasps.held)
-    turned = T_world_object[:3, :3] @ pose[:, :3]
-    down = -turned[:, 2, 2]
-    # A centimetre of slip or of shift counts as much as half a turn from straight down.
-    worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip)
-    levers = _levers(turned)
-    worth -= _SWING * grasps.turn + _LEVER * levers
+    worth, levers = _worth(grasps, T_world_object)
     for index in np.argsort(-worth, kind="stable"):
         for turn in (np.eye(4), _FLIP):
             width, lever = float(grasps.width[index]), float(levers[index])
             yield Grip(pose[index] @ turn, turn @ held[index], width, lever)
+
+
+def _worth(grasps: Grasps, T_world_object: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """f64[G]: how much a grasp comes from above and holds; and its lever (`Grip`)."""
+    turned = T_world_object[:3, :3] @ matrix_of(grasps.pose)[:, :3]
+    down, levers = -turned[:, 2, 2], _levers(turned)
+    # A centimetre of slip or of shift counts as much as half a turn from straight down.
+    worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip)
+    return worth - (_SWING * grasps.turn + _LEVER * levers), levers
 
 
 def _levers(pose: np.ndarray) -> np.ndarray:
@@ -64,10 +68,10 @@ def _levers(pose: np.ndarray) -> np.ndarray:
 
 
 def first_grasp(grasps: Grasps) -> Grasps:
-    """The one that comes from above and holds best."""
+    """The one that `ranked` has first where the object stands upright."""
     if not len(grasps):
         return grasps
-    down = -matrix_of(grasps.pose)[:, 2, 2] + 0.25 * grasps.margin - _SWING * grasps.turn
-    best = [int(down.argmax())]
+    worth, _ = _worth(grasps, np.eye(4))
+    best = [int(worth.argmax())]
     columns = ("pose", "held", "width", "shift", "slip", "turn", "margin", "is_low")
     return replace(grasps, **{name: getattr(grasps, name)[best] for name in columns})
