@@ -188,11 +188,14 @@ def test_links_keep_their_distance_from_each_other(world):
     assert nearest_link(world, home) > 2 * SELF_CLEARANCE
     assert nearest_link(world, folded) < 0
     for share in (0.5, 1.5):
-        part = brentq(
-            lambda part: nearest_link(world, home + part * (folded - home)) - share * SELF_CLEARANCE, 0, 1
-        )
+        part = brentq(_beyond, 0, 1, args=(world, home, folded, share * SELF_CLEARANCE))
         blocker = world.blocker(home + part * (folded - home), 0.04)
         assert (blocker is None) == (share > 1), (share, blocker)
+
+
+def _beyond(part, world, start, end, distance):
+    """Metres by which links are farther apart than a distance, on the way from joints to others."""
+    return nearest_link(world, start + part * (end - start)) - distance
 
 
 def test_what_is_held_is_looked_at_and_what_is_put_down_too(world, kinematics):
