@@ -49,7 +49,7 @@ def ranked(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[Grip]:
 
 
 def _worth(grasps: Grasps, T_world_object: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """f64[G]: how much a grasp comes from above and holds; and its lever (`Grip`)."""
+    """f64[G], a grasp's worth: more if it comes from above and holds well; f64[G], its lever (`Grip`)."""
     turned = T_world_object[:3, :3] @ matrix_of(grasps.pose)[:, :3]
     down, levers = -turned[:, 2, 2], _levers(turned)
     # A centimetre of slip or of shift counts as much as half a turn from straight down.
