@@ -1,8 +1,10 @@
 """All that is to be known of a GPU, in parts that fit in nine minutes each.
 
     python -m benchmarks.gpu [--parts doctor agreement ...] [--out FOLDER]
+    python -m benchmarks.gpu --parts scenes --engines warp --lanes 8192
     python -m benchmarks.gpu --write
 
+Warp keeps memory of every number of scenes that a call has had side by side: give large ones a call each.
 A row is stored in `--out` as soon as it is made, and not made again. A call ends between two rows, before its
 minutes are over; the same command goes on. `--small` is the miniature that any machine can run; its rows and
 runs lie in `small/` below `--out`, apart from those of full size.
@@ -11,10 +13,12 @@ runs lie in `small/` below `--out`, apart from those of full size.
 from __future__ import annotations
 
 import datetime
+import re
 import subprocess
 import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from textwrap import shorten
 
 import jax
 import tyro
@@ -41,6 +45,7 @@ class Gpu:
     Attributes:
       parts: which, in this order; all if none is named.
       lanes: scenes side by side, in place of 512, 2,048, 8,192 and 16,384.
+      engines: of `gpu_engines.WARP`, and native; all if none is named.
       out: where rows and runs are kept.
       minutes: after which a call ends.
       small: a miniature of everything on three boxes, for any machine; its figures say nothing.
@@ -50,6 +55,7 @@ class Gpu:
 
     parts: tuple[str, ...] = ()
     lanes: tuple[int, ...] = ()
+    engines: tuple[str, ...] = ()
     out: Path = Path("out/gpu")
     minutes: float = 9.0
     small: bool = False
@@ -147,6 +153,19 @@ def parts_of(scales: Scales, rows: Rows, is_small: bool) -> dict[str, Cases]:
     }
 
 
+def chosen(scale: gpu_engines.Scale, args: Gpu) -> gpu_engines.Scale:
+    """The scenes side by side and the engines that were asked for, where any were."""
+    for engine in args.engines:
+        if engine not in scale.engines:
+            known = ", ".join(scale.engines)
+            raise ConfigError(f"engine {engine!r}", known, meant=closest(engine, scale.engines))
+    kept = {
+        name: tuple(each for each in getattr(scale, name) if not args.engines or each in args.engines)
+        for name in ("engines", "compared")
+    }
+    return replace(scale, lanes=args.lanes or scale.lanes, **kept)
+
+
 def measure(args: Gpu) -> Rows:
     """Makes rows until all are there or the time is up."""
     for part in args.parts:
@@ -155,8 +174,7 @@ def measure(args: Gpu) -> Rows:
     args.folder.mkdir(parents=True, exist_ok=True)
     rows = Rows(args.folder / "rows.json", args.minutes, args.retry, say=_say)
     scales = small(args.folder) if args.small else Scales()
-    if args.lanes:
-        scales = replace(scales, engines=replace(scales.engines, lanes=args.lanes))
+    scales = replace(scales, engines=chosen(scales.engines, args))
     cases = parts_of(scales, rows, args.small)
     try:
         for part in args.parts or PARTS:
@@ -238,12 +256,12 @@ def body_of(rows: Rows) -> str:
     facts = rows.of("doctor").get("machine", {})
     text = ["## GPU"] + ["A miniature: its figures say nothing."] * bool(facts.get("small"))
     for part, layout in LAYOUTS.items():
-        found = {name: _flat(row) for name, row in rows.of(part).items()}
+        found = {name: _flat(row) for name, row in sorted(rows.of(part).items(), key=_in_order)}
         if found:
             lines = table(["", *layout.fields], columns(found, layout.fields))
             text += [f"### {part}", prose(layout.about), lines]
     failed = [
-        f"{part}: {name}: {row['failed']}"
+        f"{part}: {name}: {shorten(row['failed'], 160)}"
         for part, made in rows.parts.items()
         for name, row in made.items()
         if "failed" in row
@@ -254,6 +272,12 @@ def body_of(rows: Rows) -> str:
         f"`python -m benchmarks.gpu`, {facts.get('date', '')}; {facts.get('machine', 'machine unknown')}."
     ]
     return "\n\n".join(text)
+
+
+def _in_order(named: tuple[str, Row]) -> list[str | int]:
+    """Rows of an engine together, by the numbers in their names."""
+    parts = re.split(r"(\d+)", named[0])
+    return [int(part) if part.isdigit() else part for part in parts]
 
 
 def _flat(row: Row) -> Row:

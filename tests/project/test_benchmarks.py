@@ -12,6 +12,7 @@ from benchmarks import (
     contact,
     engines,
     gpu,
+    gpu_engines,
     last_check,
     other_mujoco,
     profile,
@@ -294,6 +295,15 @@ def test_gpu_is_measured_in_miniature_and_written(tmp_path, capsys):
 def test_gpu_says_which_parts_there_are(tmp_path):
     with pytest.raises(ConfigError, match="Did you mean 'steps'"):
         gpu.main(gpu.Gpu(parts=("stepz",), out=tmp_path))
+
+
+def test_gpu_measures_the_engines_and_numbers_of_scenes_that_are_asked_for():
+    whole = gpu_engines.Scale()
+    scale = gpu.chosen(whole, gpu.Gpu(engines=("native", "warp"), lanes=(64,)))
+    assert (scale.engines, scale.compared, scale.lanes) == (("native", "warp"), ("native", "warp"), (64,))
+    assert gpu.chosen(whole, gpu.Gpu()) == whole
+    with pytest.raises(ConfigError, match="Did you mean 'warp'"):
+        gpu.chosen(whole, gpu.Gpu(engines=("warb",)))
 
 
 @pytest.mark.slow
