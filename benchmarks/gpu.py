@@ -5,9 +5,9 @@
     python -m benchmarks.gpu --write
 
 A row is stored in `--out` as soon as it is made, and not made again. A call ends between two rows, before its
-minutes are over; the same command goes on. Give large numbers of scenes side by side a call each: one that went
-through all of them ran out of the GPU's memory. `--small` is the miniature that any machine can run; its rows
-and runs lie in `small/` below `--out`, apart from those of full size.
+minutes are over; the same command goes on. Give large numbers of scenes side by side a call each: one that
+went through all of them ran out of the GPU's memory. `--small` is the miniature that any machine can run; its
+rows and runs lie in `small/` below `--out`, apart from those of full size.
 """
 
 from __future__ import annotations
