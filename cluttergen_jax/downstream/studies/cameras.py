@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cluttergen_jax.downstream.placer.evaluation.tables import cell
-from cluttergen_jax.downstream.studies.study import NOISES, DownstreamStudy, Found, SuiteFolder
+from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
 from cluttergen_jax.downstream.studies.trained import Variant, grouped, rows_of, table_of
 from cluttergen_jax.tables import Table
 
@@ -22,7 +22,7 @@ def run(suite: SuiteFolder) -> Found:
     pairs, rows = suite.test_set(), []
     for number in numbers:
         variants = [Variant({"placer": name, "cameras": str(number)}, name) for name in placers]
-        rows += rows_of(suite.trials(pairs, num_cameras=number), variants, NOISES)
+        rows += rows_of(suite.trials(pairs, num_cameras=number), variants, suite.scale.noises)
     main = table_of(f"{rows[0]['trial']['queries']} queries of household", rows, (_NOTE,))
     return Found(rows, [main, _unseen(rows)])
 

@@ -18,7 +18,7 @@ from cluttergen_jax.proportions import counted, proportion
 from cluttergen_jax.tables import Table
 
 POOL = "household"
-_VIEWS, _QUICK_VIEWS = 300, 4
+_VIEWS, _QUICK_VIEWS = 300, 2
 _HEAD = ("masks", "cameras", "noise", "moments")
 _MASKS = ("mean IoU", "found", "false")
 _POSES = ("ADD-S < 5 mm", "turn < 5 deg", "both", "CPU-s")

@@ -55,7 +55,7 @@ def run_ablations(suite: SuiteFolder) -> Found:
         for observer in OBSERVERS[: 1 if suite.scale.quick else None]:
             found = [
                 _row(suite, {"setting": setting, "observer": observer, **changed}, title)
-                for title, changed in ABLATIONS
+                for title, changed in ABLATIONS[: 2 if suite.scale.quick else None]
             ]
             rows += found
             tables.append(_table(f"Setting `{setting}`, seen by `{observer}`", found))

@@ -6,6 +6,7 @@ from cluttergen_jax.downstream.placer.pairs.stored import PairSet
 from cluttergen_jax.downstream.studies.study import VALIDATING, DownstreamStudy, Found, SuiteFolder
 from cluttergen_jax.downstream.studies.trained import Variant, household_placers, rows_of, table_of
 
+HEADS = ("scored", "mixture")
 SIZES = (200, 1000, 5000, 20_000)
 _FEW_SCENES = 5000
 """Up to so many pairs are the first of one set, of 500 scenes; more are of a set of their own."""
@@ -21,11 +22,11 @@ def run(suite: SuiteFolder) -> Found:
     scale = suite.scale
     sizes = [size for size in SIZES if size <= (scale.most_pairs or size)] or [scale.capped(SIZES[0])]
     variants = []
-    for head in scale.chosen("scored", "mixture"):
+    for head in scale.chosen(*HEADS[: 1 if scale.quick else None]):
         for size in sizes:
             runs = household_placers(suite, head, size, _pairs(suite, size))
             variants.append(Variant({"head": head, "pairs": f"{size:,}"}, runs))
-    rows = rows_of(suite.trials(suite.test_set()), variants)
+    rows = rows_of(suite.trials(suite.test_set()), variants, suite.scale.noises)
     title = f"{rows[0]['trial']['queries']} queries of household, by pairs learned from"
     return Found(rows, [table_of(title, rows, _NOTES)])
 

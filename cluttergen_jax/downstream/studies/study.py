@@ -113,6 +113,11 @@ class Scale:
         return range(self.seeds or (1 if self.quick else _SEEDS))
 
     @property
+    def noises(self) -> tuple[float, ...]:
+        """Of the camera, that trained placers are judged with; the usual one alone if quick."""
+        return NOISES[-1:] if self.quick else NOISES
+
+    @property
     def most_pairs(self) -> int | None:
         """That a placer learns from."""
         return self.num_pairs or (_QUICK_PAIRS if self.quick else None)

@@ -19,18 +19,20 @@ _NOTES = ("trained by the commands of the card of the placer `scored`, each seed
 def run(suite: SuiteFolder) -> Found:
     """Rows on all sets of the study `placement`."""
     scale = suite.scale
-    household = suite.household()
-    everything = suite.training_set("all", 800, PAIRS, (100, 256), pool="all", num_objects=NUM_OBJECTS)
+    learned = [suite.household()]
+    if not scale.quick:
+        all_pools = {"pool": "all", "num_objects": NUM_OBJECTS}
+        learned.append(suite.training_set("all", 800, PAIRS, (100, 256), **all_pools))
     size = scale.capped(PAIRS)
     runs = {
-        seed: suite.trained(f"card-{size}", (household, everything), "scored", seed, size, num_epochs=EPOCHS)
+        seed: suite.trained(f"card-{size}", learned, "scored", seed, size, num_epochs=EPOCHS)
         for seed in scale.training_seeds
     }
     sets = [one for one in SETS if not scale.pools or one.pool in scale.pools][: 1 if scale.quick else None]
     rows = []
     for one in sets:
         variant = Variant({"set": one.name, "placer": "scored"}, runs)
-        rows += rows_of(suite.trials(suite.test_set(one)), [variant])
+        rows += rows_of(suite.trials(suite.test_set(one)), [variant], scale.noises)
     queries = sorted({row["trial"]["queries"] for row in rows})
     title = f"{' or '.join(f'{each:,}' for each in queries)} queries a set"
     return Found(rows, [table_of(title, rows, _NOTES)])

@@ -41,7 +41,7 @@ def run(suite: SuiteFolder) -> Found:
         placers: dict[str, dict[int, Path] | str] = {"scored": runs, "geometry-occupied": "geometry-occupied"}
         placers |= {f"{name}, all pools": name for name in embedded_placers()}
         variants = [Variant(labels | {"placer": name}, each) for name, each in placers.items()]
-        rows += rows_of(suite.trials(suite.test_set(one)), variants)
+        rows += rows_of(suite.trials(suite.test_set(one)), variants, scale.noises)
     queries = sorted({row["trial"]["queries"] for row in rows})
     title = f"{' or '.join(f'{each:,}' for each in queries)} queries a set, learned from {size:,} pairs"
     return Found(rows, [table_of(title, rows, _NOTES)])
