@@ -33,7 +33,7 @@ def run(suite: SuiteFolder) -> Found:
         }
         variants.append(Variant({"encoders": name, "pairs": f"{size:,}"}, runs))
     variants.append(Variant({"encoders": "random", "pairs": "-"}, "random"))
-    rows = rows_of(suite.trials(suite.test_set()), variants, suite.scale.noises)
+    rows = rows_of(suite.trials(suite.test_set()), variants, scale.noises)
     title = f"{rows[0]['trial']['queries']} queries of household, head regression"
     return Found(rows, [table_of(title, rows, _NOTES)])
 

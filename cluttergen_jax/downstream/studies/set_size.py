@@ -26,7 +26,7 @@ def run(suite: SuiteFolder) -> Found:
         for size in sizes:
             runs = household_placers(suite, head, size, _pairs(suite, size))
             variants.append(Variant({"head": head, "pairs": f"{size:,}"}, runs))
-    rows = rows_of(suite.trials(suite.test_set()), variants, suite.scale.noises)
+    rows = rows_of(suite.trials(suite.test_set()), variants, scale.noises)
     title = f"{rows[0]['trial']['queries']} queries of household, by pairs learned from"
     return Found(rows, [table_of(title, rows, _NOTES)])
 

@@ -32,7 +32,7 @@ def run(suite: SuiteFolder) -> Found:
         hand = suite.hand_set(Path(scale.bank), scale.capped(HAND_PAIRS))
         sets.append(("by hand", scale.capped(HAND_PAIRS), hand))
     variants = [_variant(suite, head, *each) for head in scale.chosen("scored") for each in sets]
-    rows = rows_of(suite.trials(suite.test_set()), variants, suite.scale.noises)
+    rows = rows_of(suite.trials(suite.test_set()), variants, scale.noises)
     title = f"{rows[0]['trial']['queries']} queries of household, by the scenes learned from"
     return Found(rows, [table_of(title, rows, _NOTES)])
 

@@ -14,6 +14,7 @@ from cluttergen_jax.downstream.studies.trained import Variant, rows_of, table_of
 PAIRS, EPOCHS = 2560, 10
 """Of each of the two sets, and times that they are seen: as the placer's card has it."""
 _NOTES = ("trained by the commands of the card of the placer `scored`, each seed from pairs to weights",)
+_QUICK_NOTES = ("learned from household alone, where the placer `scored` learned from all pools as well",)
 
 
 def run(suite: SuiteFolder) -> Found:
@@ -35,7 +36,7 @@ def run(suite: SuiteFolder) -> Found:
         rows += rows_of(suite.trials(suite.test_set(one)), [variant], scale.noises)
     queries = sorted({row["trial"]["queries"] for row in rows})
     title = f"{' or '.join(f'{each:,}' for each in queries)} queries a set"
-    return Found(rows, [table_of(title, rows, _NOTES)])
+    return Found(rows, [table_of(title, rows, _QUICK_NOTES if scale.quick else _NOTES)])
 
 
 TRAINING_SEEDS = DownstreamStudy("training-seeds", "The trained placer by training seed", run)
