@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from cluttergen_jax.errors import BankError, UnsafePathError
+from cluttergen_jax.errors import BankError, ConfigError, UnsafePathError
 
 PARTIAL = ".partial"
 """Ending of what is being written, in names that begin with a dot."""
@@ -39,6 +39,24 @@ def cache_home() -> Path:
     if home := os.environ.get("CLUTTERGEN_HOME"):
         return Path(home)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cluttergen_jax"
+
+
+def check_utf8(path: str | os.PathLike[str]) -> None:
+    """Refuses a path that is not UTF-8, its folders included: Arrow, MuJoCo and JSON cannot name it.
+
+    Raises:
+      ConfigError: it is not; in a C locale without UTF-8 mode, no letter beyond ASCII is.
+    """
+    text = os.path.abspath(path)
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        readable = os.fsencode(text).decode("utf-8", "backslashreplace")
+        raise ConfigError(
+            f"a file or folder of the name {readable}, which is not read as UTF-8",
+            "names in UTF-8",
+            "another name; or, if it is UTF-8, the variable PYTHONUTF8=1 or a locale such as C.UTF-8",
+        ) from None
 
 
 def inside(folder: str | os.PathLike[str], name: object) -> Path:

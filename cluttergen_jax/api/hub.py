@@ -34,11 +34,13 @@ def pull_bank(
     hub: str | None = None,
     revision: str | None = None,
     overwrite: bool = False,
+    allow_unchecked: bool = False,
 ) -> Path:
     """Fetches a bank; returns its folder, which is there whole or not at all.
 
-    It is fetched beside its place, its names, blocks, assets and digests are checked, and then it is moved
-    there. An interrupted pull goes on where it stopped.
+    It is fetched beside its place; its names, rows, assets and the digests of all files are checked, each
+    scene's file is held against its row, and then it is moved there. An interrupted pull goes on where it
+    stopped.
 
     Args:
       name: OWNER/NAME.
@@ -48,12 +50,14 @@ def pull_bank(
         Hugging Face Hub if not given.
       revision: a branch, tag or commit; the latest if not given.
       overwrite: replace a bank that is there.
+      allow_unchecked: take a bank that has no digests of its files or rows: those of older versions.
 
     Raises:
-      BankError: there is no such bank, it is damaged, `out` exists, or the hub cannot be reached.
+      BankError: there is no such bank, it is damaged or has no digests, `out` exists, or the hub cannot be
+        reached.
       UnsafePathError: it names paths outside of its folder.
       MissingExtraError: the extra `hub` is not installed.
     """
     from cluttergen_jax.scene.bank.hub import pull
 
-    return pull(name, out, hub, revision, overwrite)
+    return pull(name, out, hub, revision, overwrite, allow_unchecked)

@@ -18,11 +18,13 @@ def verify(
     jobs: int = 0,
     cluster: str | None = None,
     workers: int = 0,
+    allow_unchecked: bool = False,
 ) -> VerificationReport:
     """Checks that saved scenes stand: plain MuJoCo, everything awake; `cluttergen verify`.
 
-    Of a bank, its files are compared with the digests in bank.json as well: a scene of which a file was
-    changed does not count. What was found is written to verification.json in the bank's folder.
+    Of a bank, its files are compared with the digests in bank.json as well, and each scene's file with its
+    row: a scene of which something was changed does not count. What was found is written to verification.json
+    in the bank's folder.
 
     Args:
       path: a bank (its folder, or a URL), or one MJCF file with a keyframe called scene.
@@ -32,9 +34,11 @@ def verify(
         belongs to; or a cluster's address (extra `ray`). In this process if not given. All machines have to
         see the files under the same path.
       workers: worker processes on the cluster; 0 takes as many as it has room for.
+      allow_unchecked: simulate a bank that has no digests of its files, as those of older versions have none.
 
     Raises:
-      BankError: there is nothing to verify, or a file cannot be loaded or simulated.
+      BankError: there is nothing to verify, or a file cannot be loaded or simulated, or a bank
+        has no digests of its files.
       UnsafePathError: a file of a bank names files outside of that bank.
       ConfigError: `jobs` is out of range.
       MissingExtraError: a cluster without the extra `ray`.
@@ -48,4 +52,5 @@ def verify(
         check or VerifyConfig(),
         jobs,
         cluster_of(cluster, workers),
+        allow_unchecked,
     )

@@ -17,7 +17,7 @@ from typing import Any
 from cluttergen_jax.cli.commands import COMMANDS, all_commands, load, overview
 from cluttergen_jax.cli.flags import removed_name, with_flags
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
-from cluttergen_jax.files import advice_on, cache_home
+from cluttergen_jax.files import advice_on, cache_home, check_utf8
 from cluttergen_jax.progress import stop_asked
 
 INTERRUPTED = 130
@@ -62,6 +62,12 @@ def main(args: Sequence[str] | None = None) -> int:
         return 2
     if old := None if is_completion else removed_name(words):
         print(f"error: {old}", file=sys.stderr)
+        return 2
+    try:
+        for path in (os.curdir, str(cache_home()), *words):
+            check_utf8(path)
+    except ConfigError as error:
+        print(f"error: {error}", file=sys.stderr)
         return 2
     try:
         if is_completion:

@@ -22,7 +22,10 @@ class Pull(Options):
     def run(self) -> int:
         """Runs the command; the exit status."""
         from cluttergen_jax.scene.bank import read_bank
+        from cluttergen_jax.scene.bank.digests import without_digests
 
-        path = self.call(pull_bank, out=self.out or PurePosixPath(self.name).name)
-        print(f"pulled     {read_bank(path).num_scenes} scenes to {path}; every file was checked")
+        bank = read_bank(self.call(pull_bank, out=self.out or PurePosixPath(self.name).name))
+        unchecked = without_digests(bank)
+        checked = f"it has no digests of its {unchecked}" if unchecked else "every file was checked"
+        print(f"pulled     {bank.num_scenes} scenes to {bank.path}; {checked}")
         return 0

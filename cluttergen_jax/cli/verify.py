@@ -14,8 +14,8 @@ from cluttergen_jax.cli.options import Options, options_from
 class Verify(Options):
     """Check that saved scenes stand: plain MuJoCo, everything awake. Exit status 1 if one does not.
 
-    Of a bank, its files are compared with the digests in bank.json as well: a scene of which a file was
-    changed does not count.
+    Of a bank, its files are compared with the digests in bank.json as well, and each scene's file with its
+    row: a scene of which something was changed does not count.
 
     Example: `cluttergen verify out`
     """

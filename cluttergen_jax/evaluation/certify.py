@@ -24,13 +24,13 @@ from cluttergen_jax.files import writing
 from cluttergen_jax.placement.world import base_name, make_world
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.blocks import StoredBlocks, merge_shards
+from cluttergen_jax.scene.bank.blocks import StoredBlocks
 from cluttergen_jax.scene.bank.card import write_card
+from cluttergen_jax.scene.bank.index import BankIndex
 from cluttergen_jax.scene.bank.lock import BankLock
 from cluttergen_jax.scene.bank.remote import check_is_here
 from cluttergen_jax.scene.bank.scene import config_of
 from cluttergen_jax.scene.bank.table import CERTIFICATE, is_fully_certified, schema_of
-from cluttergen_jax.scene.bank.writer import write_rows
 
 _RENAMED = {"drift": "horizon_drift", "drift_turn": "horizon_turn", "drift_seconds": "horizon_seconds"}
 
@@ -66,7 +66,7 @@ def certify_bank(
 
 
 def _certify(bank: Bank, seconds: float, jobs: int, force: bool, cluster: Cluster | None) -> Certification:
-    record = {name: value for name, value in bank.record.items() if name != "num_scenes"}
+    index = BankIndex.of(bank)
     certifier, blocks = Certifier.of(bank, seconds, jobs), _Blocks(StoredBlocks.of(bank.path), force)
     num_new = 0
     with Progress("certifying", bank.num_scenes, "scene", blocks.num_done) as progress:
@@ -77,10 +77,10 @@ def _certify(bank: Bank, seconds: float, jobs: int, force: bool, cluster: Cluste
             measured = each_on(cluster, replace(certifier, jobs=jobs or 1), blocks, "block", jobs or 1)
         with closing(measured):
             for place, rows in measured:
-                write_rows(bank.path, blocks.numbers[place], rows, record)
+                index.write_block(blocks.numbers[place], rows)
                 num_new += rows.num_rows
                 progress.update(rows.num_rows)
-    merge_shards(bank.path, record)
+    index.merge_shards()
     scores = np.concatenate([np.array(rows["shake"].drop_null()) for rows in bank.tables(["shake"])])
     if not len(scores):
         raise BankError(f"{bank.path}: no scene in it stands", hint="more scenes")

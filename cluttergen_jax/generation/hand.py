@@ -28,7 +28,7 @@ from cluttergen_jax.scene.bank import BankWriter, read_bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.remote import publish_all, url_of
-from cluttergen_jax.scene.bank.table import BY_HAND, schema_of, table_of
+from cluttergen_jax.scene.bank.table import BY_HAND, table_of
 from cluttergen_jax.scene.bank.totals import totals_of
 from cluttergen_jax.scene.bank.writer import names_of
 
@@ -149,9 +149,8 @@ class HandBank:
         row = self._row(scene)
         if index % BLOCK_SIZE == 0:
             return row
-        # Without a certificate, which the new scene lacks: it is measured again for all of the block.
         before = StoredBlocks.of(self._writer.path).read(index // BLOCK_SIZE).select(row.schema.names)
-        return pa.concat_tables([before.cast(schema_of(row)), row]).combine_chunks()
+        return pa.concat_tables([before.cast(row.schema), row]).combine_chunks()
 
     def _row(self, scene: HandScene) -> pa.Table:
         problem, index = self.setup.problem, np.array([self.num_kept])

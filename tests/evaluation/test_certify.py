@@ -1,6 +1,7 @@
 """Certificates: measured by hand where a hand can, kept in the bank, and taken up again."""
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 import cluttergen_jax
@@ -10,8 +11,7 @@ from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path
 from cluttergen_jax.scene.bank.card import CARD
 from cluttergen_jax.scene.bank.stats import stats_of
-from cluttergen_jax.scene.bank.table import CERTIFICATE
-from cluttergen_jax.scene.bank.writer import write_rows
+from cluttergen_jax.scene.bank.table import CERTIFICATE, SCHEMA
 from tests.helpers import banks
 
 
@@ -98,7 +98,7 @@ def test_a_certificate_of_an_older_version_is_shown_and_completed(tmp_path, caps
         )
     )
     record = {name: value for name, value in now.record.items() if name != "num_scenes"}
-    write_rows(path, 0, rows, record)
+    banks.write_rows(path, 0, rows, record)
     older = stats_of(read_bank(path)).certificate
     assert older.margin_median is None
     assert older.robust is None
@@ -118,10 +118,31 @@ def test_a_bank_that_grows_is_certified_as_it_grows(tmp_path, capsys):
         writer.write_block(
             1, banks.rows(1, 4).slice(3, 1).set_column(0, "index", [np.array([256], np.int32)])
         )
-    assert "shake" not in read_bank(path).table.column_names
+    shake = read_bank(path).table["shake"]
+    assert shake.null_count == 2
     assert main(["certify", str(path)]) == 0
-    assert "(1 rows are new)" in capsys.readouterr().out
-    assert read_bank(path).table["shake"].null_count == 2
+    # The new scene failed, and has nothing to be certified.
+    assert "(0 rows are new)" in capsys.readouterr().out
+    assert read_bank(path).table["shake"].equals(shake)
+
+
+def test_a_block_that_grows_keeps_its_certificates(tmp_path, capsys):
+    path = tmp_path / "bank"
+    banks.two_scenes(path)
+    assert main(["certify", str(path), "--seconds", "0.1"]) == 0
+    before, again = read_bank(path).table, StoredBlocks.of(path).read(0).to_pylist()
+    more = [*again, again[0] | {"index": 3}]
+    with banks.writer(path, 4) as writer:
+        writer.write_block(0, pa.Table.from_pylist(more, schema=SCHEMA))
+    grown = read_bank(path).table
+    assert grown.slice(0, 3).equals(before)
+    assert grown["shake"].null_count == before["shake"].null_count + 1
+    assert "measured: 2 of 3 scenes" in "\n".join(stats_of(read_bank(path)).certificate_lines())
+    # Of a scene that is another one now, nothing is known.
+    more[0] = again[1] | {"index": 0}
+    with banks.writer(path, 4) as writer:
+        writer.write_block(0, pa.Table.from_pylist(more, schema=SCHEMA))
+    assert read_bank(path).table["shake"].to_pylist()[:2] == [None, before["shake"][1].as_py()]
 
 
 def test_a_second_writer_is_refused(bank, capsys):

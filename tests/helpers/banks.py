@@ -12,6 +12,7 @@ from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.blocks import rows_bytes, write_block
 from cluttergen_jax.scene.bank.table import COUNTED, SCHEMA
 from cluttergen_jax.scene.bank.writer import BankWriter
 from tests.helpers.worlds import trio
@@ -61,6 +62,11 @@ def writer(path, num_scenes: int, recipe=None, objects=None, **kwargs) -> BankWr
     """The real writer of a made-up bank of the trio."""
     objects = {asset.name: asset for asset in trio()} if objects is None else objects
     return BankWriter(path, recipe or RECIPE, num_scenes, objects, cuboid_table(), **kwargs)
+
+
+def write_rows(path, block: int, table: pa.Table, record: dict) -> None:
+    """Puts rows into a bank behind its back: `bank.json` hears nothing of it."""
+    write_block(path, block, rows_bytes(table, record))
 
 
 def write(path, num_blocks: int = 2) -> None:

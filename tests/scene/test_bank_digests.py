@@ -11,10 +11,13 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.bank import index_bytes
+from cluttergen_jax.scene.bank.blocks import StoredBlocks
 from cluttergen_jax.scene.bank.digests import Change, changes_of, touched
+from cluttergen_jax.scene.bank.hub import check_whole
 from tests.helpers import banks
 
 PART, SCENE = "assets/objects/prism/part-00.obj", "scenes/000000.xml"
+ROWS = "scenes-000000.parquet"
 
 
 def all_bytes(path):
@@ -42,7 +45,7 @@ def verify(path):
 def test_every_file_of_a_sound_bank_has_a_digest(whole, capsys):
     assert changes_of(read_bank(whole)) == []
     named = {Path(name) for name in read_bank(whole).files}
-    assert named == {name for name in all_bytes(whole) if name.parts[0] in ("assets", "scenes")}
+    assert named == set(all_bytes(whole)) - {Path("bank.json"), Path(".lock")}
     assert verify(whole) == 0
     assert "2 of 2 scenes stand" in capsys.readouterr().out
 
@@ -98,10 +101,62 @@ def test_a_bank_older_than_digests_opens_and_gets_them(bank, whole, capsys):
     (bank / "bank.json").write_bytes(index_bytes(record))
     (bank / PART).write_text((bank / PART).read_text() + "# changed\n")
     (bank / SCENE).write_text(heavier((bank / SCENE).read_text()))
-    assert verify(bank) == 0
+    assert verify(bank) == 2
+    assert "no digests of the bank's files" in capsys.readouterr().err
+    assert main(["verify", str(bank), "--seconds", "0.1", "--allow-unchecked"]) == 0
     assert "has no digests of its files" in capsys.readouterr().out
     banks.with_files(bank)
     assert all_bytes(bank) == all_bytes(whole)
+
+
+def test_a_bank_without_digests_of_its_rows_is_verified_with_a_note(bank, capsys):
+    record = read_bank(bank).record
+    record["files"].pop(ROWS)
+    (bank / "bank.json").write_bytes(index_bytes(record))
+    assert verify(bank) == 0
+    assert "has no digests of its rows" in capsys.readouterr().out
+    with pytest.raises(BankError, match="no digests of the bank's rows"):
+        check_whole(read_bank(bank))
+    check_whole(read_bank(bank), allow_unchecked=True)
+
+
+def moved(rows):
+    rows[0]["poses"][0][0] += 0.001
+    return rows
+
+
+def renamed(rows):
+    rows[0]["objects"] = [rows[0]["objects"][1], rows[0]["objects"][0]]
+    return rows
+
+
+@pytest.mark.parametrize("change", [moved, renamed])
+def test_rows_that_were_changed_are_named_do_not_count_and_are_mended(bank, whole, capsys, change):
+    table = StoredBlocks.of(bank).read(0)
+    record = {k: v for k, v in read_bank(bank).record.items() if k not in ("num_scenes", "files")}
+    banks.write_rows(bank, 0, table.from_pylist(change(table.to_pylist()), schema=table.schema), record)
+    assert verify(bank) == 1
+    assert f"  {ROWS}: changed\n" in (out := capsys.readouterr().out)
+    assert "0 of 2 scenes stand" in out
+    with pytest.raises(BankError, match=rf"{ROWS} \(changed\)"):
+        check_whole(read_bank(bank))
+    with banks.writer(bank, 3) as writer:
+        assert not writer.has_block(0, 3)
+        writer.write_block(0, StoredBlocks.of(whole).read(0))
+    assert all_bytes(bank) == all_bytes(whole)
+
+
+@pytest.mark.parametrize("change", [moved, renamed])
+def test_files_that_do_not_have_what_their_rows_have_are_named(bank, capsys, change):
+    """Though every file has its digest: whoever made them made them so."""
+    table = StoredBlocks.of(bank).read(0)
+    with banks.writer(bank, 3) as writer:
+        writer.write_block(0, table.from_pylist(change(table.to_pylist()), schema=table.schema))
+    assert verify(bank) == 1
+    assert f"  {SCENE}: not the scene of its row\n" in (out := capsys.readouterr().out)
+    assert "1 of 2 scenes stand" in out
+    with pytest.raises(BankError, match="not the scene of its row"):
+        check_whole(read_bank(bank))
 
 
 def test_digests_survive_a_run_without_files(bank, whole):

@@ -19,10 +19,11 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
+import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.errors import BankError, ClutterGenError
+from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
@@ -32,7 +33,6 @@ from cluttergen_jax.scene.bank.card import CARD, write_card
 from cluttergen_jax.scene.bank.lock import BankLock
 from cluttergen_jax.scene.bank.stats import stats_of, stats_text
 from cluttergen_jax.scene.bank.table import SCHEMA
-from cluttergen_jax.scene.bank.writer import write_rows
 from tests.helpers import banks
 from tests.helpers.worlds import box, trio
 
@@ -106,7 +106,7 @@ def test_a_bank_of_a_later_format_is_not_touched(tmp_path):
 def test_a_whole_bank_of_a_later_format_is_refused_and_kept(bank, capsys, is_index_lost):
     record = read_bank(bank).record | {"format": 7}
     for block in (0, 1):
-        write_rows(bank, block, banks.rows(block, 3), record)
+        banks.write_rows(bank, block, banks.rows(block, 3), record)
     (bank / "bank.json").write_bytes(b"{" if is_index_lost else index_bytes(record))
     kept = {each: each.read_bytes() for each in bank.glob("*.*")}
     with pytest.raises(BankError, match=r"newer version .*a newer cluttergen_jax.*`overwrite`"):
@@ -408,3 +408,25 @@ def test_supports_have_a_digest_that_survives_the_disk(bank):
     other = replace(table, top=0.71)
     with pytest.raises(BankError, match="its support"):
         banks.BankWriter(bank, banks.RECIPE, 512, {a.name: a for a in trio()}, other)
+
+
+def test_a_path_that_is_not_utf8_is_refused_before_anything_is_made(tmp_path, bank, capsys):
+    """Arrow, MuJoCo and JSON cannot name it: scenes were made and then called damaged, again and again."""
+    name = os.fsdecode(b"caf\xe9")
+    out = str(tmp_path / name)
+    assert main(["generate", "--num-scenes", "1", "--out", out]) == 2
+    assert r"caf\xe9, which is not read as UTF-8" in capsys.readouterr().err
+    assert not Path(out).exists()
+    bank.rename(out)
+    for use in (lambda: cg.verify(out), lambda: cg.load_bank(out), lambda: banks.writer(out, 3)):
+        with pytest.raises(ConfigError, match="not read as UTF-8"):
+            use()
+
+
+def test_a_locale_without_utf8_refuses_what_it_cannot_read(tmp_path):
+    variables = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    words = [sys.executable, "-m", "cluttergen_jax", "stats", str(tmp_path / "café")]
+    done = subprocess.run(words, env=variables, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "which is not read as UTF-8" in done.stderr
+    assert "PYTHONUTF8=1" in done.stderr

@@ -2,6 +2,7 @@
 
 import random
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
@@ -10,14 +11,16 @@ import pytest
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import blocks as module
+from cluttergen_jax.scene.bank import index as module_index
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import recovered_record
-from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path, merge_shards, shard_path, write_shard
+from cluttergen_jax.scene.bank.bank import index_bytes, recovered_record
+from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path, shard_path, with_record, write_shard
 from cluttergen_jax.scene.bank.card import write_card
+from cluttergen_jax.scene.bank.digests import changes_of
 from cluttergen_jax.scene.bank.hub import check_whole
+from cluttergen_jax.scene.bank.index import BankIndex
 from cluttergen_jax.scene.bank.stats import stats_of
-from cluttergen_jax.scene.bank.table import CERTIFICATE
-from cluttergen_jax.scene.bank.writer import write_rows
+from cluttergen_jax.scene.bank.table import SCHEMA
 from tests.helpers import banks
 
 NUM_BLOCKS, IN_A_SHARD = 8, 3
@@ -155,27 +158,56 @@ def test_a_block_that_was_written_again_wins_over_its_shard(tmp_path):
     assert read_bank(tmp_path).table["drift"].to_numpy()[4 * BLOCK_SIZE] == 0.5
 
 
-def test_columns_that_are_added_block_by_block_join_the_shards_when_all_have_them(tmp_path):
-    """As `certify` writes them, also where it is interrupted."""
+def test_what_is_measured_block_by_block_joins_the_shards(tmp_path):
+    """As `certify` writes it, also where it is interrupted."""
     write(tmp_path)
-    record = {name: value for name, value in read_bank(tmp_path).record.items() if name != "num_scenes"}
     names = sorted(each.name for each in tmp_path.glob("*.parquet"))
     for block in range(NUM_BLOCKS):
-        rows = StoredBlocks.of(tmp_path).read(block)
-        for field in CERTIFICATE:
-            rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
-        write_rows(tmp_path, block, rows, record)
+        index, rows = BankIndex.of(read_bank(tmp_path)), StoredBlocks.of(tmp_path).read(block)
+        shake = pa.array(np.full(rows.num_rows, block, np.float32))
+        index.write_block(block, rows.set_column(rows.schema.names.index("shake"), "shake", shake))
+        assert changes_of(read_bank(tmp_path)) == []
         if block in (0, 4, NUM_BLOCKS - 1):
-            merge_shards(tmp_path, record)
-            # Of the shards that are not done yet, some blocks have the columns and some have not.
-            loose = {0: {0}, 4: {3, 4}, NUM_BLOCKS - 1: set()}[block]
-            found = {each.name for each in tmp_path.glob("*.parquet")}
-            assert found == {*names, *(block_path(tmp_path, each).name for each in loose)}
-            assert read_bank(tmp_path).table.num_rows == NUM_BLOCKS * BLOCK_SIZE
-    assert set(CERTIFICATE.names) <= set(read_bank(tmp_path).table.column_names)
-    # A bank that is certified goes on as any other.
+            index.merge_shards()
+            assert sorted(each.name for each in tmp_path.glob("*.parquet")) == names
+            assert changes_of(read_bank(tmp_path)) == []
+    measured = np.repeat(np.arange(NUM_BLOCKS), BLOCK_SIZE)
+    assert np.array_equal(read_bank(tmp_path).table["shake"], measured)
+    # A bank that is certified is continued as any other.
     write(tmp_path)
+    assert np.array_equal(read_bank(tmp_path).table["shake"], measured)
     assert sorted(each.name for each in tmp_path.glob("*.parquet")) == names
+
+
+def test_a_writer_that_is_killed_between_rows_and_digest_leaves_nothing_that_looks_changed(tmp_path):
+    write(tmp_path)
+    index, rows = BankIndex.of(read_bank(tmp_path)), StoredBlocks.of(tmp_path).read(7)
+    shake = pa.array(np.ones(rows.num_rows, np.float32))
+    rows = rows.set_column(rows.schema.names.index("shake"), "shake", shake)
+    index.write_block(7, rows)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module_index, "write_shard", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            index.merge_shards()
+    found = {change.what for change in changes_of(read_bank(tmp_path))}
+    assert found == {"not in bank.json"}
+    write(tmp_path)
+    assert changes_of(read_bank(tmp_path)) == []
+    assert read_bank(tmp_path).table["shake"].null_count == (NUM_BLOCKS - 1) * BLOCK_SIZE
+
+
+def test_files_of_an_older_version_get_the_columns_that_they_lack(tmp_path, sharded):
+    write(tmp_path)
+    record = {k: v for k, v in read_bank(tmp_path).record.items() if k not in ("num_scenes", "files")}
+    for block, num_columns in ((6, len(SCHEMA)), (7, len(SCHEMA) - 2)):
+        rows = StoredBlocks.of(tmp_path).read(block).select(SCHEMA.names[:num_columns])
+        pq.write_table(with_record(rows, record), block_path(tmp_path, block))
+    shard_path(tmp_path, range(6, 8)).unlink()
+    older = {name: value for name, value in read_bank(tmp_path).record.items() if name != "files"}
+    (tmp_path / "bank.json").write_bytes(index_bytes(older))
+    write(tmp_path)
+    assert len({pq.read_schema(file) for file in tmp_path.glob("*.parquet")}) == 1
+    assert files(tmp_path) == files(sharded)
 
 
 def test_other_programs_read_all_files_as_one_table(sharded):

@@ -26,7 +26,6 @@ from cluttergen_jax.scene.bank.blocks import StoredBlocks
 from cluttergen_jax.scene.bank.digests import digests_in
 from cluttergen_jax.scene.bank.scene import read_scenes, region_of
 from cluttergen_jax.scene.bank.table import SCHEMA
-from cluttergen_jax.scene.bank.writer import write_rows
 from cluttergen_jax.scene.export import FORMATS, export_scenes
 from tests.helpers import banks
 from tests.helpers.worlds import box, trio
@@ -77,7 +76,7 @@ def rename_in_bank(bank, old, new):
     rows = StoredBlocks.of(bank).read(0).select(SCHEMA.names).to_pylist()
     for row in rows:
         row["objects"] = [new if name == old else name for name in row["objects"]]
-    write_rows(bank, 0, pa.Table.from_pylist(rows, schema=SCHEMA), record)
+    banks.write_rows(bank, 0, pa.Table.from_pylist(rows, schema=SCHEMA), record)
     sign_index(bank, record)
 
 
@@ -137,7 +136,7 @@ def test_rows_and_records_name_objects_plainly(bank, name):
     (bank / "bank.json").write_bytes(index_bytes(record))
     rows = StoredBlocks.of(bank).read(0).select(SCHEMA.names).to_pylist()
     rows[0]["objects"] = [name, name]
-    write_rows(bank, 0, pa.Table.from_pylist(rows, schema=SCHEMA), record)
+    banks.write_rows(bank, 0, pa.Table.from_pylist(rows, schema=SCHEMA), record)
     if name != "mug#2":
         with pytest.raises(BankError, match="names an object"):
             _ = read_bank(bank).table

@@ -31,7 +31,7 @@ from cluttergen_jax.assets.object_files import NAME_PATTERN, object_hash, read_o
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash
 from cluttergen_jax.errors import BankError, PoolError
-from cluttergen_jax.files import inside
+from cluttergen_jax.files import check_utf8, inside
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.blocks import AGAIN, StoredBlocks, record_in
 from cluttergen_jax.scene.bank.remote import is_url, mirrored
@@ -59,15 +59,13 @@ class Bank:
 
     @cached_property
     def table(self) -> pa.Table:
-        """All rows that are there, in order, in memory; with their certificate, if all have it.
+        """All rows that are there, in order, in memory.
 
         Raises:
           BankError: there are none, or a block is damaged; the message names its file.
         """
         rows = list(self.tables())
-        names = [
-            name for name in schema_of(rows[0]).names if all(name in schema_of(each).names for each in rows)
-        ]
+        names = schema_of(rows[0]).names
         return pa.concat_tables([each.select(names).replace_schema_metadata(None) for each in rows])
 
     def tables(
@@ -168,8 +166,10 @@ def read_bank(path: str | Path) -> Bank:
     Raises:
       NewerBankError: a later version made it.
       BankError: there is none, or `bank.json` is damaged or of another format.
+      ConfigError: its path is not UTF-8.
     """
     path = mirrored(str(path)) if is_url(path) else path
+    check_utf8(path)
     index = Path(path) / INDEX
     try:
         record = json.loads(index.read_bytes())

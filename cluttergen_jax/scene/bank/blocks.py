@@ -8,6 +8,8 @@ A block that stands in a file of its own wins over the shard that holds it too: 
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
 import os
 import re
@@ -25,10 +27,10 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.object_files import NAME_PATTERN
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.files import file_whole, writing
+from cluttergen_jax.files import file_whole, write_atomically, writing
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.remote import RemoteFolder, publish, remote_of
-from cluttergen_jax.scene.bank.table import CLUTTER, SCHEMA, schema_of, with_added
+from cluttergen_jax.scene.bank.table import CLUTTER, COLUMNS, SCHEMA, schema_of, with_added
 
 SHARD_BLOCKS = 768
 """Blocks of a full shard: of ten-object scenes, about 100 MB. Shard s begins with block 768 s."""
@@ -136,6 +138,21 @@ class StoredBlocks:
         path = (self.path / name).absolute()
         return path if self.remote is None or path.exists() else self.remote.open(name)
 
+    @property
+    def file_names(self) -> list[str]:
+        """The files in which the blocks lie."""
+        return sorted({name for name, _ in self.places.values()})
+
+    def digest(self, name: str) -> str | None:
+        """The digest of a file of rows as it is now, here or elsewhere; None if there is none."""
+        path = self.path / name
+        if path.is_file():
+            return digest_of_file(path)
+        if self.remote is None or name not in self.remote.sizes():
+            return None
+        with self.remote.open(name) as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+
     def num_rows(self, block: int) -> int:
         """The rows of a block, as its file says; elsewhere, nothing but the file's end is fetched.
 
@@ -190,6 +207,20 @@ def with_record(table: pa.Table, record: dict[str, Any]) -> pa.Table:
     return table.replace_schema_metadata({_METADATA: json.dumps(kept).encode()})
 
 
+def is_whole(path: Path) -> bool:
+    """Whether a file of rows has all columns that this version writes; True for one that is damaged."""
+    try:
+        return set(COLUMNS.names) <= set(pq.read_schema(path.absolute()).names)
+    except (pa.ArrowException, OSError):
+        return True
+
+
+def digest_of_file(path: Path) -> str:
+    """The digest of a file's content, of whatever size."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def record_in(table: pa.Table) -> Any:
     """The record that `with_record` put there.
 
@@ -205,8 +236,13 @@ def block_files(path: Path) -> dict[str, range]:
 
 
 def _block_files(names: Iterable[str]) -> dict[str, range]:
-    found = [(name, match) for name in names if (match := _FILE.fullmatch(name))]
-    return {name: range(int(match[1]), int(match[2] or match[1]) + 1) for name, match in found}
+    return {name: blocks for name in names if (blocks := file_blocks(name))}
+
+
+def file_blocks(name: str) -> range:
+    """The blocks of a file of rows, by its name; none for any other file."""
+    match = _FILE.fullmatch(name)
+    return range(int(match[1]), int(match[2] or match[1]) + 1) if match else range(0)
 
 
 def is_shard(blocks: range) -> bool:
@@ -214,13 +250,48 @@ def is_shard(blocks: range) -> bool:
     return len(blocks) > 1
 
 
-def write_shard(path: Path, blocks: range, record: dict[str, Any]) -> bool:
+def rows_bytes(table: pa.Table, record: dict[str, Any]) -> bytes:
+    """The file of a block: its rows, with all columns that a bank has, and the bank's record."""
+    buffer = io.BytesIO()
+    rows = with_added(table)
+    schema = schema_of(rows)
+    # Equal rows make equal bytes, wherever they were read from.
+    rows = rows.select(schema.names).cast(schema).combine_chunks()
+    pq.write_table(with_record(rows, record), buffer, write_page_checksum=True)
+    return buffer.getvalue()
+
+
+def write_block(path: Path, block: int, data: bytes) -> None:
+    """Stores the file of a block, `rows_bytes`, as a whole. For who holds the bank's lock.
+
+    Raises:
+      BankError: it cannot be written, for instance because the disk is full.
+    """
+    file = block_path(path, block)
+    with writing(file):
+        write_atomically(file, data, is_durable=True)
+
+
+@dataclass(frozen=True)
+class WrittenShard:
+    """A shard that was written.
+
+    Attributes:
+      digest: of its file.
+      removed: names of the files that it replaces.
+    """
+
+    digest: str
+    removed: tuple[str, ...]
+
+
+def write_shard(path: Path, blocks: range, record: dict[str, Any]) -> WrittenShard | None:
     """Puts blocks into one shard in place of their files, row group by row group; for who holds the lock.
 
     Nothing is lost wherever it is interrupted: what the shard is made of goes once the shard is on disk.
 
     Returns:
-      False, and nothing is changed, where one is damaged or has other columns than the rest.
+      None, and nothing is changed, where one is damaged or has other columns than the rest.
 
     Raises:
       BankError: it cannot be written.
@@ -229,17 +300,21 @@ def write_shard(path: Path, blocks: range, record: dict[str, Any]) -> bool:
     try:
         with writing(target), file_whole(target) as fresh:
             _write_row_groups(fresh, StoredBlocks.of(path), blocks, record)
+            digest = digest_of_file(fresh)
     except _UnevenError:
-        return False
+        return None
     publish(path, target.name)
-    for name, held in block_files(path).items():
-        if name != target.name and set(held) <= set(blocks):
-            (path / name).unlink()
+    removed = [
+        name for name, held in block_files(path).items() if name != target.name and set(held) <= set(blocks)
+    ]
+    for name in removed:
+        (path / name).unlink()
     if remote := remote_of(path):
         for name, held in _block_files(remote.sizes()).items():
             if name != target.name and set(held) <= set(blocks):
                 remote.remove(name)
-    return True
+                removed.append(name)
+    return WrittenShard(digest, tuple(removed))
 
 
 class _UnevenError(Exception):
@@ -266,16 +341,3 @@ def _write_row_groups(target: Path, stored: StoredBlocks, blocks: range, record:
         stack.close()
         file.flush()
         os.fsync(file.fileno())
-
-
-def merge_shards(path: Path, record: dict[str, Any]) -> None:
-    """Puts blocks that were written again, and lie beside their shard, back into it.
-
-    Raises:
-      BankError: it cannot be written.
-    """
-    files = block_files(path).values()
-    loose = {blocks[0] for blocks in files if not is_shard(blocks)}
-    for blocks in filter(is_shard, files):
-        if loose.intersection(blocks):
-            write_shard(path, blocks, record)

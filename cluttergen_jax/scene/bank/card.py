@@ -155,8 +155,8 @@ def _figures(stats: BankStats) -> str:
     ]
     rows += [(f"verdict {name}", number) for name, number in stats.verdicts.items()]
     rows += [(f"clutter: {each.name}", each.line().partition(" ")[2]) for each in stats.clutter]
-    if stats.certificate is not None:
-        rows += [(name, value) for name, _, value in (f.partition(": ") for f in stats.certificate.lines())]
+    facts = (fact.partition(": ") for fact in stats.certificate_lines())
+    rows += [(name, value) for name, _, value in facts]
     return "\n".join(["## Figures", "", markdown_table(("", ""), rows)])
 
 

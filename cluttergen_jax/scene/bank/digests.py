@@ -1,22 +1,31 @@
-"""Which files a bank has beside its blocks, and whether they are still what was written.
+"""Whether the files of a bank are still what was written, and say the same.
 
-`bank.json` holds a digest of every file in `assets/` and of every scene's MJCF file: programs other than this
-one read those, and a part that is scaled or a mass that is changed would not be seen in them. Blocks have
-checksums of their own.
+`bank.json` holds a digest of every file in `assets/`, of every scene's MJCF file and of every file of rows.
+A scene is there twice, as a row and as an MJCF file for other programs: both must have the same objects at
+the same poses.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
+import numpy as np
+
+from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import inside
+from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.blocks import StoredBlocks, digest_of_file, file_blocks
+from cluttergen_jax.scene.bank.table import BankRow
 
 _ASSETS, _SCENES = "assets", "scenes"
+_SCENE_FILE = re.compile(rf"{_SCENES}/(\d+)\.xml")
 
 
 @dataclass(frozen=True)
@@ -43,6 +52,17 @@ def digests_in(path: Path, folder: str) -> dict[str, str]:
     return {each.relative_to(path).as_posix(): digest_of(each.read_bytes()) for each in files}
 
 
+def without_digests(bank: Bank) -> str:
+    """What of a bank cannot be checked: an older version wrote no digests of it, or somebody removed them.
+
+    Returns:
+      "files", "rows", or "" where there are digests of both.
+    """
+    if bank.files is None:
+        return "files"
+    return "" if any(file_blocks(name) for name in bank.files) else "rows"
+
+
 def changes_of(bank: Bank) -> list[Change] | None:
     """The files of a bank that are not what was written; None if the bank is older than digests.
 
@@ -52,20 +72,64 @@ def changes_of(bank: Bank) -> list[Change] | None:
     known = bank.files
     if known is None:
         return None
-    found = []
-    for name, digest in known.items():
-        file = inside(bank.path, name)
-        if not file.is_file():
-            found.append(Change(name, "missing"))
-        elif digest_of(file.read_bytes()) != digest:
-            found.append(Change(name, "changed"))
-    found += [Change(name, "not in bank.json") for name in _names_in(bank.path) if name not in known]
+    stored = StoredBlocks.of(bank.path)
+    digests = _digests_now(bank.path, stored, known)
+    found = [
+        Change(name, "missing" if digest is None else "changed")
+        for name, digest in digests
+        if digest != known[name]
+    ]
+    there = [*_names_in(bank.path), *(stored.file_names if without_digests(bank) == "" else ())]
+    found += [Change(name, "not in bank.json") for name in there if name not in known]
+    if not any(file_blocks(change.name) for change in found):
+        found += _unlike_rows(bank, known.keys() - {change.name for change in found})
     return sorted(found, key=lambda change: change.name)
+
+
+def _digests_now(path: Path, stored: StoredBlocks, names: Iterable[str]) -> Iterator[tuple[str, str | None]]:
+    """Each name with the digest that its file has now; None where there is no such file."""
+    for name in names:
+        if file_blocks(name):
+            yield name, stored.digest(name)
+        else:
+            file = inside(path, name)
+            yield name, digest_of_file(file) if file.is_file() else None
 
 
 def _names_in(path: Path) -> list[str]:
     files = [*(path / _ASSETS).rglob("*"), *(path / _SCENES).glob("*.xml")]
     return [each.relative_to(path).as_posix() for each in files if each.is_file()]
+
+
+def _unlike_rows(bank: Bank, names: Iterable[str]) -> Iterator[Change]:
+    """Those of the scenes' files that do not have the objects and poses of their rows."""
+    files = {int(match[1]): name for name in names if (match := _SCENE_FILE.fullmatch(name))}
+    numbers = sorted(files)
+    for first in range(0, len(numbers), BLOCK_SIZE):
+        some = numbers[first : first + BLOCK_SIZE]
+        try:
+            rows = bank.rows(some)
+        except BankError:
+            # A file of rows that is damaged is told by whoever reads it.
+            continue
+        for number in some:
+            if number not in rows or not _is_scene_of(rows[number], inside(bank.path, files[number])):
+                yield Change(files[number], "not the scene of its row")
+
+
+def _is_scene_of(row: BankRow, file: Path) -> bool:
+    """Whether an MJCF file has the objects of a row at its poses, in its bodies and in its keyframe."""
+    try:
+        root = ET.parse(file).getroot()
+        bodies = [each for each in root.iterfind("worldbody/body") if each.find("freejoint") is not None]
+        names = [base_name(body.get("name", "")) for body in bodies]
+        texts = [f"{body.get('pos')} {body.get('quat')}" for body in bodies]
+        texts += [key.get("qpos", "") for key in root.iterfind("keyframe/key") if key.get("name") == "scene"]
+        numbers = np.array(" ".join(texts).split(), np.float32)
+    except (OSError, ET.ParseError, ValueError):
+        return False
+    wanted = np.tile(row.poses.ravel(), 2)
+    return row.is_success and names == [*map(base_name, row.objects)] and np.array_equal(numbers, wanted)
 
 
 def touched(changes: Iterable[Change], file: str, objects: Iterable[str]) -> list[str]:
@@ -76,8 +140,11 @@ def touched(changes: Iterable[Change], file: str, objects: Iterable[str]) -> lis
       objects: the names of its bodies.
     """
     names = {base_name(name) for name in objects}
+    block = int(stem) // BLOCK_SIZE if (stem := Path(file).stem).isdecimal() else -1
 
     def is_of_scene(parts: Sequence[str]) -> bool:
+        if blocks := file_blocks(parts[0]):
+            return block in blocks
         if parts[0] == _SCENES:
             return parts[1:] == [file]
         return parts[1:2] != ["objects"] or len(parts) < 3 or parts[2] in names

@@ -16,7 +16,7 @@ from cluttergen_jax.files import PARTIAL, inside, swap_in, writing
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import INDEX, Bank, NewerBankError, read_bank
 from cluttergen_jax.scene.bank.card import write_card
-from cluttergen_jax.scene.bank.digests import changes_of
+from cluttergen_jax.scene.bank.digests import changes_of, without_digests
 from cluttergen_jax.scene.bank.hubs import FolderHub, Hub, HuggingFaceHub, is_of_a_bank
 from cluttergen_jax.scene.bank.lock import BankLock
 from cluttergen_jax.scene.bank.remote import check_is_here, is_url, mirrored
@@ -45,7 +45,14 @@ def push(path: str | Path, name: str, hub: str | None, is_private: bool) -> str:
         lock.release()
 
 
-def pull(name: str, out: str | Path | None, hub: str | None, revision: str | None, overwrite: bool) -> Path:
+def pull(
+    name: str,
+    out: str | Path | None,
+    hub: str | None,
+    revision: str | None,
+    overwrite: bool,
+    allow_unchecked: bool = False,
+) -> Path:
     """The folder of a bank that was fetched into it; see `cluttergen_jax.pull_bank`."""
     _check_name(name)
     place = hub_of(hub)
@@ -56,7 +63,7 @@ def pull(name: str, out: str | Path | None, hub: str | None, revision: str | Non
         scratch.mkdir(parents=True, exist_ok=True)
         lock = BankLock(scratch)
         try:
-            _fetch(place, name, revision, scratch)
+            _fetch(place, name, revision, scratch, allow_unchecked)
         finally:
             lock.release()
         swap_in(scratch, out)
@@ -105,13 +112,26 @@ def hub_of(text: str | None) -> Hub:
     return FolderHub(Path(place))
 
 
-def check_whole(bank: Bank) -> None:
-    """Looks at everything in a bank.
+def check_whole(bank: Bank, allow_unchecked: bool = False) -> None:
+    """Looks at everything in a bank: rows, assets, digests of all files, and scenes' files beside their rows.
+
+    Args:
+      allow_unchecked: a bank without digests of its files or rows is taken as it is.
 
     Raises:
-      BankError: scenes are missing, or a file is missing, damaged or changed.
+      BankError: scenes are missing, or a file is missing, damaged, changed or without a digest; or the bank
+        does not say how it was made.
       UnsafePathError: it names a path outside of its folder.
     """
+    if not bank.record["recipe"]:
+        raise BankError(f"{bank.path}: its record does not say how it was made", "a bank with its recipe")
+    if (unchecked := without_digests(bank)) and not allow_unchecked:
+        raise BankError(
+            f"{bank.path}: bank.json has no digests of the bank's {unchecked}: nobody can tell whether they "
+            "were changed",
+            "a bank that knows its files",
+            f"{_MENDED}, which adds them; or `allow_unchecked` to take it as it is",
+        )
     num_rows, names = 0, set()
     for rows in bank.tables():
         num_rows += rows.num_rows
@@ -137,7 +157,7 @@ def local_paths(bank: Bank) -> list[str]:
     return [text for text in texts if isinstance(text, str) and ("/" in text or os.sep in text)]
 
 
-def _fetch(place: Hub, name: str, revision: str | None, scratch: Path) -> None:
+def _fetch(place: Hub, name: str, revision: str | None, scratch: Path, allow_unchecked: bool) -> None:
     """Fetches and checks; what is found to be bad is not kept."""
     commit, names = place.listing(name, revision)
     if INDEX not in names:
@@ -151,7 +171,7 @@ def _fetch(place: Hub, name: str, revision: str | None, scratch: Path) -> None:
         if file.name != ".lock" and file.relative_to(scratch).as_posix() not in wanted:
             file.unlink()
     try:
-        check_whole(read_bank(scratch))
+        check_whole(read_bank(scratch), allow_unchecked)
     except (BankError, UnsafePathError) as error:
         shutil.rmtree(scratch, ignore_errors=True)
         given = error.given.replace(str(scratch), name)

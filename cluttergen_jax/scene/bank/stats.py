@@ -15,7 +15,7 @@ from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import time_text
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.clutter_stats import ClutterTally, FeatureStats
-from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, is_certified
+from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE
 from cluttergen_jax.scene.bank.totals import Totals, totals_of
 from cluttergen_jax.types import small_length
 
@@ -109,7 +109,7 @@ class BankStats:
       objects: by asset.
       drift_median, drift_most: metres, movement in the last check of the scenes that stand.
       duplicates: indices of scenes that stand and are equal to the bit, objects and poses, group by group.
-      certificate: None unless every scene that stands has one.
+      certificate: of those scenes that have one; None if none has.
       clutter: features of the scenes that stand, as far as they are known.
       hand_median, hand_total: seconds that a person spent on a scene, and on all; None where nobody did.
     """
@@ -136,6 +136,15 @@ class BankStats:
     def success_rate(self) -> float:
         """Share of the scenes that stand."""
         return self.success / max(self.scenes, 1)
+
+    def certificate_lines(self) -> list[str]:
+        """What the certificates say, for people, a fact each; nothing if no scene has one."""
+        if self.certificate is None:
+            return []
+        measured, lines = self.certificate.scenes, self.certificate.lines()
+        if measured == self.success:
+            return lines
+        return [f"measured: {measured} of {self.success} scenes; `cluttergen certify` adds the rest", *lines]
 
     def as_json(self) -> dict[str, Any]:
         """JSON values."""
@@ -166,7 +175,7 @@ class _Tally:
         self._drift: list[np.ndarray] = []
         self._index: list[np.ndarray] = []
         self._digest: list[np.ndarray] = []
-        self._certified: list[pa.Table] | None = []
+        self._certified: list[pa.Table] = []
         self._seconds: list[np.ndarray] = []
 
     def add(self, rows: pa.Table) -> None:
@@ -182,15 +191,13 @@ class _Tally:
         self._index.append(np.array(good["index"]))
         self._digest.append(_digests(good))
         self._seconds += [np.array(rows[name]) for name in BY_HAND.names if name in rows.schema.names]
-        if self._certified is not None:
-            self._certified = [*self._certified, _certificate_rows(good)] if is_certified(rows) else None
+        self._certified.append(_certificate_rows(good.filter(pc.is_valid(good["shake"]))))
 
     def stats(self) -> BankStats:
         """The numbers of all that was added."""
         totals, drift = self._totals, np.concatenate(self._drift)
         self._look_for_gaps(np.array([self._bank.num_scenes]))
         seconds = np.concatenate(self._seconds) if self._seconds else None
-        certified = None if self._certified is None else pa.concat_tables(self._certified)
         return BankStats(
             asked=self._bank.num_scenes,
             scenes=totals.scenes,
@@ -205,7 +212,7 @@ class _Tally:
             drift_median=float(np.median(drift)) if len(drift) else 0.0,
             drift_most=float(drift.max(initial=0.0)),
             duplicates=_duplicates(self._bank, np.concatenate(self._index), np.concatenate(self._digest)),
-            certificate=None if certified is None else _certificate(certified),
+            certificate=_certificate(pa.concat_tables(self._certified)),
             clutter=self._clutter.features(),
             hand_median=None if seconds is None else float(np.median(seconds)),
             hand_total=None if seconds is None else float(seconds.sum()),
@@ -298,9 +305,8 @@ def stats_text(bank: Bank, stats: BankStats) -> str:
         f"most {small_length(stats.drift_most)}"
     )
     lines += [f"{'' if place else 'clutter':11}{each.line()}" for place, each in enumerate(stats.clutter)]
-    if stats.certificate is not None:
-        facts = stats.certificate.lines()
-        lines += [f"{'' if place else 'certified':11}{fact}" for place, fact in enumerate(facts)]
+    facts = stats.certificate_lines()
+    lines += [f"{'' if place else 'certified':11}{fact}" for place, fact in enumerate(facts)]
     if stats.hand_median is not None and stats.hand_total is not None:
         median, total = time_text(stats.hand_median), time_text(stats.hand_total)
         lines.append(f"by hand    {median} a scene in the median, {total} in all")

@@ -122,43 +122,67 @@ def rows_of(table: pa.Table) -> Iterator[BankRow]:
         )
 
 
-def with_added(rows: pa.Table) -> pa.Table:
-    """The rows of a bank of an older version with the columns that it did not know.
+COLUMNS = pa.unify_schemas([SCHEMA, CLUTTER, CERTIFICATE])
+"""What every file of rows has; banks made by hand have `BY_HAND` besides."""
 
-    Nothing was unsupported or fragile then; how cluttered scenes are, and what a certificate did not measure,
-    is null.
+
+def with_added(rows: pa.Table) -> pa.Table:
+    """The rows with those of `COLUMNS` that they lack: in banks of older versions, or before `certify`.
+
+    Nothing was unsupported or fragile then; everything else is null.
     """
-    for name in map(_counted, _ADDED):
-        if name not in rows.schema.names:
-            none = pa.array(np.zeros(rows.num_rows, np.int32))
-            rows = rows.append_column(SCHEMA.field(name), none)
-    for field in CLUTTER:
+    for field in COLUMNS:
         if field.name not in rows.schema.names:
-            rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
-    if "shake" in rows.schema.names:
-        for field in CERTIFICATE:
-            if field.name not in rows.schema.names:
-                rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
+            is_count = field.name in map(_counted, _ADDED)
+            values = pa.array(np.zeros(rows.num_rows, np.int32)) if is_count else _nulls(rows, field)
+            rows = rows.append_column(field, values)
+    return rows
+
+
+def _nulls(rows: pa.Table, field: pa.Field) -> pa.Array:
+    return pa.nulls(rows.num_rows, field.type)
+
+
+def with_columns_of(before: pa.Table, rows: pa.Table) -> pa.Table:
+    """The rows of a block that grew, with what was measured of those of them that were there before.
+
+    Args:
+      before: the block as it was stored, its rows the first ones of `rows`.
+      rows: the block as it is now; where a row is another one, nothing of it is kept.
+
+    Returns:
+      The rows with all columns of both; what was not measured is null.
+    """
+    number = min(before.num_rows, rows.num_rows)
+    old, new = (table.select(SCHEMA.names).slice(0, number).to_pylist() for table in (before, rows))
+    is_kept = np.array([one == other for one, other in zip(old, new, strict=True)], bool)
+    is_new = np.append(~is_kept, np.ones(rows.num_rows - number, bool))
+    places = pa.array(np.arange(rows.num_rows), mask=is_new)
+    for field in before.schema:
+        if field.name not in SCHEMA.names and field.name not in rows.schema.names:
+            rows = rows.append_column(field, before[field.name].combine_chunks().take(places))
     return rows
 
 
 def schema_of(rows: pa.Table) -> pa.Schema:
-    """The columns that rows of a bank have, but for a certificate that is not whole."""
+    """The columns that rows of a bank have, without those that nobody knows."""
     by_hand = [BY_HAND] if set(BY_HAND.names) <= set(rows.schema.names) else []
-    return pa.unify_schemas([SCHEMA, CLUTTER, *by_hand, *([CERTIFICATE] if is_certified(rows) else [])])
+    return pa.unify_schemas([SCHEMA, CLUTTER, *by_hand, CERTIFICATE])
 
 
 def is_fully_certified(rows: pa.Table) -> bool:
-    """Whether the rows have their certificate with all that this version measures."""
-    return is_certified(rows) and rows["robust"].null_count == rows["shake"].null_count
+    """Whether all scenes that succeeded have their certificate, with all that this version measures."""
+    return is_certified(rows) and _is_known(rows, "robust")
 
 
 def is_certified(rows: pa.Table) -> bool:
-    """Whether the rows have their certificate, perhaps an older version's."""
-    return all(
-        field.name in rows.schema.names and rows.schema.field(field.name).type == field.type
-        for field in CERTIFICATE
-    )
+    """Whether all scenes that succeeded have their certificate, perhaps an older version's."""
+    return all(field.name in rows.schema.names for field in CERTIFICATE) and _is_known(rows, "shake")
+
+
+def _is_known(rows: pa.Table, name: str) -> bool:
+    """Whether a column has a value for each scene that succeeded."""
+    return rows.filter(rows["is_success"])[name].null_count == 0
 
 
 def table_of(

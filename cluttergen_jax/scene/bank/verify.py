@@ -19,12 +19,13 @@ import numpy as np
 from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import VerifyConfig, check_workers
 from cluttergen_jax.errors import BankError, UnsafePathError
-from cluttergen_jax.files import inside, write_atomically
+from cluttergen_jax.files import check_utf8, inside, write_atomically
 from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.scene.bank.bank import INDEX, read_bank
-from cluttergen_jax.scene.bank.digests import Change, changes_of, touched
+from cluttergen_jax.scene.bank.blocks import AGAIN
+from cluttergen_jax.scene.bank.digests import Change, changes_of, touched, without_digests
 from cluttergen_jax.scene.bank.remote import fetch_scenes
 from cluttergen_jax.types import small_length
 
@@ -70,6 +71,7 @@ class VerificationReport:
       scenes: how each file behaved.
       changes: the files of a bank that are not what was written; None if it has no digests of them.
       changed_files: for each scene, those of its files that were changed.
+      unchecked: what of a bank has no digests, "files" or "rows"; "" if everything has.
       unwritten: why verification.json could not be written into the bank's folder; "" if it is there.
     """
 
@@ -78,6 +80,7 @@ class VerificationReport:
     scenes: tuple[Verification, ...]
     changes: tuple[Change, ...] | None
     changed_files: tuple[tuple[str, ...], ...]
+    unchecked: str = ""
     unwritten: str = ""
 
     @property
@@ -127,9 +130,9 @@ class VerificationReport:
         return "\n".join(lines)
 
     def _of_files(self) -> Iterator[str]:
-        if self.changes is None:
-            yield f"note: {self.path} has no digests of its files (made before they were kept)"
-        elif self.changes:
+        if self.unchecked:
+            yield f"note: {self.path} has no digests of its {self.unchecked} (made before they were kept)"
+        if self.changes:
             number = len(self.changes)
             yield f"files of {self.path} that are not what `cluttergen generate` wrote ({number}):"
             yield from (f"  {change.name}: {change.what}" for change in self.changes[:_SHOWN])
@@ -139,13 +142,26 @@ class VerificationReport:
 
 
 def verify_files(
-    path: Path, check: VerifyConfig, jobs: int = 0, cluster: Cluster | None = None
+    path: Path,
+    check: VerifyConfig,
+    jobs: int = 0,
+    cluster: Cluster | None = None,
+    allow_unchecked: bool = False,
 ) -> VerificationReport:
     """How the files of a bank, or one file, behave; see `cluttergen_jax.verify`."""
     check_workers("jobs", jobs)
+    check_utf8(path)
     fetch_scenes(path)
     files = scene_files(path)
-    changes = changes_of(read_bank(path)) if (path / INDEX).is_file() else []
+    bank = read_bank(path) if (path / INDEX).is_file() else None
+    unchecked = "" if bank is None else without_digests(bank)
+    if unchecked == "files" and not allow_unchecked:
+        raise BankError(
+            f"{path}: bank.json has no digests of the bank's files",
+            "a bank that knows its files",
+            f"{AGAIN}; or `allow_unchecked`, to simulate the files as they are",
+        )
+    changes = [] if bank is None else changes_of(bank)
     if cluster is None:
         checks = _checked_here(files, check, jobs)
     else:
@@ -154,7 +170,8 @@ def verify_files(
         found = dict(tracked(checks, "verifying", len(files), "scene"))
     scenes = tuple(found[place] for place in range(len(files)))
     changed = tuple(tuple(touched(changes or [], each.path.name, each.objects)) for each in scenes)
-    report = VerificationReport(path, check, scenes, None if changes is None else tuple(changes), changed)
+    kept = None if changes is None else tuple(changes)
+    report = VerificationReport(path, check, scenes, kept, changed, unchecked)
     return replace(report, unwritten=_keep(report)) if path.is_dir() else report
 
 

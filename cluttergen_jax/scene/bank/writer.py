@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import json
 import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.obj import write_parts
 from cluttergen_jax.assets.object import ObjectAsset
@@ -18,14 +17,13 @@ from cluttergen_jax.assets.object_files import object_hash, read_object, write_o
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.errors import BankError, ClutterGenError
-from cluttergen_jax.files import PARTIAL, folder_whole, inside, remove_partial, write_atomically, writing
+from cluttergen_jax.files import PARTIAL, check_utf8, folder_whole, inside, remove_partial, writing
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.bank import (
     FORMAT,
     INDEX,
     NewerBankError,
     block_numbers,
-    index_bytes,
     read_bank,
     recovered_record,
 )
@@ -34,13 +32,15 @@ from cluttergen_jax.scene.bank.blocks import (
     StoredBlocks,
     block_files,
     block_path,
-    with_record,
-    write_shard,
+    digest_of_file,
+    is_whole,
 )
 from cluttergen_jax.scene.bank.digests import digests_in
 from cluttergen_jax.scene.bank.hubs import is_of_a_bank
+from cluttergen_jax.scene.bank.index import BankIndex
 from cluttergen_jax.scene.bank.lock import LOCK, BankLock, check_free
 from cluttergen_jax.scene.bank.remote import MARK, is_url, mirrored, publish_all, remote_of
+from cluttergen_jax.scene.bank.table import with_columns_of
 
 
 class BankWriter:
@@ -59,6 +59,7 @@ class BankWriter:
     Raises:
       BankError: the folder holds something else, or a bank of another recipe or of other assets; somebody
         else is writing to it; or it cannot be written.
+      ConfigError: its path is not UTF-8.
     """
 
     def __init__(
@@ -72,6 +73,7 @@ class BankWriter:
         shard_blocks: int = SHARD_BLOCKS,
     ) -> None:
         self.path = mirrored(str(path)) if is_url(path) else Path(path)
+        check_utf8(self.path)
         self._shard_blocks = shard_blocks
         hashes = {
             "objects": {name: object_hash(asset) for name, asset in objects.items()},
@@ -86,13 +88,13 @@ class BankWriter:
             with writing(self.path):
                 self._begin(num_scenes, overwrite)
                 self._store_assets(objects, support)
-                self._write_index()
+                self._index.write()
                 publish_all(self.path, is_begun=True)
         except BaseException:
             self.close()
             raise
 
-    _num_scenes: int
+    _index: BankIndex
 
     def __enter__(self) -> BankWriter:
         return self
@@ -106,7 +108,7 @@ class BankWriter:
 
     def has_block(self, block: int, num_rows: int) -> bool:
         """Whether block number `block` is there, sound, with at least `num_rows` rows."""
-        if block not in self._stored.places:
+        if block not in self._stored.places or self._is_edited(block):
             return False
         try:
             is_there = self._stored.num_rows(block) >= num_rows
@@ -119,20 +121,27 @@ class BankWriter:
     def write_block(self, block: int, table: pa.Table) -> None:
         """Stores the rows of a block as a whole; the last one of a shard makes it a shard.
 
+        Rows that are there already, such as those of a block that grows, keep their certificate and whatever
+        else was measured of them.
+
         Raises:
           BankError: it cannot be written, for instance because the disk is full.
         """
-        write_rows(self.path, block, table, self._record)
+        if block in self._sound or (block in self._stored.places and not self._is_edited(block)):
+            with suppress(BankError):
+                table = with_columns_of(StoredBlocks.of(self.path).read(block), table)
+        self._index.write_block(block, table)
         self._sound.add(block)
         self._loose.add(block)
         self._write_shard(block // self._shard_blocks, is_last=False)
 
     def finish(self) -> None:
-        """Makes a shard of the last blocks, too, in a bank of more than one shard.
+        """Makes a shard of the last blocks, too, in a bank of more than one shard; all files have one schema.
 
         Raises:
           BankError: it cannot be written.
         """
+        self._complete_columns()
         is_last = len(self._sound) > self._shard_blocks
         for shard in sorted({block // self._shard_blocks for block in self._loose}):
             self._write_shard(shard, is_last)
@@ -145,12 +154,19 @@ class BankWriter:
             known = self._sound.union(self._stored.places).intersection(blocks)
             blocks = range(first, max(known) + 1)
         # A single block stays in the file that it has.
-        if (
-            len(blocks) > 1
-            and self._sound.issuperset(blocks)
-            and write_shard(self.path, blocks, self._record)
-        ):
+        if len(blocks) > 1 and self._sound.issuperset(blocks) and self._index.write_shard(blocks):
             self._loose -= set(blocks)
+
+    def _complete_columns(self) -> None:
+        """Writes files of an older version again, which lack columns that others of the bank have."""
+        stored = StoredBlocks.of(self.path)
+        for name, blocks in block_files(self.path).items():
+            if is_whole(self.path / name) or not self._sound.issuperset(blocks):
+                continue
+            if len(blocks) > 1:
+                self._index.write_shard(blocks)
+            else:
+                self._index.write_block(blocks[0], stored.read(blocks[0]))
 
     def extend(self, num_scenes: int) -> None:
         """The bank is asked for at least so many scenes from now on.
@@ -158,9 +174,8 @@ class BankWriter:
         Raises:
           BankError: it cannot be written.
         """
-        self._num_scenes = max(self._num_scenes, num_scenes)
-        with writing(self.path):
-            self._write_index()
+        self._index.num_scenes = max(self._index.num_scenes, num_scenes)
+        self._index.add({})
 
     def keep_digests(self, files: dict[str, str]) -> None:
         """Enters the digests of scene files, by path within the bank, into `bank.json`.
@@ -168,14 +183,7 @@ class BankWriter:
         Raises:
           BankError: it cannot be written.
         """
-        self._files |= files
-        with writing(self.path):
-            self._write_index()
-
-    def _write_index(self) -> None:
-        files = dict(sorted(self._files.items()))
-        record = {"num_scenes": self._num_scenes, **self._record, "files": files}
-        write_atomically(self.path / INDEX, index_bytes(record), is_durable=True)
+        self._index.add(files)
 
     def _check_place(self) -> None:
         """Refuses a place that holds something which is not a bank."""
@@ -207,8 +215,9 @@ class BankWriter:
         if theirs is not None:
             _check_same(self.path, self._record, theirs)
             num_scenes = max(num_scenes, theirs["num_scenes"])
-        self._num_scenes = num_scenes
         self._stored = StoredBlocks.of(self.path)
+        known = (theirs or {}).get("files", {})
+        self._edited = self._edited_files(known)
         self._sound: set[int] = set()
         # What an interrupted writer left beside its shard counts, too: the shard is made again.
         self._loose = {
@@ -216,8 +225,37 @@ class BankWriter:
             for block, (name, _) in self._stored.places.items()
             if name == block_path(self.path, block).name
         }
-        self._files: dict[str, str] = (theirs or {}).get("files", {})
-        self._write_index()
+        self._index = BankIndex(self.path, self._record, num_scenes, self._still_there(known))
+        self._index.add_unknown_rows()
+        self._index.write()
+
+    def _still_there(self, files: dict[str, str]) -> dict[str, str]:
+        """The digests, less those of rows that are gone."""
+        there = {name for name, _ in self._stored.places.values()}
+        return {name: digest for name, digest in files.items() if "/" in name or name in there}
+
+    def _edited_files(self, files: dict[str, str]) -> set[str]:
+        """Files of rows that somebody has changed: sound, but not what was written.
+
+        Of one that is damaged, the blocks that are not are kept.
+        """
+        edited = set()
+        for name, blocks in block_files(self.path).items():
+            if files.get(name) not in (None, digest_of_file(self.path / name)):
+                own = [block for block in blocks if self._stored.places[block][0] == name]
+                if all(self._is_sound(block) for block in own):
+                    edited.add(name)
+        return edited
+
+    def _is_edited(self, block: int) -> bool:
+        return self._stored.places[block][0] in self._edited
+
+    def _is_sound(self, block: int) -> bool:
+        try:
+            self._stored.read(block)
+        except BankError:
+            return False
+        return True
 
     def _is_to_be_continued(self) -> bool:
         """Whether what the folder holds is the beginning of this very bank."""
@@ -248,7 +286,7 @@ class BankWriter:
             return None
 
     def _store_assets(self, objects: dict[str, ObjectAsset], support: SupportAsset) -> None:
-        """Writes what is missing, damaged, or of no known digest; `self._files` then tells what is there."""
+        """Writes what is missing, damaged, or of no known digest; the index then tells what is there."""
         hashes = self._record["assets"]
         for name, asset in objects.items():
             folder, images = f"assets/objects/{name}", inside(self.path, "assets/textures")
@@ -260,26 +298,14 @@ class BankWriter:
         if not (self._is_as_written(folder) and _hash_of_support(self.path / folder) == hashes["support"]):
             with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
                 write_support(fresh, support)
-        scenes = {name: digest for name, digest in self._files.items() if _is_scene(self.path, name)}
-        self._files = scenes | digests_in(self.path, "assets")
+        files = self._index.files
+        kept = {name: digest for name, digest in files.items() if _is_kept(self.path, name)}
+        self._index.files = kept | digests_in(self.path, "assets")
 
     def _is_as_written(self, folder: str) -> bool:
         """Whether the bank's copy of an asset is what its digests say; where there are none, it is not."""
-        known = {name: digest for name, digest in self._files.items() if name.startswith(f"{folder}/")}
+        known = {name: digest for name, digest in self._index.files.items() if name.startswith(f"{folder}/")}
         return bool(known) and digests_in(self.path, folder) == known
-
-
-def write_rows(path: Path, block: int, table: pa.Table, record: dict[str, Any]) -> None:
-    """Stores the rows of a block, and the bank's record in it, as a whole. For who holds the bank's lock.
-
-    Raises:
-      BankError: it cannot be written, for instance because the disk is full.
-    """
-    buffer = io.BytesIO()
-    pq.write_table(with_record(table, record), buffer, write_page_checksum=True)
-    file = block_path(path, block)
-    with writing(file):
-        write_atomically(file, buffer.getvalue(), is_durable=True)
 
 
 def _is_json(path: Path) -> bool:
@@ -326,9 +352,9 @@ def _write_object(asset: ObjectAsset, folder: Path, images: Path) -> None:
     write_object(folder, asset, images)
 
 
-def _is_scene(path: Path, name: str) -> bool:
-    """Whether a file of a scene is there that an earlier run wrote."""
-    return name.startswith("scenes/") and inside(path, name).is_file()
+def _is_kept(path: Path, name: str) -> bool:
+    """Whether a digest is of rows, or of a scene's file that an earlier run wrote and that is still there."""
+    return "/" not in name or (name.startswith("scenes/") and inside(path, name).is_file())
 
 
 def _hash_of_object(folder: Path, images: Path) -> str:
