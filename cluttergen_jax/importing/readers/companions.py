@@ -11,10 +11,9 @@ from urllib.parse import unquote
 import trimesh
 from PIL import Image
 
-from cluttergen_jax.importing.readers.text import utf8
+from cluttergen_jax.importing.readers.text import ALL_MATERIALS, material_lines, utf8
 
 _NAMED = {
-    ".obj": rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$",
     ".mtl": rb"^[ \t]*map_[Kk][Dd][ \t]+(.+?)[ \t\r]*$",
     ".gltf": rb'"uri"\s*:\s*"([^"]{1,1000})"',
     ".dae": rb"<init_from>\s*([^<]+?)\s*</init_from>",
@@ -26,12 +25,26 @@ _FOLDERS = (".", "textures", "../textures", "../materials/textures")
 
 def companions(path: Path) -> Iterator[Path]:
     """The files that a mesh file names, and that its materials name, as far as they are there."""
-    pattern = _NAMED.get(path.suffix.lower())
-    for name in re.findall(pattern, utf8(path.read_bytes()), re.MULTILINE) if pattern else ():
-        found = find_named(path.parent, name.decode())
-        if found is not None:
-            yield found
-            yield from companions(found) if found.suffix.lower() == ".mtl" else ()
+    suffix = path.suffix.lower()
+    if suffix == ".obj":
+        for _, found in _material_files(path):
+            if found is not None:
+                yield found
+                yield from companions(found) if found.suffix.lower() == ".mtl" else ()
+    elif pattern := _NAMED.get(suffix):
+        for name in re.findall(pattern, utf8(path.read_bytes()), re.MULTILINE):
+            if (found := find_named(path.parent, name.decode())) is not None:
+                yield found
+
+
+def _material_files(obj: Path) -> Iterator[tuple[str, Path | None]]:
+    """The material files of an OBJ file by name, None where one is not there.
+
+    A line names one file, whose name may hold spaces; or if that is not there, several.
+    """
+    for line in material_lines(utf8(obj.read_bytes())):
+        names = [line] if find_named(obj.parent, line) else line.split()
+        yield from ((name, find_named(obj.parent, name)) for name in names)
 
 
 def find_named(folder: Path, name: str) -> Path | None:
@@ -66,15 +79,15 @@ class Companions(trimesh.resolvers.FilePathResolver):
 
     def get(self, name: str) -> bytes:
         """The content of the file that is called so."""
+        if name == ALL_MATERIALS:
+            return self._materials()
         found = find_named(self._path.parent, str(name))
         if found is None:
-            self.notes.append(f"{self._path.name} names {str(name)!r}, which is not there")
+            self._miss(str(name))
             raise FileNotFoundError(name)
         if _OPTIONS.match(str(name).strip()):
             self.notes.append(f"the options of an image are ignored ({str(name).strip()})")
         data = found.read_bytes()
-        if found.suffix.lower() == ".mtl":
-            return utf8(data)
         if found.suffix.lower() != ".bin":
             try:
                 Image.open(io.BytesIO(data))
@@ -83,6 +96,62 @@ class Companions(trimesh.resolvers.FilePathResolver):
                 raise
         return data
 
+    def _materials(self) -> bytes:
+        """The content of all material files of an OBJ file."""
+        texts = []
+        for name, found in _material_files(self._path):
+            if found is None:
+                self._miss(name)
+            else:
+                texts.append(utf8(found.read_bytes()))
+        return b"\n".join(texts)
+
+    def _miss(self, name: str) -> None:
+        self.notes.append(f"{self._path.name} names {name!r}, which is not there")
+
 
 def _short(error: Exception) -> str:
     return re.sub(r" <_io.*?>", "", str(error)) or type(error).__name__
+
+
+_SCHEME = re.compile(r"^(file|package|model)://")
+_DRIVE = re.compile(r"/?[A-Za-z]:/")
+_MESH_FOLDERS = ("meshes", "../meshes", *_FOLDERS)
+
+
+def mesh_place(urdf: Path, name: str) -> Path | None:
+    """The file that a URDF names, None if it is not there.
+
+    Looked for as it is named, beside the URDF and in four folders above, where `package://` asks for that;
+    then by the last parts of its path, as many as fit: it may be a place on its author's machine.
+    """
+    roots = (urdf.parent, *list(urdf.resolve().parents)[1:5])
+    for text in dict.fromkeys((name, unquote(name))):
+        plain = _plain_path(text)
+        in_package = plain.partition("/")[2] if text.startswith(("package://", "model://")) else ""
+        parts = [part for part in plain.split("/") if part not in ("", ".", "..")]
+        shorter = ["/".join(parts[start:]) for start in range(1, len(parts) - 1)]
+        candidates = [root / tail for root in roots for tail in (plain, in_package) if tail]
+        candidates += [root / tail for tail in shorter for root in roots]
+        candidates += [urdf.parent / each / parts[-1] for each in _MESH_FOLDERS if parts]
+        if (found := next(filter(_is_file, candidates), None)) is not None:
+            return found
+    return None
+
+
+def is_found_elsewhere(name: str, file: Path) -> bool:
+    """Whether a file bears the last part alone of the path by which a URDF names it."""
+    return len(parts := _plain_path(unquote(name)).split("/")) > 1 and file.parts[-2:-1] != (parts[-2],)
+
+
+def _plain_path(name: str) -> str:
+    """A path with slashes, without scheme and drive."""
+    plain = _SCHEME.sub("", name.strip(), count=1).replace("\\", "/")
+    return plain[drive.end() :] if (drive := _DRIVE.match(plain)) else plain
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False

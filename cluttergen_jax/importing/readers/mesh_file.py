@@ -13,6 +13,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.collada import collada_notes, unit_of
 from cluttergen_jax.importing.readers.companions import Companions
 from cluttergen_jax.importing.readers.damage import check_whole, unreadable
 from cluttergen_jax.importing.readers.materials import Dresser, gltf_notes
@@ -23,7 +24,7 @@ class MeshFile(NamedTuple):
     """What a mesh file holds.
 
     Attributes:
-      pieces: its surfaces, in the file's own unit and frame.
+      pieces: its surfaces, in the file's own frame, and unless it declares a unit in its own.
       notes: what could not be kept of its materials, in words.
     """
 
@@ -32,10 +33,11 @@ class MeshFile(NamedTuple):
 
 
 def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None) -> MeshFile:
-    """The file's surfaces in its own unit and frame, each with one colour or with its image.
+    """The file's surfaces in its own frame, each with one colour or with its image.
 
     Every geometry of a scene graph is placed where its nodes put it. The colour is the material's, or the
-    mean over vertex colours. A DAE file's declared unit is applied.
+    mean over vertex colours. A DAE file's declared unit is applied, its vertical axis is not (`axes.own_up`):
+    where a URDF names such a file, that is what PyBullet does. Other files are in their own unit.
 
     Args:
       max_side: pixels; larger images are shrunk.
@@ -50,24 +52,30 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
     beside = Companions(path)
     try:
         scene = trimesh.load_scene(**opened(path), resolver=beside, process=False)
+    except AssetError:
+        raise
     except Exception as error:  # trimesh's loaders raise whatever their parsers do.
         raise unreadable(path, error) from error
-    is_gltf = path.suffix.lower() in (".glb", ".gltf")
+    is_gltf, is_collada = path.suffix.lower() in (".glb", ".gltf"), path.suffix.lower() == ".dae"
+    unit = unit_of(path) if is_collada else 1.0
     dresser = Dresser(is_gltf, max_side, image)
     pieces, materials = [], []
     for node in sorted(scene.graph.nodes_geometry):
         transform, name = scene.graph[node]
         geometry = scene.geometry[name]
         if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
-            mesh = _sound(geometry, path).transformed(transform[:3, :3], transform[:3, 3])
+            mesh = _sound(geometry, path).transformed(unit * transform[:3, :3], unit * transform[:3, 3])
             if np.linalg.det(transform[:3, :3]) < 0:
                 mesh = Mesh(mesh.vertices, mesh.faces[:, ::-1])
             pieces.append(dresser.piece(mesh, geometry.visual))
             materials.append(getattr(geometry.visual, "material", None))
+    lost = gltf_notes(path, materials) if is_gltf else collada_notes(path) if is_collada else ()
+    notes = tuple(dict.fromkeys([*beside.notes, *lost, *dresser.notes]))
     if not pieces:
-        raise AssetError(f"{path} holds no triangles", "a surface mesh, not points or curves")
-    notes = [*beside.notes, *(gltf_notes(path, materials) if is_gltf else ()), *dresser.notes]
-    return MeshFile(pieces, tuple(dict.fromkeys(notes)))
+        raise AssetError(
+            f"{path} holds no triangles", "a surface mesh, not points or curves", "; ".join(notes)
+        )
+    return MeshFile(pieces, notes)
 
 
 def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:

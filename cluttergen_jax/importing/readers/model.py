@@ -23,6 +23,7 @@ class Model:
       pieces: the surfaces that are shown.
       parts: convex collision parts, or None if the file has none that can be used.
       stated: mass and inertia, or None if the file has none.
+      density: kg/m^3 as the file has it, for where it has no mass; None if it has none.
       notes: what was decided about the model, in words.
     """
 
@@ -30,6 +31,7 @@ class Model:
     parts: tuple[Mesh, ...] | None
     stated: StatedMass | None
     notes: tuple[str, ...] = ()
+    density: float | None = None
 
 
 def frozen_note(joints: Iterable[str]) -> tuple[str, ...]:

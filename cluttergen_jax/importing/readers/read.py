@@ -36,8 +36,10 @@ def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
     rotation = turn_of(up, options.front)
     turn = rotation * options.scale
     notes = model.notes
+    density = options.density if model.density is None else model.density
     if source.kind != "mesh" and model.stated is None and options.mass is None:
-        notes = (*notes, f"its file states no mass: it is its volume times {options.density:g} kg/m^3")
+        what = "mass" if model.density is None else "mass but a density"
+        notes = (*notes, f"its file states no {what}: it is its volume times {density:g} kg/m^3")
     shape = Shape(
         name=source.name,
         label=source.label,
@@ -47,7 +49,7 @@ def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
         if model.parts is None
         else tuple(part.transformed(turn, np.zeros(3)) for part in model.parts),
         mass=options.mass,
-        density=options.density,
+        density=density,
         stated=None if model.stated is None else model.stated.scaled(rotation, options.scale, mass_scale),
         friction=options.friction,
         notes=notes,

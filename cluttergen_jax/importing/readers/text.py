@@ -9,22 +9,34 @@ from __future__ import annotations
 
 import codecs
 import io
+import re
 from pathlib import Path
 from typing import Any
 
+from cluttergen_jax.importing.readers.collada import with_image_paths
+
 _END_OF_HEADER = b"end_header"
+_WORD_AND_TAB = re.compile(rb"^[ \t]*([a-z]+)[ ]*\t[ \t]*", re.MULTILINE)
+ALL_MATERIALS = "*.mtl"
+"""What an OBJ file's text calls all its material files together: trimesh asks for one."""
+
+_MTLLIB = re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE)
 
 
 def opened(path: Path) -> dict[str, Any]:
     """A mesh file as `trimesh.load_scene` takes it: `file_obj`, and `file_type` where that is no path."""
     suffix = path.suffix.lower()
+    if suffix == ".dae" and (named := with_image_paths(path)) is not None:
+        return {"file_obj": io.BytesIO(named), "file_type": "dae"}
     if suffix not in (".obj", ".ply", ".stl"):
         return {"file_obj": str(path)}
     data = path.read_bytes()
     if suffix == ".ply":
         head, end, body = data.partition(_END_OF_HEADER)
         data = (utf8(head) if end else head) + end + body
-    elif suffix == ".obj" or not _is_binary_stl(data):
+    elif suffix == ".obj":
+        data = _plain_obj(utf8(data))
+    elif not _is_binary_stl(data):
         data = utf8(data)
     return {"file_obj": io.BytesIO(data), "file_type": suffix[1:]}
 
@@ -39,6 +51,18 @@ def utf8(data: bytes) -> bytes:
         except UnicodeDecodeError:
             continue
     return data.decode("latin-1").encode()
+
+
+def material_lines(data: bytes) -> list[str]:
+    """What the `mtllib` lines of an OBJ file's text name: each one file, or several with spaces between them."""
+    return [name.decode() for name in dict.fromkeys(_MTLLIB.findall(data))]
+
+
+def _plain_obj(data: bytes) -> bytes:
+    """The text of an OBJ file as trimesh follows it: spaces behind keywords, and one `mtllib` line, the first."""
+    if b"\t" in data:
+        data = _WORD_AND_TAB.sub(rb"\1 ", data)
+    return f"mtllib {ALL_MATERIALS}\n".encode() + data if material_lines(data) else data
 
 
 def _is_binary_stl(data: bytes) -> bool:

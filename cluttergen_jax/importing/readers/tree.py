@@ -10,6 +10,8 @@ from pathlib import Path
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 from cluttergen_jax.importing.readers.source import GENERIC, ObjectFile, make_source, named_apart
+from cluttergen_jax.importing.readers.xacro import SUFFIX as XACRO
+from cluttergen_jax.importing.readers.xacro import how_to_process
 from cluttergen_jax.importing.readers.ycb_scans import best_scans
 
 # In order of preference where a folder offers one object in several formats.
@@ -66,6 +68,8 @@ def survey(path: str | Path) -> Found:
     path = Path(path)
     if not path.exists():
         raise AssetError(f"{path} does not exist", "a mesh, URDF or MJCF file, or a folder of them")
+    if path.suffix.lower() == XACRO and path.is_file():
+        raise AssetError(f"{path} is an unprocessed xacro", "URDF", how_to_process(path))
     if path.is_dir():
         tree = _Tree(path)
         tree.enter_all()
@@ -178,6 +182,8 @@ class _Tree:
         if isinstance(model, str):
             part_of = owner.get(file.resolve())
             self.skip(file, f"included by {part_of.path.name}" if part_of else model)
+        elif suffix == XACRO:
+            self.skip(file, f"an unprocessed xacro: `{how_to_process(file)}` makes URDF of it")
         elif _OTHER_FORMATS.fullmatch(suffix):
             self.skip(file, f"{suffix[1:].upper()} is not read; Blender and others can save it as GLB")
         elif not (model or suffix in (*MESH_SUFFIXES, *_COMPANIONS) or file.name in _NOTES):

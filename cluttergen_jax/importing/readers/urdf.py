@@ -1,4 +1,4 @@
-"""URDF: several links and visuals, origins, scales, joints at their lower limit, and a `label.json`."""
+"""URDF: several links and visuals, origins, scales, frozen joints, and a `label.json`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
@@ -21,9 +20,19 @@ from cluttergen_jax.assets.stated_mass import combined
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import primitives
+from cluttergen_jax.importing.readers.companions import is_found_elsewhere, mesh_place
 from cluttergen_jax.importing.readers.materials import GREY
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.model import Model, convex_parts, frozen, frozen_note
+from cluttergen_jax.importing.readers.numbers import (
+    all_numbers,
+    length,
+    number,
+    numbers,
+    wrong_attribute,
+)
+from cluttergen_jax.importing.readers.urdf_joints import Joints, origin
+from cluttergen_jax.importing.readers.xacro import refuse_xacro
 
 Element = ElementTree.Element
 _MOVABLE = ("revolute", "prismatic", "continuous", "floating", "planar")
@@ -42,14 +51,11 @@ def read_urdf(path: Path, max_side: int = MAX_TEXTURE) -> Model:
     Raises:
       AssetError: the file, or one that it names, is missing or cannot be understood; the message names it.
     """
-    try:
-        robot = ElementTree.parse(path).getroot()
-    except (OSError, ElementTree.ParseError) as error:
-        raise AssetError(f"{path} cannot be read as URDF: {error}") from error
-    poses = _link_poses(robot, path)
-    materials = {each.get("name", ""): each for each in robot.findall("material")}
+    robot = _parsed(path)
+    joints = Joints(robot, path)
+    poses = joints.link_poses()
     scale = _global_scaling(path)
-    reader = _Reader(path, materials, max_side, {}, [])
+    reader = _Reader(path, _materials(robot), max_side, {}, [])
     visuals, collisions = (
         [
             piece
@@ -64,21 +70,40 @@ def read_urdf(path: Path, max_side: int = MAX_TEXTURE) -> Model:
     masses = {
         link.get("name", ""): mass
         for link in robot.findall("link")
-        if (mass := _link_mass(link, poses[link.get("name", "")])) is not None
+        if (mass := _link_mass(path, link, poses[link.get("name", "")])) is not None
     }
     stated = combined(list(masses.values()))
     return Model(
         pieces=visuals or collisions,
         parts=convex_parts([piece.mesh for piece in collisions]),
         stated=None if stated is None else stated.scaled(np.eye(3), scale),
-        notes=tuple(dict.fromkeys([*_notes(robot, masses), *reader.notes])),
+        notes=tuple(dict.fromkeys([*_notes(robot, joints, masses), *joints.notes, *reader.notes])),
+        density=_density(robot, path),
     )
 
 
-def _notes(robot: Element, masses: dict[str, MassProperties]) -> Iterator[str]:
+def _parsed(path: Path) -> Element:
+    """The root of a URDF; an unprocessed xacro is none."""
+    try:
+        robot = ElementTree.parse(path).getroot()
+    except (OSError, ElementTree.ParseError, ValueError, LookupError) as error:
+        refuse_xacro(path)
+        raise AssetError(f"{path} cannot be read as URDF: {error}") from error
+    refuse_xacro(path, robot)
+    return robot
+
+
+def _materials(robot: Element) -> dict[str, Element]:
+    """What materials are called: those of the model itself, then those that a link defines."""
+    defined = [each for each in (*robot.findall("material"), *robot.iter("material")) if len(each)]
+    # The first of a name holds.
+    return {each.get("name", ""): each for each in reversed(defined) if each.get("name")}
+
+
+def _notes(robot: Element, joints: Joints, masses: dict[str, MassProperties]) -> Iterator[str]:
     movable = [joint for joint in robot.findall("joint") if joint.get("type") in _MOVABLE]
     yield from frozen_note(
-        frozen(joint.get("name", ""), kind, _joint_value(joint), is_turn=kind != "prismatic")
+        frozen(joint.get("name", ""), kind, joints.value(joint), is_turn=kind != "prismatic")
         for joint in movable
         if (kind := joint.get("type", ""))
     )
@@ -88,7 +113,7 @@ def _notes(robot: Element, masses: dict[str, MassProperties]) -> Iterator[str]:
         yield f"its file states no mass for {', '.join(map(repr, without))}"
 
 
-def _link_mass(link: Element, pose: np.ndarray) -> MassProperties | None:
+def _link_mass(path: Path, link: Element, pose: np.ndarray) -> MassProperties | None:
     """A link's mass and inertia in the root link's frame; what cannot be read is NaN, to be refused later."""
     inertial = link.find("inertial")
     mass = None if inertial is None else inertial.find("mass")
@@ -98,17 +123,41 @@ def _link_mass(link: Element, pose: np.ndarray) -> MassProperties | None:
     inertia = np.zeros((3, 3))
     if given is not None:
         for row, column in zip(*np.triu_indices(3), strict=True):
-            inertia[row, column] = inertia[column, row] = _lenient(given, f"i{'xyz'[row]}{'xyz'[column]}")
-    pose = pose @ _origin(inertial)
-    body = MassProperties(_lenient(mass, "value"), np.zeros(3), inertia)
+            moment = _weight(path, given, f"i{'xyz'[row]}{'xyz'[column]}")
+            inertia[row, column] = inertia[column, row] = moment
+    pose = pose @ origin(path, inertial)
+    body = MassProperties(_weight(path, mass, "value"), np.zeros(3), inertia)
     return body.moved(pose[:3, :3], pose[:3, 3])
 
 
-def _lenient(element: Element, name: str) -> float:
-    try:
-        return float(element.get(name, "nan"))
-    except ValueError:
+def _weight(path: Path, element: Element, name: str) -> float:
+    """A mass or a moment: NaN where it is missing or one word that is no number."""
+    words = element.get(name, "nan").split()
+    if len(words) == 1 and not _is_number(words[0]):
         return math.nan
+    return number(path, element, name, "nan", is_finite=False)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _density(robot: Element, path: Path) -> float | None:
+    """kg/m^3: what Isaac Gym's <density> says of the links; None if they say nothing.
+
+    Raises:
+      AssetError: they say different things.
+    """
+    said = {length(path, each, "value") for each in robot.iterfind("link/inertial/density")}
+    if len(said) > 1:
+        raise AssetError(
+            f"{path}: links of the densities {sorted(said)}", "one <density>, or a <mass> for each"
+        )
+    return next(iter(said), None)
 
 
 def _global_scaling(path: Path) -> float:
@@ -135,7 +184,7 @@ class _Reader:
     notes: list[str]
 
     def pieces(self, element: Element, link_pose: np.ndarray, scale: float) -> list[Piece]:
-        pose = link_pose @ _origin(element)
+        pose = link_pose @ origin(self.path, element)
         rotation, translation = pose[:3, :3] * scale, pose[:3, 3] * scale
         colour, texture = self._colour(element), self._texture(element)
         pieces = self._geometry(element, texture)
@@ -156,13 +205,20 @@ class _Reader:
         if form.tag == "mesh":
             return self._mesh(form, texture)
         if form.tag == "box":
-            return [Piece(primitives.box(_floats(form.get("size"), 3) / 2), GREY)]
+            return [Piece(primitives.box(self._box_size(form) / 2), GREY)]
         if form.tag == "sphere":
-            return [Piece(primitives.ellipsoid(np.full(3, _number(form, "radius"))), GREY)]
+            return [Piece(primitives.ellipsoid(np.full(3, length(self.path, form, "radius"))), GREY)]
         if form.tag in ("cylinder", "capsule"):
             make = getattr(primitives, form.tag)
-            return [Piece(make(_number(form, "radius"), _number(form, "length") / 2), GREY)]
+            radius, height = (length(self.path, form, name) for name in ("radius", "length"))
+            return [Piece(make(radius, height / 2), GREY)]
         raise AssetError(f"{self.path}: geometry <{form.tag}>", "mesh, box, cylinder, sphere or capsule")
+
+    def _box_size(self, form: Element) -> np.ndarray:
+        size = numbers(self.path, form, "size", 3)
+        if size.min() <= 0:
+            raise wrong_attribute(self.path, form, "size", "3 numbers above 0")
+        return size
 
     def _mesh(self, form: Element, texture: Texture | None) -> list[Piece]:
         name = form.get("filename", "")
@@ -170,10 +226,14 @@ class _Reader:
             raise AssetError(
                 f"{self.path} names mesh file {name!r}, which is not there", hint="restoring the file"
             )
+        if is_found_elsewhere(name, file):
+            self.notes.append(
+                f"for {name!r}, which is not there, {file.name} is taken from {file.parent.name}/"
+            )
         if (file, texture) not in self.files:
             self.files[file, texture], notes = read_mesh_file(file, self.max_side, texture)
             self.notes.extend(notes)
-        factors = np.diag(_floats(form.get("scale", "1 1 1"), 3))
+        factors = np.diag(self._scale(form))
         is_mirrored = np.linalg.det(factors) < 0
         out = []
         for piece in self.files[file, texture]:
@@ -182,21 +242,38 @@ class _Reader:
             out.append(replace(piece, mesh=mesh))
         return out
 
+    def _scale(self, form: Element) -> np.ndarray:
+        """f64[3]: one number holds for all three axes, as Drake and PyBullet have it."""
+        values = all_numbers(self.path, form, "scale", "1 1 1")
+        factors = np.array(values * 3 if len(values) == 1 else values)
+        if len(factors) != 3 or not np.isfinite(factors).all() or not factors.all():
+            raise wrong_attribute(self.path, form, "scale", "1 or 3 numbers other than 0")
+        return factors
+
     def _material(self, element: Element, tag: str) -> Element | None:
-        """The first of that tag in the element's material, or in the model's material of that name."""
+        """The first of that tag in the element's material, or in what the file elsewhere calls so."""
         material = element.find("material")
         if material is None:
             return None
+        name = material.get("name", "")
+        if not len(material) and name and name not in self.materials:
+            self.notes.append(f"material {name!r} is named and nowhere defined")
         found = material.find(tag)
-        named = self.materials.get(material.get("name", ""))
+        named = self.materials.get(name)
         return named.find(tag) if found is None and named is not None else found
 
     def _colour(self, element: Element) -> tuple[float, float, float, float]:
+        """Opaque where alpha is missing."""
         colour = self._material(element, "color")
         if colour is None:
             return GREY
-        r, g, b, a = _floats(colour.get("rgba"), 4)
-        return (float(r), float(g), float(b), float(a))
+        values = all_numbers(self.path, colour, "rgba")
+        if len(values) not in (3, 4) or not np.isfinite(values).all():
+            raise wrong_attribute(self.path, colour, "rgba", "3 or 4 numbers from 0 to 1")
+        r, g, b, a = np.clip([*values, 1.0][:4], 0, 1).tolist()
+        if [r, g, b, a] != [*values, 1.0][:4]:
+            self.notes.append(f"the colour {colour.get('rgba')!r} is clipped to 0 to 1")
+        return (r, g, b, a)
 
     def _texture(self, element: Element) -> Texture | None:
         """The image of the element's material, for meshes that have none of their own."""
@@ -214,91 +291,3 @@ class _Reader:
             reason = error.given if isinstance(error, AssetError) else str(error)
             self.notes.append(f"the image {name!r} is left out: {reason}")
             return None
-
-
-def mesh_place(urdf: Path, name: str) -> Path | None:
-    """The file that a URDF names, None if it is not there; `package://` is looked up around the URDF."""
-    plain = name.removeprefix("file://").removeprefix("package://").removeprefix("model://")
-    tails = [plain]
-    if name.startswith(("package://", "model://")):
-        tails.append(plain.partition("/")[2])
-    for root in (urdf.parent, *list(urdf.resolve().parents)[1:5]):
-        for tail in tails:
-            if tail and (root / tail).is_file():
-                return root / tail
-    return None
-
-
-def _link_poses(robot: Element, path: Path) -> dict[str, np.ndarray]:
-    """f64[4, 4] from each link to the root link, every joint at its lower limit."""
-    joints = robot.findall("joint")
-    children: dict[str, list[Element]] = {}
-    for joint in joints:
-        children.setdefault(_link_of(joint, "parent", path), []).append(joint)
-    below = {_link_of(joint, "child", path) for joint in joints}
-    names = [link.get("name", "") for link in robot.findall("link")]
-    poses = {name: np.eye(4) for name in names if name not in below}
-    todo = list(poses)
-    while todo:
-        parent = todo.pop()
-        for joint in children.get(parent, []):
-            child = _link_of(joint, "child", path)
-            if child not in poses:
-                poses[child] = poses[parent] @ _origin(joint) @ _joint_motion(joint)
-                todo.append(child)
-    lost = [name for name in names if name not in poses]
-    if lost:
-        raise AssetError(f"{path}: link {lost[0]!r} hangs in a loop of joints", "a tree of links")
-    return poses
-
-
-def _link_of(joint: Element, tag: str, path: Path) -> str:
-    link = joint.find(tag)
-    if link is None or not link.get("link"):
-        raise AssetError(f"{path}: joint {joint.get('name')!r} names no {tag} link")
-    return link.get("link", "")
-
-
-def _joint_value(joint: Element) -> float:
-    """Where a joint is frozen, radians or metres: at its lower limit, if it has one."""
-    limit = joint.find("limit")
-    value = _number(limit, "lower", "0") if limit is not None else 0.0
-    return value if joint.get("type") in ("revolute", "prismatic") and math.isfinite(value) else 0.0
-
-
-def _joint_motion(joint: Element) -> np.ndarray:
-    kind, value = joint.get("type"), _joint_value(joint)
-    if kind not in ("revolute", "prismatic"):
-        return np.eye(4)
-    axis_element = joint.find("axis")
-    axis = _floats(axis_element.get("xyz") if axis_element is not None else "1 0 0", 3)
-    axis = axis / max(float(np.linalg.norm(axis)), 1e-12)
-    if kind == "revolute":
-        return trimesh.transformations.rotation_matrix(value, axis)
-    return trimesh.transformations.translation_matrix(value * axis)
-
-
-def _origin(element: Element) -> np.ndarray:
-    origin = element.find("origin")
-    if origin is None:
-        return np.eye(4)
-    roll, pitch, yaw = _floats(origin.get("rpy", "0 0 0"), 3)
-    pose = trimesh.transformations.euler_matrix(roll, pitch, yaw, "sxyz")
-    pose[:3, 3] = _floats(origin.get("xyz", "0 0 0"), 3)
-    return pose
-
-
-def _number(element: Element, name: str, default: str = "nan") -> float:
-    """One attribute as a number."""
-    return float(_floats(element.get(name, default), 1)[0])
-
-
-def _floats(text: str | None, count: int) -> np.ndarray:
-    """`count` numbers; missing ones at the end are zero, as some published axes leave them out."""
-    try:
-        values = [float(each) for each in (text or "").split()]
-    except ValueError as error:
-        raise AssetError(f"{text!r} where {count} numbers are expected") from error
-    if not values or len(values) > count:
-        raise AssetError(f"{text!r} where {count} numbers are expected")
-    return np.array(values + [0.0] * (count - len(values)))

@@ -1,0 +1,68 @@
+"""Numbers in the attributes of XML elements: what is wrong is told by file, element and attribute."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from cluttergen_jax.errors import AssetError
+
+Element = ElementTree.Element
+
+
+def numbers(
+    path: Path, element: Element, name: str, count: int, default: str | None = None, is_finite: bool = True
+) -> np.ndarray:
+    """f64[count]: the numbers of an attribute, or of `default` where it is absent.
+
+    Args:
+      path: the file, for the message.
+      is_finite: refuse infinite numbers and NaN.
+
+    Raises:
+      AssetError: the attribute is absent and has no default, or does not hold `count` numbers.
+    """
+    values = all_numbers(path, element, name, default)
+    if len(values) != count or (is_finite and not all(map(math.isfinite, values))):
+        raise wrong_attribute(path, element, name, "1 number" if count == 1 else f"{count} numbers")
+    return np.array(values)
+
+
+def number(
+    path: Path, element: Element, name: str, default: str | None = None, is_finite: bool = True
+) -> float:
+    """One number; see `numbers`."""
+    return float(numbers(path, element, name, 1, default, is_finite)[0])
+
+
+def length(path: Path, element: Element, name: str) -> float:
+    """One number above zero, such as a radius; see `numbers`."""
+    value = number(path, element, name)
+    if value <= 0:
+        raise wrong_attribute(path, element, name, "a number above 0")
+    return value
+
+
+def all_numbers(path: Path, element: Element, name: str, default: str | None = None) -> list[float]:
+    """All numbers of an attribute, however many.
+
+    Raises:
+      AssetError: the attribute is absent and has no default, or holds something else.
+    """
+    text = element.get(name, default)
+    if text is None:
+        raise AssetError(
+            f"{path}: a <{element.tag}> without the attribute {name!r}", f"<{element.tag} {name}=...>"
+        )
+    try:
+        return [float(word) for word in text.split()]
+    except ValueError as error:
+        raise wrong_attribute(path, element, name, "numbers") from error
+
+
+def wrong_attribute(path: Path, element: Element, name: str, allowed: str) -> AssetError:
+    """What to raise for an attribute whose value cannot be taken."""
+    return AssetError(f'{path}: <{element.tag} {name}="{element.get(name, "")}">', allowed)
