@@ -61,7 +61,7 @@ def with_image_paths(path: Path) -> bytes | None:
 def collada_notes(path: Path) -> Iterator[str]:
     """What is not read of a COLLADA file."""
     if skins := sum(1 for _ in _all(_parsed(path), "instance_controller")):
-        yield f"{skins} of its surfaces hang on a skeleton or a morph (<instance_controller>) and are left out"
+        yield f"{skins} surfaces with a skeleton or a morph (<instance_controller>) are left out"
 
 
 def _parsed(path: Path) -> Element | None:

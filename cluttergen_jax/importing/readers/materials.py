@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import struct
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,8 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.gltf_extensions import extension_notes
+from cluttergen_jax.importing.readers.gltf_file import read_document
 
 Rgba = tuple[float, float, float, float]
 GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
@@ -179,14 +179,16 @@ def _texture_colours(visual: Any, is_linear: bool) -> np.ndarray:
 
 
 def gltf_notes(path: Path, materials: Sequence[Any]) -> Iterator[str]:
-    """What a glTF file says of its images that is not followed, or that could not be read.
+    """What a glTF file says that is not followed, or that could not be read.
 
     Args:
       materials: as trimesh has read them, None where there is none.
     """
+    document = read_document(path)
+    yield from extension_notes(document)
     has_image = {each.name for each in materials if getattr(each, "baseColorTexture", None) is not None}
     read = {each.name for each in materials if each is not None}
-    for index, material in enumerate(_header(path).get("materials", [])):
+    for index, material in enumerate(document.get("materials", [])):
         name = material.get("name", f"number {index}")
         image = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
         if image is None:
@@ -197,16 +199,3 @@ def gltf_notes(path: Path, materials: Sequence[Any]) -> Iterator[str]:
             yield f"the image of material {name!r} is transformed (KHR_texture_transform): that is ignored"
         if image.get("texCoord", 0) != 0:
             yield f"material {name!r} wants other texture coordinates than the first: those are taken"
-
-
-def _header(path: Path) -> dict[str, Any]:
-    """The JSON of a glTF file that has been read already."""
-    data = path.read_bytes()
-    if data[:4] == b"glTF":
-        (length,) = struct.unpack("<I", data[12:16])
-        data = data[20 : 20 + length]
-    try:
-        header = json.loads(data)
-    except (ValueError, RecursionError):
-        return {}
-    return header if isinstance(header, dict) else {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +19,9 @@ from cluttergen_jax.importing.readers.companions import Companions
 from cluttergen_jax.importing.readers.damage import check_whole, unreadable
 from cluttergen_jax.importing.readers.materials import Dresser, gltf_notes
 from cluttergen_jax.importing.readers.text import opened
+
+_RANDOM = re.compile(r"_[0-9a-f]{6}$")
+"""What trimesh puts behind a node's name where several surfaces hang on it, another each time."""
 
 
 class MeshFile(NamedTuple):
@@ -60,7 +64,9 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
     unit = unit_of(path) if is_collada else 1.0
     dresser = Dresser(is_gltf, max_side, image)
     pieces, materials = [], []
-    for node in sorted(scene.graph.nodes_geometry):
+    for node in sorted(
+        scene.graph.nodes_geometry, key=lambda each: (_RANDOM.sub("", each), scene.graph[each][1])
+    ):
         transform, name = scene.graph[node]
         geometry = scene.geometry[name]
         if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from cluttergen_jax.importing.readers.companions import mesh_place
+from cluttergen_jax.importing.readers.places import mesh_place
 
 Element = ElementTree.Element
 _BROKEN = (OSError, ElementTree.ParseError, ValueError, LookupError)

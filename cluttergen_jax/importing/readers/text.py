@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.importing.readers.collada import with_image_paths
+from cluttergen_jax.importing.readers.gltf_plain import plain_glb
 
 _END_OF_HEADER = b"end_header"
 _WORD_AND_TAB = re.compile(rb"^[ \t]*([a-z]+)[ ]*\t[ \t]*", re.MULTILINE)
@@ -26,6 +27,8 @@ _MTLLIB = re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE)
 def opened(path: Path) -> dict[str, Any]:
     """A mesh file as `trimesh.load_scene` takes it: `file_obj`, and `file_type` where that is no path."""
     suffix = path.suffix.lower()
+    if suffix in (".glb", ".gltf") and (plain := plain_glb(path)) is not None:
+        return {"file_obj": io.BytesIO(plain), "file_type": "glb"}
     if suffix == ".dae" and (named := with_image_paths(path)) is not None:
         return {"file_obj": io.BytesIO(named), "file_type": "dae"}
     if suffix not in (".obj", ".ply", ".stl"):
@@ -54,12 +57,12 @@ def utf8(data: bytes) -> bytes:
 
 
 def material_lines(data: bytes) -> list[str]:
-    """What the `mtllib` lines of an OBJ file's text name: each one file, or several with spaces between them."""
+    """What the `mtllib` lines of an OBJ text name: each one file, or several with spaces between them."""
     return [name.decode() for name in dict.fromkeys(_MTLLIB.findall(data))]
 
 
 def _plain_obj(data: bytes) -> bytes:
-    """The text of an OBJ file as trimesh follows it: spaces behind keywords, and one `mtllib` line, the first."""
+    """An OBJ text as trimesh follows it: spaces behind keywords, and one `mtllib` line, the first."""
     if b"\t" in data:
         data = _WORD_AND_TAB.sub(rb"\1 ", data)
     return f"mtllib {ALL_MATERIALS}\n".encode() + data if material_lines(data) else data

@@ -20,7 +20,6 @@ from cluttergen_jax.assets.stated_mass import combined
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import primitives
-from cluttergen_jax.importing.readers.companions import is_found_elsewhere, mesh_place
 from cluttergen_jax.importing.readers.materials import GREY
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.model import Model, convex_parts, frozen, frozen_note
@@ -31,6 +30,7 @@ from cluttergen_jax.importing.readers.numbers import (
     numbers,
     wrong_attribute,
 )
+from cluttergen_jax.importing.readers.places import is_found_elsewhere, mesh_place
 from cluttergen_jax.importing.readers.urdf_joints import Joints, origin
 from cluttergen_jax.importing.readers.xacro import refuse_xacro
 

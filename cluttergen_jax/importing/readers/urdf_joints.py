@@ -101,7 +101,7 @@ class Joints:
         return trimesh.transformations.translation_matrix(value * axis / np.linalg.norm(axis))
 
     def _axis(self, joint: Element) -> np.ndarray:
-        """f64[3], of any length. Numbers that are missing at its end are zero: some published files need that."""
+        """f64[3], of any length. Numbers missing at its end are zero: some published files need that."""
         element = joint.find("axis")
         if element is None:
             return np.array([1.0, 0.0, 0.0])

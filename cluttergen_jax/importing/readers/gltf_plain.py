@@ -1,0 +1,213 @@
+"""glTF made plain: quantised and sparse numbers, Draco, morphs, skins and copies, which trimesh passes over.
+
+A file that has none of it goes to trimesh as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.gltf_arrays import Arrays
+from cluttergen_jax.importing.readers.gltf_extensions import DRACO, INSTANCING, check_understood
+from cluttergen_jax.importing.readers.gltf_file import Buffers, Document, glb, read_document
+
+Node = dict[str, Any]
+_FAN = 6
+_MOST_COPIES = 10_000
+
+
+def plain_glb(path: Path) -> bytes | None:
+    """The file as GLB with floats alone, one mesh for each that is drawn; None if it is so already.
+
+    Raises:
+      AssetError: it needs an extension that is not understood, or cannot be read.
+    """
+    document = read_document(path)
+    check_understood(path, document)
+    return _Plain(path, document).made() if _is_not_plain(document) else None
+
+
+def _is_not_plain(document: Document) -> bool:
+    nodes, accessors = document.get("nodes", []), document.get("accessors", [])
+    if any({"skin", "weights"} & each.keys() or INSTANCING in _extensions(each) for each in nodes):
+        return True
+    # trimesh loses what hangs on a camera.
+    if any("camera" in each and {"mesh", "children"} & each.keys() for each in nodes):
+        return True
+    for mesh in document.get("meshes", []):
+        for primitive in mesh["primitives"]:
+            named = {k: v for k, v in primitive["attributes"].items() if not k.startswith(("COLOR", "_"))}
+            used = [accessors[index] for index in named.values()]
+            if any(each.get("normalized") or "sparse" in each for each in used):
+                return True
+            if "weights" in mesh or DRACO in _extensions(primitive) or primitive.get("mode") == _FAN:
+                return True
+    return False
+
+
+def _extensions(element: dict[str, Any]) -> dict[str, Any]:
+    return element.get("extensions", {})
+
+
+class _Plain:
+    """A new document, written while the old one is read."""
+
+    def __init__(self, path: Path, document: Document) -> None:
+        self._path, self._old = path, document
+        self._buffers = Buffers(path, document)
+        self._arrays = Arrays(document, self._buffers)
+        self._nodes: list[Node] = [dict(node) for node in document.get("nodes", [])]
+        self._roots = list(document["scenes"][document.get("scene", 0)].get("nodes", []))
+        self._meshes: list[dict[str, Any]] = []
+        self._accessors: list[dict[str, Any]] = []
+        self._views: list[dict[str, Any]] = []
+        self._binary = bytearray()
+        self._known: dict[tuple[object, ...], int] = {}
+
+    def made(self) -> bytes:
+        """The new file."""
+        images = [self._image(image) for image in self._old.get("images", [])]
+        for index, place in list(self._drawn()):
+            self._draw(self._nodes[index], place)
+        kept = {
+            key: self._old[key] for key in ("asset", "materials", "textures", "samplers") if key in self._old
+        }
+        new = {
+            "scenes": [{"nodes": self._roots}],
+            "nodes": self._nodes,
+            "meshes": self._meshes,
+            "accessors": self._accessors,
+            "bufferViews": self._views,
+            "buffers": [{"byteLength": len(self._binary)}],
+        }
+        return glb(kept | new | ({"images": images} if images else {}), bytes(self._binary))
+
+    def _drawn(self) -> Iterator[tuple[int, np.ndarray]]:
+        """Every node of the scene with where it is in it, f64[4, 4]."""
+        self._world: dict[int, np.ndarray] = {}
+        todo = [(index, np.eye(4)) for index in self._roots]
+        while todo:
+            index, parent = todo.pop()
+            if index in self._world:
+                continue
+            self._world[index] = parent @ _place(self._nodes[index])
+            todo += [(child, self._world[index]) for child in self._nodes[index].get("children", [])]
+        return iter(self._world.items())
+
+    def _draw(self, node: Node, place: np.ndarray) -> None:
+        """Replaces what the node draws by plain meshes."""
+        mesh, skin, weights = (node.pop(key, None) for key in ("mesh", "skin", "weights"))
+        copies = node.pop("extensions", {}).get(INSTANCING)
+        node.pop("camera", None)
+        if mesh is None:
+            return
+        weights = weights or self._old["meshes"][mesh].get("weights") or []
+        new = self._mesh(mesh, tuple(weights), skin)
+        if skin is not None:
+            # Its joints place a skinned surface, its node does not.
+            self._roots.append(self._add_node({"mesh": new}))
+        elif copies is not None:
+            children = [self._add_node({"mesh": new, **each}) for each in self._copies(copies["attributes"])]
+            node["children"] = [*node.get("children", []), *children]
+        else:
+            node["mesh"] = new
+
+    def _add_node(self, node: Node) -> int:
+        self._nodes.append(node)
+        return len(self._nodes) - 1
+
+    def _copies(self, attributes: dict[str, int]) -> list[Node]:
+        """Where each copy of a mesh is, in its node's frame."""
+        names = [name for name in ("TRANSLATION", "ROTATION", "SCALE") if name in attributes]
+        columns = {name.lower(): self._arrays.accessor(attributes[name]).tolist() for name in names}
+        count = max(map(len, columns.values()), default=0)
+        if count > _MOST_COPIES:
+            raise AssetError(
+                f"{self._path}: {count:,} copies of a mesh ({INSTANCING})", f"up to {_MOST_COPIES:,}"
+            )
+        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+    def _mesh(self, index: int, weights: tuple[float, ...], skin: int | None) -> int:
+        """The new index of a mesh as it stands under morph weights and a skin."""
+        key = ("mesh", index, weights, skin)
+        if key not in self._known:
+            primitives = [
+                self._primitive(each, weights, skin) for each in self._old["meshes"][index]["primitives"]
+            ]
+            self._meshes.append({"primitives": primitives, "name": f"mesh-{len(self._meshes)}"})
+            self._known[key] = len(self._meshes) - 1
+        return self._known[key]
+
+    def _primitive(self, old: dict[str, Any], weights: tuple[float, ...], skin: int | None) -> dict[str, Any]:
+        arrays, indices = self._arrays.primitive(old)
+        points = arrays["POSITION"].astype(np.float64)
+        for weight, target in zip(weights, old.get("targets", []), strict=False):
+            if weight and "POSITION" in target:
+                points = points + weight * self._arrays.accessor(target["POSITION"])
+        if skin is not None:
+            points = self._skinned(points, arrays, self._old["skins"][skin])
+        mode = old.get("mode", 4)
+        if mode == _FAN:
+            fan = np.arange(len(points)) if indices is None else indices
+            indices, mode = np.stack([np.full(len(fan) - 2, fan[0]), fan[1:-1], fan[2:]], 1).reshape(-1), 4
+        kept = {name: arrays[name] for name in ("TEXCOORD_0", "COLOR_0") if name in arrays}
+        attributes = {name: self._accessor(each) for name, each in (kept | {"POSITION": points}).items()}
+        new = {"attributes": attributes, "mode": mode}
+        if indices is not None:
+            new["indices"] = self._accessor(indices[:, None].astype(np.uint32))
+        return new | ({"material": old["material"]} if "material" in old else {})
+
+    def _skinned(self, points: np.ndarray, arrays: dict[str, np.ndarray], skin: dict[str, Any]) -> np.ndarray:
+        """f64[V, 3] in the scene, as the joints stand in the file."""
+        joints = np.array([self._world[joint] for joint in skin["joints"]])
+        if "inverseBindMatrices" in skin:
+            stored = self._arrays.accessor(skin["inverseBindMatrices"])[: len(joints)]
+            joints = joints @ stored.reshape(-1, 4, 4).transpose(0, 2, 1)
+        blend, total = np.zeros((len(points), 4, 4)), np.zeros(len(points))
+        sets = sorted(name.removeprefix("WEIGHTS") for name in arrays if name.startswith("WEIGHTS"))
+        for which in sets:
+            share, joint = arrays[f"WEIGHTS{which}"], arrays[f"JOINTS{which}"].astype(int)
+            blend += np.einsum("vk,vkij->vij", share, joints[joint])
+            total += share.sum(1)
+        if not sets:
+            raise KeyError("WEIGHTS_0 of a surface with a skin")
+        blend = np.where(
+            total[:, None, None] > 0, blend / np.where(total > 0, total, 1.0)[:, None, None], np.eye(4)
+        )
+        return np.einsum("vij,vj->vi", blend[:, :3, :3], points) + blend[:, :3, 3]
+
+    def _accessor(self, array: np.ndarray) -> int:
+        is_index = array.dtype == np.uint32
+        data = array if is_index else array.astype("<f4")
+        kind = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}[array.shape[1]]
+        accessor = {"bufferView": self._view(data.tobytes()), "count": len(array), "type": kind}
+        self._accessors.append(accessor | {"componentType": 5125 if is_index else 5126})
+        return len(self._accessors) - 1
+
+    def _view(self, data: bytes) -> int:
+        self._binary += b"\0" * (-len(self._binary) % 4)
+        self._views.append({"buffer": 0, "byteOffset": len(self._binary), "byteLength": len(data)})
+        self._binary += data
+        return len(self._views) - 1
+
+    def _image(self, image: dict[str, Any]) -> dict[str, Any]:
+        if "bufferView" not in image:
+            return image
+        return image | {"bufferView": self._view(self._buffers.view(image["bufferView"]))}
+
+
+def _place(node: Node) -> np.ndarray:
+    """f64[4, 4]: where a node is in its parent's frame."""
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    x, y, z, w = node.get("rotation", [0.0, 0.0, 0.0, 1.0])
+    place = trimesh.transformations.quaternion_matrix([w, x, y, z])
+    place[:3, :3] *= node.get("scale", [1.0, 1.0, 1.0])
+    place[:3, 3] = node.get("translation", [0.0, 0.0, 0.0])
+    return place

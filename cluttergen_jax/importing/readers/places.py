@@ -1,0 +1,65 @@
+"""Where the files lie that other files name: many name a place on their author's machine."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from urllib.parse import unquote
+
+# In MTL a file name may stand behind options: map_Kd -s 1 1 1 -clamp on label.png
+OPTIONS = re.compile(r"(?:-[a-z]+\s+(?:(?:[-+.\de]+|on|off)\s+)*)+")
+_FOLDERS = (".", "textures", "../textures", "../materials/textures")
+_SCHEME = re.compile(r"^(file|package|model)://")
+_DRIVE = re.compile(r"/?[A-Za-z]:/")
+_MESH_FOLDERS = ("meshes", "../meshes", *_FOLDERS)
+
+
+def find_named(folder: Path, name: str) -> Path | None:
+    """The file that a file in `folder` calls `name`; None if there is none.
+
+    Looked for where it is said to be, then by its last part alone beside it and in folders called `textures`:
+    many files name a place on their author's machine.
+    """
+    plain = unquote(OPTIONS.sub("", name.strip(), count=1).strip('"').removeprefix("file://"))
+    plain = plain.replace("\\", "/")
+    last = plain.rpartition("/")[2]
+    candidates = (folder / plain, *(folder / each / last for each in _FOLDERS))
+    return next((each for each in candidates if last and _is_file(each)), None)
+
+
+def mesh_place(urdf: Path, name: str) -> Path | None:
+    """The file that a URDF names, None if it is not there.
+
+    Looked for as it is named, beside the URDF and in four folders above, where `package://` asks for that;
+    then by the last parts of its path, as many as fit: it may be a place on its author's machine.
+    """
+    roots = (urdf.parent, *list(urdf.resolve().parents)[1:5])
+    for text in dict.fromkeys((name, unquote(name))):
+        plain = _plain_path(text)
+        in_package = plain.partition("/")[2] if text.startswith(("package://", "model://")) else ""
+        parts = [part for part in plain.split("/") if part not in ("", ".", "..")]
+        shorter = ["/".join(parts[start:]) for start in range(1, len(parts) - 1)]
+        candidates = [root / tail for root in roots for tail in (plain, in_package) if tail]
+        candidates += [root / tail for tail in shorter for root in roots]
+        candidates += [urdf.parent / each / parts[-1] for each in _MESH_FOLDERS if parts]
+        if (found := next(filter(_is_file, candidates), None)) is not None:
+            return found
+    return None
+
+
+def is_found_elsewhere(name: str, file: Path) -> bool:
+    """Whether a file bears the last part alone of the path by which a URDF names it."""
+    return len(parts := _plain_path(unquote(name)).split("/")) > 1 and file.parts[-2:-1] != (parts[-2],)
+
+
+def _plain_path(name: str) -> str:
+    """A path with slashes, without scheme and drive."""
+    plain = _SCHEME.sub("", name.strip(), count=1).replace("\\", "/")
+    return plain[drive.end() :] if (drive := _DRIVE.match(plain)) else plain
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False

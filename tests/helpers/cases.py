@@ -1,0 +1,5 @@
+"""Small files of the kinds that an import gets wrong."""
+
+from pathlib import Path
+
+CASES = Path(__file__).parents[1] / "cases" / "import"

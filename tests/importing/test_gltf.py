@@ -1,0 +1,259 @@
+"""glTF: numbers that are quantised, sparse or compressed, morphs, skins and copies, and what is refused."""
+
+import base64
+import json
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers import ReadOptions, read_source
+from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
+from tests.helpers.cases import CASES
+
+BOX = trimesh.creation.box((0.1, 0.06, 0.04))
+POINTS, FACES = BOX.vertices.astype(np.float32), BOX.faces.astype(np.uint16)
+CODES = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
+KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+
+
+class Gltf:
+    """A glTF document with one box, made by hand."""
+
+    def __init__(self):
+        self.binary = b""
+        self.document = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "accessors": []}
+        self.document |= {"nodes": [{"mesh": 0}], "bufferViews": [], "meshes": [{"primitives": [{}]}]}
+        self.primitive = self.document["meshes"][0]["primitives"][0]
+        self.primitive["indices"] = self.add(FACES.reshape(-1, 1))
+        self.primitive["attributes"] = {"POSITION": self.add(POINTS)}
+
+    def view(self, array):
+        self.binary += b"\0" * (-len(self.binary) % 4)
+        data = array.tobytes()
+        view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)}
+        self.document["bufferViews"].append(view)
+        self.binary += data
+        return len(self.document["bufferViews"]) - 1
+
+    def add(self, array, **more):
+        kind = {"componentType": CODES[array.dtype.name], "type": KINDS[array.shape[1]], "count": len(array)}
+        self.document["accessors"].append({"bufferView": self.view(array), **kind, **more})
+        return len(self.document["accessors"]) - 1
+
+    def write(self, path):
+        """As GLB, or as GLTF with its buffer beside it or (`inline.gltf`) in it."""
+        buffer = {"byteLength": len(self.binary)}
+        document = self.document | {"buffers": [buffer]}
+        if path.suffix == ".glb":
+            text = json.dumps(document).encode()
+            text += b" " * (-len(text) % 4)
+            chunks = struct.pack("<I4s", len(text), b"JSON") + text
+            chunks += struct.pack("<I4s", len(self.binary), b"BIN\0") + self.binary
+            path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+            return path
+        if path.stem == "inline":
+            head = "data:application/octet-stream;base64,"
+            buffer["uri"] = head + base64.b64encode(self.binary).decode()
+        else:
+            path.with_name("the data.bin").write_bytes(self.binary)
+            buffer["uri"] = "the%20data.bin"
+        path.write_text(json.dumps(document))
+        return path
+
+
+def corners(path):
+    """The file's vertices, in its own frame, sorted."""
+    mesh = joined([piece.mesh for piece in read_mesh_file(path).pieces])
+    return np.unique(mesh.vertices.round(5) + 0.0, axis=0)
+
+
+def notes(path):
+    return read_mesh_file(path).notes
+
+
+def sorted_rows(points):
+    return np.unique(np.asarray(points, np.float64).round(5) + 0.0, axis=0)
+
+
+@pytest.mark.parametrize("name", ["draco.glb", "quant_norm.glb"])
+def test_compressed_boxes_have_their_size(name):
+    (shape,) = read_source(CASES / "08_glb_compressed" / name)
+    whole = joined([piece.mesh for piece in shape.pieces])
+    np.testing.assert_allclose(np.ptp(whole.bounds, axis=0), [0.1, 0.06, 0.04], atol=1e-4)
+
+
+def test_meshopt_is_refused_with_what_undoes_it():
+    with pytest.raises(AssetError, match=r"EXT_meshopt_compression.*gltf-transform copy meshopt\.glb"):
+        read_source(CASES / "08_glb_compressed" / "meshopt.glb")
+
+
+@pytest.mark.parametrize("file", ["box.glb", "box.gltf", "inline.gltf"])
+@pytest.mark.parametrize("dtype", ["int8", "uint8", "int16", "uint16"])
+def test_normalised_integers_are_divided(tmp_path, file, dtype):
+    gltf, most = Gltf(), np.iinfo(dtype).max
+    steps = np.round((POINTS / 0.1 + (0.5 if dtype[0] == "u" else 0)) * most).astype(dtype)
+    gltf.primitive["attributes"]["POSITION"] = gltf.add(steps, normalized=True)
+    gltf.document["nodes"][0]["scale"] = [0.1, 0.1, 0.1]
+    gltf.document["extensionsRequired"] = ["KHR_mesh_quantization"]
+    size = np.ptp(corners(gltf.write(tmp_path / file)), axis=0)
+    np.testing.assert_allclose(size, [0.1, 0.06, 0.04], atol=0.1 / most)
+
+
+def test_plain_quantised_numbers_are_as_they_are(tmp_path):
+    gltf = Gltf()
+    gltf.primitive["attributes"]["POSITION"] = gltf.add((POINTS * 1000).astype(np.int16))
+    np.testing.assert_allclose(np.ptp(corners(gltf.write(tmp_path / "box.glb")), axis=0), [100, 60, 40])
+
+
+def test_images_are_laid_by_normalised_coordinates(tmp_path):
+    gltf = Gltf()
+    uv = np.linspace(0, 1, 16, dtype=np.float32).reshape(8, 2)
+    image = tmp_path / "wood.png"
+    Image.new("RGB", (4, 4), (200, 30, 30)).save(image)
+    gltf.document |= {
+        "images": [
+            {"bufferView": gltf.view(np.frombuffer(image.read_bytes(), np.uint8)), "mimeType": "image/png"}
+        ],
+        "textures": [{"source": 0}],
+        "materials": [{"name": "m", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+    }
+    gltf.primitive["material"] = 0
+    gltf.primitive["attributes"]["TEXCOORD_0"] = gltf.add(uv)
+    (plain,) = read_mesh_file(gltf.write(tmp_path / "plain.glb")).pieces
+    steps = np.round(uv * 65535).astype(np.uint16)
+    gltf.primitive["attributes"]["TEXCOORD_0"] = gltf.add(steps, normalized=True)
+    (quantised,) = read_mesh_file(gltf.write(tmp_path / "quantised.glb")).pieces
+    assert quantised.texture == plain.texture
+    np.testing.assert_allclose(quantised.uv, plain.uv, atol=1e-4)
+
+
+def test_sparse_vertices_are_where_they_are_moved(tmp_path):
+    gltf = Gltf()
+    places, moved = np.array([[0], [7]], np.uint8), np.array([[1, 2, 3], [4, 5, 6]], np.float32)
+    sparse = {"count": 2, "indices": {"bufferView": gltf.view(places), "componentType": 5121}}
+    sparse["values"] = {"bufferView": gltf.view(moved)}
+    gltf.document["accessors"][gltf.primitive["attributes"]["POSITION"]]["sparse"] = sparse
+    expected = POINTS.copy()
+    expected[[0, 7]] = moved
+    np.testing.assert_allclose(corners(gltf.write(tmp_path / "box.glb")), sorted_rows(expected))
+
+
+@pytest.mark.parametrize("owner", ["nodes", "meshes"])
+def test_morph_weights_are_applied(tmp_path, owner):
+    gltf = Gltf()
+    push = np.tile(np.array([[0, 0, 0.02]], np.float32), (8, 1))
+    gltf.primitive["targets"] = [{"POSITION": gltf.add(push)}, {"POSITION": gltf.add(-9 * push)}]
+    np.testing.assert_allclose(corners(gltf.write(tmp_path / "rest.glb")), sorted_rows(POINTS))
+    gltf.document[owner][0]["weights"] = [0.5, 0]
+    path = gltf.write(tmp_path / "box.glb")
+    np.testing.assert_allclose(corners(path), sorted_rows(np.add(POINTS, [0, 0, 0.01])))
+    assert "weights" in notes(path)[0]
+
+
+def test_a_skin_is_placed_by_its_joints(tmp_path):
+    gltf = Gltf()
+    count = len(POINTS)
+    upper = POINTS[:, 2] > 0
+    joints = np.zeros((count, 4), np.uint8)
+    joints[upper, 0] = 1
+    share = np.tile(np.array([[255, 0, 0, 0]], np.uint8), (count, 1))
+    gltf.primitive["attributes"] |= {
+        "JOINTS_0": gltf.add(joints),
+        "WEIGHTS_0": gltf.add(share, normalized=True),
+    }
+    inverse = np.array([np.eye(4), np.eye(4)], np.float32)
+    inverse[1, 2, 3] = -0.02
+    stored = inverse.transpose(0, 2, 1).reshape(2, 16)
+    gltf.document["skins"] = [
+        {"joints": [1, 2], "inverseBindMatrices": gltf.add(np.ascontiguousarray(stored))}
+    ]
+    # What the skinned node is moved by counts for nothing: the joints place the surface.
+    gltf.document["nodes"] = [
+        {"mesh": 0, "skin": 0, "translation": [7, 7, 7]},
+        {"translation": [1, 0, 0], "children": [2]},
+        {"translation": [0, 0, 0.05]},
+    ]
+    gltf.document["scenes"] = [{"nodes": [0, 1]}]
+    path = gltf.write(tmp_path / "box.glb")
+    lifted = np.add(POINTS, [1, 0, 0]) + np.outer(upper, [0, 0, 0.03])
+    np.testing.assert_allclose(corners(path), sorted_rows(lifted), atol=1e-5)
+    assert "skin" in notes(path)[0]
+
+
+def test_every_copy_of_an_instanced_mesh_is_read(tmp_path):
+    gltf = Gltf()
+    places = np.array([[0, 0, 0], [0.5, 0, 0]], np.float32)
+    sizes = np.array([[1, 1, 1], [2, 2, 2]], np.float32)
+    attributes = {"TRANSLATION": gltf.add(places), "SCALE": gltf.add(sizes)}
+    gltf.document["nodes"][0] |= {"translation": [0, 0, 1]}
+    gltf.document["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    gltf.document["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
+    path = gltf.write(tmp_path / "box.glb")
+    assert len(read_mesh_file(path).pieces) == 2
+    both = np.add(np.concatenate([POINTS, np.add(2 * POINTS, [0.5, 0, 0])]), [0, 0, 1])
+    np.testing.assert_allclose(corners(path), sorted_rows(both))
+
+
+def test_what_hangs_on_a_camera_stays_in_its_place(tmp_path):
+    gltf = Gltf()
+    gltf.document["cameras"] = [{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}]
+    gltf.document["nodes"] = [{"camera": 0, "translation": [1, 0, 0], "children": [1]}, {"mesh": 0}]
+    np.testing.assert_allclose(
+        corners(gltf.write(tmp_path / "box.glb")), sorted_rows(np.add(POINTS, [1, 0, 0]))
+    )
+
+
+def test_a_fan_is_made_of_triangles(tmp_path):
+    gltf = Gltf()
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
+    gltf.primitive["attributes"]["POSITION"] = gltf.add(square)
+    gltf.primitive |= {"mode": 6}
+    gltf.primitive.pop("indices")
+    (piece,) = read_mesh_file(gltf.write(tmp_path / "fan.glb")).pieces
+    assert piece.mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
+
+
+@pytest.mark.parametrize("name", ["VND_curved_patches", "EXT_meshopt_compression", "KHR_meshopt_compression"])
+def test_an_extension_that_is_required_and_not_understood_is_refused(tmp_path, name):
+    gltf = Gltf()
+    gltf.document |= {"extensionsUsed": [name], "extensionsRequired": [name]}
+    with pytest.raises(AssetError, match=f"{name}, which is not read.*Try"):
+        read_source(gltf.write(tmp_path / "box.glb"))
+
+
+def test_extensions_of_looks_and_optional_ones_are_read_with_a_note(tmp_path):
+    gltf = Gltf()
+    gltf.document["extensionsRequired"] = ["KHR_materials_unlit", "KHR_materials_transmission"]
+    gltf.document["extensionsUsed"] = [*gltf.document["extensionsRequired"], "VND_patches"]
+    told = notes(gltf.write(tmp_path / "box.glb"))
+    assert told == (
+        "its glTF extension KHR_materials_transmission is not followed: its colours may differ",
+        "of glTF, VND_patches is not followed",
+    )
+
+
+def test_points_and_lines_are_left_out_with_a_note(tmp_path):
+    gltf = Gltf()
+    gltf.document["meshes"][0]["primitives"].append({"attributes": gltf.primitive["attributes"], "mode": 0})
+    assert "1 of its 2 surfaces are points or lines" in notes(gltf.write(tmp_path / "box.glb"))[0]
+
+
+def test_surfaces_of_one_mesh_come_in_one_order(tmp_path):
+    gltf = Gltf()
+    for size in range(2, 9):
+        attributes = {"POSITION": gltf.add(size * POINTS)}
+        gltf.document["meshes"][0]["primitives"].append({**gltf.primitive, "attributes": attributes})
+    path = gltf.write(tmp_path / "box.glb")
+    sizes = [[np.ptp(piece.mesh.vertices) for piece in read_mesh_file(path).pieces] for _ in range(2)]
+    assert sizes[0] == sizes[1]
+
+
+def test_draco_without_its_library_is_told(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "DracoPy", None)
+    with pytest.raises(AssetError, match=r"draco\.glb with KHR_draco_mesh_compression.*pip install DracoPy"):
+        read_source(CASES / "08_glb_compressed" / "draco.glb", ReadOptions())

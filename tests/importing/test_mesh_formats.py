@@ -1,0 +1,114 @@
+"""COLLADA's units and images, and the material files of OBJ."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing import cache
+from cluttergen_jax.importing.readers import find_sources, read_source
+from cluttergen_jax.importing.readers.materials import GREY
+from cluttergen_jax.importing.run import ObjectConfig
+from tests.helpers.cases import CASES
+
+DIE = (CASES / "03_dae_unit" / "inch_die.dae").read_text()
+SIZES = {"inch_die": [0.019, 0.0114, 0.0076], "mm_named": [0.1, 0.06, 0.04]}
+
+
+def size_of(path):
+    (shape,) = read_source(path)
+    return np.ptp(joined([piece.mesh for piece in shape.pieces]).bounds, axis=0)
+
+
+@pytest.mark.parametrize("name", SIZES)
+def test_a_collada_unit_holds_alone_and_in_a_urdf(tmp_path, name):
+    path = CASES / "03_dae_unit" / f"{name}.dae"
+    np.testing.assert_allclose(size_of(path), SIZES[name], atol=1e-5)
+    form = f'<mesh filename="{path}" scale="2"/>'
+    urdf = tmp_path / "a.urdf"
+    urdf.write_text(f'<robot><link name="a"><visual><geometry>{form}</geometry></visual></link></robot>')
+    np.testing.assert_allclose(size_of(urdf), 2 * np.array(SIZES[name]), atol=1e-5)
+
+
+def test_the_vertical_axis_holds_beside_the_unit(tmp_path):
+    (tmp_path / "die.dae").write_text(DIE.replace("Z_UP", "Y_UP"))
+    np.testing.assert_allclose(size_of(tmp_path / "die.dae"), [0.019, 0.0076, 0.0114], atol=1e-5)
+    (tmp_path / "die.dae").write_text(DIE.replace(' meter="0.0254"', ""))
+    np.testing.assert_allclose(size_of(tmp_path / "die.dae"), [0.748, 0.4488, 0.2992], atol=1e-5)
+
+
+@pytest.mark.parametrize("unit", ["0", "-1", "nan", "inch", ""])
+def test_a_unit_that_is_no_length_is_refused(tmp_path, unit):
+    (tmp_path / "die.dae").write_text(DIE.replace("0.0254", unit))
+    with pytest.raises(AssetError, match=rf'die\.dae: <unit meter="{unit}">.*metres'):
+        read_source(tmp_path / "die.dae")
+
+
+def test_an_image_without_a_path_costs_no_surface():
+    path = CASES / "20_dae_image_without_path" / "objects"
+    np.testing.assert_allclose(size_of(path), [0.06, 0.06, 0.06])
+    (shape,) = read_source(path)
+    assert "no path is given" in shape.notes[0]
+
+
+def test_surfaces_on_a_skeleton_are_named_as_left_out(tmp_path):
+    text = DIE.replace('<instance_geometry url="#g"/>', '<instance_controller url="#c"/>')
+    (tmp_path / "die.dae").write_text(text)
+    with pytest.raises(AssetError, match=r"no triangles.*1 surfaces with a skeleton"):
+        read_source(tmp_path / "die.dae")
+
+
+def colours(path):
+    (shape,) = read_source(path)
+    return {piece.rgba[:3] for piece in shape.pieces}
+
+
+def test_a_tab_behind_mtllib_is_a_space():
+    assert colours(CASES / "10_obj_mtllib") == {(1.0, 0.0, 0.0)}
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        "mtllib red.mtl blue.mtl",
+        "mtllib red.mtl\nmtllib blue.mtl",
+        "# mtllib none.mtl\nmtllib\tred.mtl  blue.mtl",
+    ],
+)
+def test_all_material_files_are_read(tmp_path, lines):
+    for name, kd in (("red", "1 0 0"), ("blue", "0 0 1")):
+        (tmp_path / f"{name}.mtl").write_text(f"newmtl {name}\nKd {kd}\n")
+    box = trimesh.creation.box((0.1, 0.1, 0.1)).export(file_type="obj").split("\n")
+    faces = [line for line in box if line.startswith("f ")]
+    rest = [line for line in box if line.startswith("v ")]
+    text = [
+        lines,
+        *rest,
+        "usemtl red",
+        *faces[:6],
+        " usemtl\tblue",
+        *(each.replace("f ", "f\t") for each in faces[6:]),
+    ]
+    (tmp_path / "box.obj").write_text("\n".join(text))
+    assert colours(tmp_path / "box.obj") == {(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)}
+    # What both files hold belongs to the object.
+    (source,) = find_sources(tmp_path / "box.obj")
+    before = cache.cache_key(source, ObjectConfig())
+    (tmp_path / "blue.mtl").write_text("newmtl blue\nKd 0 1 0\n")
+    assert cache.cache_key(source, ObjectConfig()) != before
+
+
+def test_a_material_file_whose_name_has_spaces_goes_before_two_files(tmp_path):
+    (tmp_path / "my cup.mtl").write_text("newmtl red\nKd 1 0 0\n")
+    (tmp_path / "box.obj").write_text(
+        (CASES / "10_obj_mtllib" / "tab.obj").read_text().replace("tab", "my cup", 1)
+    )
+    assert colours(tmp_path / "box.obj") == {(1.0, 0.0, 0.0)}
+
+
+def test_a_missing_material_file_is_named(tmp_path):
+    (tmp_path / "box.obj").write_text((CASES / "10_obj_mtllib" / "tab.obj").read_text())
+    (shape,) = read_source(tmp_path / "box.obj")
+    assert shape.pieces[0].rgba == GREY
+    assert shape.notes == ("box.obj names 'tab.mtl', which is not there",)
