@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.shape import Provenance
-from cluttergen_jax.errors import AssetError, ConfigError, MissingExtraError
+from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, MissingExtraError
 from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped, survey
 from cluttergen_jax.importing.readers.axes import AUTO, UpAxis, own_up
+from cluttergen_jax.importing.readers.read import public_path
 from cluttergen_jax.importing.readers.source import named_apart
 from cluttergen_jax.importing.readers.tree import find_sources
 from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
@@ -60,12 +62,18 @@ class _Group:
     settings: Settings | None
 
 
-def plan_all(sources: Sequence[str | Path], options: ReadOptions, settings: Path | None = None) -> Plan:
+def plan_all(
+    sources: Sequence[str | Path],
+    options: ReadOptions,
+    settings: Path | None = None,
+    pool: Path | None = None,
+) -> Plan:
     """Looks through all sources; the word `ycb` stands for the YCB objects.
 
     Args:
       options: for every object, but for what its settings say.
       settings: a settings file for all sources, in place of the one in each folder.
+      pool: a pool's folder; what it holds by names that earlier versions gave is called so again.
 
     Raises:
       ConfigError: settings are wrong, fit no object, or give one name to several.
@@ -89,7 +97,7 @@ def plan_all(sources: Sequence[str | Path], options: ReadOptions, settings: Path
             except OSError as error:
                 failures.append(Failure(source.name, f"{source.path} cannot be read ({error.strerror})"))
     skipped = tuple(each for group in groups for each in group.found.skipped)
-    return Plan(_named_apart(planned), skipped, tuple(failures))
+    return Plan(_named_apart(_as_in_pool(planned, pool)), skipped, tuple(failures))
 
 
 def _group(given: str | Path, settings: Settings | None) -> _Group:
@@ -116,7 +124,33 @@ def _planned(source: ObjectFile, group: _Group, options: ReadOptions) -> Planned
     else:
         up = UpAxis(own.up, "as `up` says")
     naming = {key: value for key, value in values.items() if key not in OF_READING}
-    return Planned(replace(source, **naming), own, up, "name" in naming)
+    earlier = source.earlier[0], naming.get("label", source.earlier[1])
+    return Planned(replace(source, earlier=earlier, **naming), own, up, "name" in naming)
+
+
+def _as_in_pool(planned: list[Planned], folder: Path | None) -> list[Planned]:
+    """The objects, those that a pool has by the names of earlier versions with these names and labels."""
+    if all(_is_as_before(each.source) or each.is_named for each in planned) or folder is None:
+        return planned
+    try:
+        held = {asset.name: asset.provenance.source for asset in read_pool(folder).objects}
+    except ClutterGenError:
+        return planned
+    before = _named_apart([each if each.is_named else _as_before(each) for each in planned])
+    return [
+        replace(old, is_named=True) if held.get(old.source.name) == public_path(old.source.path) else each
+        for each, old in zip(planned, before, strict=True)
+    ]
+
+
+def _is_as_before(source: ObjectFile) -> bool:
+    return (source.name, source.label) == source.earlier or not source.earlier[0]
+
+
+def _as_before(planned: Planned) -> Planned:
+    """The object as an earlier version called it."""
+    name, label = planned.source.earlier
+    return replace(planned, source=replace(planned.source, name=name, label=label)) if name else planned
 
 
 def _named_apart(planned: Sequence[Planned]) -> tuple[Planned, ...]:

@@ -175,7 +175,8 @@ def import_sources(
     if not sources:
         raise AssetError("nothing to import", f"files, folders, or {YCB!r}")
     old = read_pool(user_pool_folder(pool_name)) if config.add else None
-    planned = plan_all(sources, config.object.read, config.settings)
+    known = None if config.force and old is None else user_root() / pool_name
+    planned = plan_all(sources, config.object.read, config.settings, known)
     jobs, unreadable = _jobs(planned.objects, config.object)
     made: dict[str, ObjectAsset] = {} if config.force else _loaded(jobs)
     missing = [job for job in jobs if job.source.name not in made]

@@ -79,13 +79,13 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> list[Sh
 def _provenance(source: ObjectFile, options: ReadOptions) -> Provenance:
     """The source's own terms, but for those that the user states."""
     known = source.provenance or ycb_provenance(source.path)
-    own = known or Provenance(_public_name(source.path), "not stated")
+    own = known or Provenance(public_path(source.path), "not stated")
     return replace(
         own, licence=options.licence or own.licence, attribution=options.attribution or own.attribution
     )
 
 
-def _public_name(path: Path) -> str:
+def public_path(path: Path) -> str:
     """The last three steps of a path: enough to recognise a file, without telling where a user keeps it."""
     return "/".join(path.resolve().parts[-3:])
 

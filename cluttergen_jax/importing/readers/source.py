@@ -3,22 +3,34 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
+
+from anyascii import anyascii
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.importing.readers.axes import check_axes
 
-# File and folder names that say nothing about the object.
+# File names of which one in a folder is the object that the folder is called after.
 GENERIC = (
     r"mobility|model|models|object|mesh|meshes|textured|nontextured|textured_objs|visual|collision"
     r"|scene|base|main|urdf|mjcf|google_\d+k|textured_simple(_reordered)?|assets|untitled"
 )
-_SAYS_NOTHING = re.compile(r"\d{1,2}|" + GENERIC)
+_SAID_NOTHING = re.compile(r"\d{1,2}|" + GENERIC)
+"""Names that earlier versions passed over."""
+_SAYS_NOTHING = re.compile(
+    rf"{_SAID_NOTHING.pattern}|(model|mesh|textured)[-_ ](normali[sz]ed|simplified|watertight)|normali[sz]ed"
+    r"|(base|root)[-_ ]?link|root|world|body|objects|(visual|collision|textured)[-_ ]mesh(es)?"
+    r"|visuals|collisions|objs?|stls?|glbs?|gltfs?|dae|ply"
+)
+"""Names of files, folders and bodies that say nothing about the object."""
+_LONGEST = 200
+"""Letters of a name: a folder is called so, and may get a number behind it."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +78,7 @@ class ObjectFile:
       name: `[a-z0-9_-]+`, unique among the sources found together.
       label: what people call it.
       body: the body's name, where an MJCF file holds several objects.
+      earlier: name and label that earlier versions gave, by which a pool of theirs has it.
       notes: known faults, passed on as flags.
     """
 
@@ -76,23 +89,44 @@ class ObjectFile:
     body: str = ""
     provenance: Provenance | None = None
     notes: tuple[str, ...] = ()
+    earlier: tuple[str, str] = ("", "")
 
 
-def make_source(path: Path, kind: str, title: str = "") -> ObjectFile:
-    """The source of a file, called `title`, or else after the part of its path that says most."""
-    title = title or telling_name(path)
-    label = re.sub(r"^\d+[-_ ]+", "", title).replace("_", " ").strip() or title
-    return ObjectFile(path, kind, plain_name(title), label)
+def make_source(path: Path, kind: str, title: str = "", behind: str = "") -> ObjectFile:
+    """The source of a file.
+
+    Args:
+      title: what it is called; if that says nothing, the part of its path is taken that says most.
+      behind: what follows that part, where there is no title.
+    """
+    earlier = title or (path.stem + behind if behind else _telling(path, _SAID_NOTHING))
+    if not title or _SAYS_NOTHING.fullmatch(title.lower()):
+        title = telling_name(path) + behind
+    names = _with_allowed_letters(earlier), label_of(earlier)
+    return ObjectFile(path, kind, plain_name(title), label_of(title), earlier=names)
 
 
 def telling_name(path: Path) -> str:
     """The innermost part of a path that says what the object is."""
+    return _telling(path, _SAYS_NOTHING)
+
+
+def _telling(path: Path, says_nothing: re.Pattern[str]) -> str:
     parts = [path.stem, *(each.name for each in path.resolve().parents)]
-    return next((part for part in parts if part and not _SAYS_NOTHING.fullmatch(part.lower())), path.stem)
+    return next((part for part in parts if part and not says_nothing.fullmatch(part.lower())), path.stem)
+
+
+def label_of(title: str) -> str:
+    """What people call an object, in their own script."""
+    return re.sub(r"^\d+[-_ ]+", "", title).replace("_", " ").strip() or title
 
 
 def plain_name(text: str) -> str:
-    """`text` in the letters allowed for names."""
+    """`text` in the letters allowed for names: other scripts and accents as their nearest Latin letters."""
+    return _with_allowed_letters(anyascii(unicodedata.normalize("NFC", text))[:_LONGEST])
+
+
+def _with_allowed_letters(text: str) -> str:
     return re.sub(r"[^a-z0-9_-]+", "_", text.lower()).strip("_") or "object"
 
 

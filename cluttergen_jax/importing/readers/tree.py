@@ -101,7 +101,7 @@ def _sources_of(model: ModelFile) -> Iterator[ObjectFile]:
         yield make_source(model.path, model.kind)
         return
     for index, name in enumerate(model.bodies):
-        source = make_source(model.path, model.kind, name or f"{model.path.stem}-{index}")
+        source = make_source(model.path, model.kind, name, behind="" if name else f"-{index}")
         yield replace(source, body=name or f"#{index}")
 
 
