@@ -39,6 +39,7 @@ from cluttergen_jax.scene.bank.verify import verify_scene
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 from cluttergen_jax.scene.xml import scene_xml
 from tests.helpers import banks
+from tests.helpers.gltf import skinned
 from tests.helpers.worlds import trio
 
 CORPUS = Path(__file__).parents[1] / "corpus"
@@ -225,6 +226,7 @@ READERS = {
     "mjcf_mesh": Reader(_text("thing.xml", MJCF), "part.obj", _read_shapes),
     "mjcf_scene": Reader(_text("thing.xml", MJCF), "thing.xml", lambda f: read_mjcf_scene(f / "thing.xml")),
     **{suffix.strip("."): _mesh(suffix) for suffix in (".obj", ".stl", ".ply", ".glb", ".dae")},
+    "gltf_skinned": Reader(skinned, "thing.gltf", _read_shapes),
     "stl_ascii": _mesh(".stl", "stl_ascii"),
     "ply_ascii": _mesh(".ply", encoding="ascii"),
 }

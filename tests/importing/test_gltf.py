@@ -1,12 +1,7 @@
 """glTF: numbers that are quantised, sparse or compressed, morphs, skins and copies, and what is refused."""
 
-import base64
-import json
-import struct
-
 import numpy as np
 import pytest
-import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.mesh import joined
@@ -14,56 +9,7 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import ReadOptions, read_source
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from tests.helpers.cases import CASES
-
-BOX = trimesh.creation.box((0.1, 0.06, 0.04))
-POINTS, FACES = BOX.vertices.astype(np.float32), BOX.faces.astype(np.uint16)
-CODES = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
-KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
-
-
-class Gltf:
-    """A glTF document with one box, made by hand."""
-
-    def __init__(self):
-        self.binary = b""
-        self.document = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "accessors": []}
-        self.document |= {"nodes": [{"mesh": 0}], "bufferViews": [], "meshes": [{"primitives": [{}]}]}
-        self.primitive = self.document["meshes"][0]["primitives"][0]
-        self.primitive["indices"] = self.add(FACES.reshape(-1, 1))
-        self.primitive["attributes"] = {"POSITION": self.add(POINTS)}
-
-    def view(self, array):
-        self.binary += b"\0" * (-len(self.binary) % 4)
-        data = array.tobytes()
-        view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)}
-        self.document["bufferViews"].append(view)
-        self.binary += data
-        return len(self.document["bufferViews"]) - 1
-
-    def add(self, array, **more):
-        kind = {"componentType": CODES[array.dtype.name], "type": KINDS[array.shape[1]], "count": len(array)}
-        self.document["accessors"].append({"bufferView": self.view(array), **kind, **more})
-        return len(self.document["accessors"]) - 1
-
-    def write(self, path):
-        """As GLB, or as GLTF with its buffer beside it or (`inline.gltf`) in it."""
-        buffer = {"byteLength": len(self.binary)}
-        document = self.document | {"buffers": [buffer]}
-        if path.suffix == ".glb":
-            text = json.dumps(document).encode()
-            text += b" " * (-len(text) % 4)
-            chunks = struct.pack("<I4s", len(text), b"JSON") + text
-            chunks += struct.pack("<I4s", len(self.binary), b"BIN\0") + self.binary
-            path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
-            return path
-        if path.stem == "inline":
-            head = "data:application/octet-stream;base64,"
-            buffer["uri"] = head + base64.b64encode(self.binary).decode()
-        else:
-            path.with_name("the data.bin").write_bytes(self.binary)
-            buffer["uri"] = "the%20data.bin"
-        path.write_text(json.dumps(document))
-        return path
+from tests.helpers.gltf import POINTS, Gltf
 
 
 def corners(path):

@@ -39,7 +39,8 @@ class Arrays:
 
     def primitive(self, primitive: dict[str, Any]) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
         """The attributes of a primitive by name, and its indices i[M] if it has any."""
-        attributes, raw, indices = primitive["attributes"], {}, None
+        attributes, indices = primitive["attributes"], None
+        raw: dict[str, np.ndarray] = {}
         compressed = primitive.get("extensions", {}).get(DRACO)
         if compressed is not None and not self._has_bytes(attributes["POSITION"]):
             raw, indices = self._draco(compressed)

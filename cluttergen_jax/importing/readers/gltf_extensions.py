@@ -13,8 +13,10 @@ INSTANCING = "EXT_mesh_gpu_instancing"
 _MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 _UNDERSTOOD = (DRACO, INSTANCING, "KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp")
 # They say how a surface looks, or nothing about it: the shape is the same without them.
-_OF_LOOKS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "EXT_lights_")
-_OF_LOOKS += ("KHR_xmp", "KHR_animation_pointer")
+_OF_LOOKS = (
+    *("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "EXT_lights_"),
+    *("KHR_xmp", "KHR_animation_pointer"),
+)
 _DRAWN_ALIKE = ("KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness")
 _NO_SURFACE = (0, 1, 2, 3)
 """Modes of primitives that are points and lines."""
