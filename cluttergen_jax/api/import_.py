@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.assets.config import MAX_TEXTURE, NUM_TRIALS, DecompositionConfig
+from cluttergen_jax.assets.config import MAX_TEXTURE, NUM_TRIALS, TIME_LIMIT, DecompositionConfig
 from cluttergen_jax.config import Axis, Tier
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ def import_pool(
     decomposition: DecompositionConfig | None = None,
     trials: int = NUM_TRIALS,
     jobs: int = 0,
+    time_limit: float = TIME_LIMIT,
     friction: float | None = None,
     licence: str = "",
     attribution: str = "",
@@ -56,20 +57,22 @@ def import_pool(
       decomposition: CoACD's parameters; the defaults of `DecompositionConfig` if not given.
       trials: placements by which solo stability is measured.
       jobs: worker processes; 0 takes one for each core.
+      time_limit: seconds that one object may take; then it is left out by name, and the rest goes on.
       friction: sliding coefficient of every object, instead of 0.5 wherever it touches something.
       licence: on which terms the objects may be passed on, where their source does not say.
       attribution: whom to name, where the licence asks for it.
       settings: a TOML file of settings per object, in place of the objects.toml in each folder.
       add: add to the pool, which exists; objects of equal names are refused, or replaced with `force`.
       force: make everything again, and replace a pool, a support, or with `add` objects of that name.
-      progress: show a progress bar.
+      progress: show a progress bar; the line that tells of each object, and what it cost, is written anyway.
       cluster: where it is done: "local", Ray on this machine; "auto", the Ray cluster that this machine
         belongs to; or a cluster's address (extra `ray`). In processes of its own if not given. All machines
         have to see the files under the same path.
       workers: worker processes on the cluster; 0 takes as many as it has room for.
 
     Returns:
-      What was made (`pool`), skipped, and what failed, and why: a file that is damaged fails alone.
+      What was made (`pool`), skipped, and what failed, and why: a file that is damaged fails alone; and what
+      each object cost (`costs`).
 
     Raises:
       ConfigError, PoolError, AssetError, MissingExtraError: see `importing.run.import_sources`.
@@ -92,7 +95,7 @@ def import_pool(
     )
     config = ObjectConfig(read, BodyConfig(tier, decomposition or DecompositionConfig()), trials)
     file, place = None if settings is None else Path(settings), cluster_of(cluster, workers)
-    how = ImportConfig(config, jobs, force, progress, add, file, place)
+    how = ImportConfig(config, jobs, force, progress, add, file, place, time_limit)
     return import_sources([sources] if isinstance(sources, str | Path) else sources, pool, how)
 
 

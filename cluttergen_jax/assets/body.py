@@ -40,11 +40,13 @@ class BodyConfig:
       tier: "standard", or "light": one hull of at most 32 vertices.
       decomposition: CoACD's parameters.
       seed: of samples, clouds and random releases.
+      jitter: see `decompose`; 0 but for a second try.
     """
 
     tier: str = "standard"
     decomposition: DecompositionConfig = field(default_factory=DecompositionConfig)
     seed: int = 0
+    jitter: float = 0.0
 
     def __post_init__(self) -> None:
         if self.tier not in ("standard", "light"):
@@ -131,8 +133,8 @@ def _proposals(shape: Shape, solid: Solid, config: BodyConfig) -> Iterator[list[
     own = [part.vertices for part in shape.parts or () if hull_of(part.vertices) is not None]
     if own:
         yield own
-    yield decompose(solid, config.decomposition)
-    yield decompose(solid, config.decomposition.finer)
+    yield decompose(solid, config.decomposition, config.jitter)
+    yield decompose(solid, config.decomposition.finer, config.jitter)
 
 
 def _candidate(

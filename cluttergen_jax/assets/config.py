@@ -12,6 +12,8 @@ MAX_PART_VERTICES = 32
 """Vertices that a convex part has at most."""
 NUM_TRIALS = 256
 """Placements by which an object's solo stability is measured."""
+TIME_LIMIT = 120.0
+"""Seconds that the import of one object may take."""
 
 
 @dataclass(frozen=True)

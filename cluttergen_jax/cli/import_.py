@@ -17,6 +17,9 @@ from cluttergen_jax.errors import ConfigError
 if TYPE_CHECKING:
     from cluttergen_jax.importing.run import ImportReport
 
+_MOST_DEAR = 3
+"""So many objects are named for what they cost."""
+
 
 @options_from(
     import_pool,
@@ -50,7 +53,7 @@ class Import(Options):
             raise ConfigError("--support together with sources or --pool", "one of them", "two commands")
         from cluttergen_jax.assets.support_file import user_supports
 
-        ignored = ("decomposition", "jobs", "progress", "cluster", "workers")
+        ignored = ("decomposition", "jobs", "time_limit", "progress", "cluster", "workers")
         hint = "leaving it out: a table is not an object"
         support = self.call(import_support, "with --support", hint, ignored)
         x, y = support.region.half_extents
@@ -72,6 +75,8 @@ def print_report(report: ImportReport) -> None:
         print(
             f"{report.path}: {len(report.objects)} objects ({made} made, {report.num_cached} from the cache)"
         )
+    if report.costs:
+        print(_cost_line(report))
     for (axis, reason), names in _grouped(
         [(each.axis, each.reason, n) for n, each in report.up_axes.items()]
     ):
@@ -88,6 +93,14 @@ def print_report(report: ImportReport) -> None:
             # A source that could not be found is named in its reason already.
             is_named, reason = failure.reason.startswith(failure.name), with_flags(failure.reason, Import)
             print(f"  {reason if is_named else f'{failure.name}: {reason}'}", file=sys.stderr)
+
+
+def _cost_line(report: ImportReport) -> str:
+    """What all objects cost together, and which of them most."""
+    dear = sorted(report.costs, key=lambda name: -report.costs[name].seconds)[:_MOST_DEAR]
+    told = ", ".join(f"{name} {report.costs[name].seconds:.1f} s" for name in dear)
+    together = f"{report.cost.seconds:.1f} s of work, {report.cost.cpu_seconds:.1f} CPU-seconds"
+    return f"cost: {together}; most: {told}" if len(report.costs) > 1 else f"cost: {together}"
 
 
 def _grouped(rows: Sequence[tuple[str, ...]]) -> Iterator[tuple[tuple[str, ...], str]]:

@@ -1,64 +1,356 @@
-"""Spawned worker processes that survive a crash and a Ctrl-C. Imports nothing heavy."""
+"""Spawned worker processes that survive a crash, a job without an end and a Ctrl-C. Imports nothing heavy."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import signal
+import threading
+import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
 from typing import Any
 
-CRASHED = "the worker process crashed, or was killed for want of memory"
+from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.progress import stop_asked
+
+_LONGEST_WAIT = 1.0
+_FIRST_SHARE = 2 / 3
+"""Of a job's time limit, what its first try may take where there is another one."""
+_KILLED = -9
+_MOST_UNBORN = 3
+"""So many workers may end, one after another, before they take a job."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a job.
+
+    Attributes:
+      result: what the function returned; None if there is none.
+      fault: why there is none; empty if there is one.
+      seconds, cpu_seconds: what it cost, all tries together, without the start of a process.
+      is_late: whether it was ended for its time.
+      is_killed: whether something outside has killed its worker.
+    """
+
+    result: Any = None
+    fault: str = ""
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+    is_late: bool = False
+    is_killed: bool = False
+
+
+Again = Callable[[Any, str], Any]
+"""From a job and the fault by which it was lost to the job that is tried in its stead."""
 
 
 def run_all(
     function: Callable[[Any], str], jobs: Sequence[Any], num_processes: int
 ) -> Iterator[tuple[int, str]]:
-    """Yields (index, result) of `function(job)` as they come, from spawned processes.
+    """Yields (index, result) of `function(job)` as they come; of a job that was lost, why.
 
-    When a worker dies, the jobs that were not finished are run again, each in a process of its own, so that
-    only the one to blame is lost: its result is `CRASHED`. Left early, as by Ctrl-C, it ends its workers.
+    Left early, as by Ctrl-C, it ends its workers.
     """
-    done: set[int] = set()
-    for index, result in _batch(function, jobs, range(len(jobs)), num_processes):
-        done.add(index)
-        yield index, result
-    for index in range(len(jobs)):
-        if index not in done:
-            results = dict(_batch(function, jobs, [index], 1))
-            yield index, results.get(index, CRASHED)
-
-
-def _batch(
-    function: Callable[[Any], str], jobs: Sequence[Any], indices: Sequence[int], num_processes: int
-) -> Iterator[tuple[int, str]]:
-    """Results until all are there or a worker dies."""
-    if not indices:
-        return
-    executor = ProcessPoolExecutor(
-        min(num_processes, len(indices)), multiprocessing.get_context("spawn"), initializer=_prepare
-    )
-    before = set(multiprocessing.active_children())
-    is_finished = False
+    crew = Crew(function, num_processes)
     try:
-        futures = {executor.submit(function, jobs[index]): index for index in indices}
-        for future in as_completed(futures):
-            try:
-                yield futures[future], future.result()
-            except BrokenProcessPool:
-                break
-        is_finished = True
+        for index, outcome in crew.outcomes(jobs):
+            yield index, outcome.fault or outcome.result
     finally:
-        executor.shutdown(wait=is_finished, cancel_futures=True)
-        if not is_finished:
-            for process in set(multiprocessing.active_children()) - before:
-                process.terminate()
+        crew.close()
 
 
-def _prepare() -> None:
-    """In a worker, before anything heavy is loaded: one thread each, no GPU, Ctrl-C left to the parent."""
+class Crew:
+    """Worker processes, one job each at a time.
+
+    A worker that dies takes one job with it, which is tried a second time: at once and changed by `again`
+    where that is given, else, if something outside has killed the worker, alone when all others are done. A job over
+    its time limit is ended with its worker, and tried again only where `again` is given.
+
+    Args:
+      function: of a job, for all workers; it and the jobs are pickled.
+      num_processes: at a time.
+      limit: seconds that a job may take, both tries together; None for as long as it likes.
+      again: makes the second job.
+    """
+
+    def __init__(
+        self,
+        function: Callable[[Any], Any],
+        num_processes: int,
+        limit: float | None = None,
+        again: Again | None = None,
+    ) -> None:
+        self._function, self._num, self._limit, self._again = function, num_processes, limit, again
+        self._workers: list[_Worker] = []
+        self._waiting: deque[_Task] = deque()
+        self._last: deque[_Task] = deque()
+        self._num_unborn = 0
+
+    def outcomes(self, jobs: Sequence[Any]) -> Iterator[tuple[int, Outcome]]:
+        """Yields (index, outcome) of each job as they come.
+
+        Raises:
+          ClutterGenError: workers end before they take a job.
+          Exception: what the function raised.
+        """
+        self._waiting = deque(_Task(index, job) for index, job in enumerate(jobs))
+        self._last.clear()
+        num_left = len(jobs)
+        while num_left:
+            if stop_asked.is_set():
+                raise KeyboardInterrupt
+            self._hand_out()
+            for worker in self._heard():
+                if (task := self._over(worker)) is not None:
+                    num_left -= 1
+                    yield task.index, task.outcome
+
+    def close(self) -> None:
+        """Ends the workers, whatever they do."""
+        for worker in self._workers:
+            worker.kill()
+        self._workers = []
+
+    def _hand_out(self) -> None:
+        busy = [worker for worker in self._workers if worker.task is not None]
+        free = [worker for worker in self._workers if worker.task is None]
+        while self._waiting and len(busy) < self._num:
+            if not free:
+                free.append(_Worker(self._function))
+                self._workers.append(free[-1])
+            busy.append(free.pop())
+            busy[-1].give(self._waiting.popleft())
+        if self._last and not self._waiting and not busy:
+            # Whoever rests holds memory, of which there may have been too little.
+            self.close()
+            self._workers = [_Worker(self._function)]
+            self._workers[0].give(self._last.popleft())
+
+    def _heard(self) -> list[_Worker]:
+        """Workers that have said something, have died, or have had their time."""
+        busy = [worker for worker in self._workers if worker.task is not None]
+        ends = [worker.began + self._time_of(worker.task) for worker in busy if worker.task and worker.began]
+        rest = min([_LONGEST_WAIT, *(end - time.monotonic() for end in ends)])
+        ready = wait([worker.pipe for worker in busy], max(rest, 0.0))
+        now = time.monotonic()
+        return [
+            worker
+            for worker in busy
+            if worker.pipe in ready or (worker.began and now >= worker.began + self._time_of(worker.task))
+        ]
+
+    def _time_of(self, task: _Task | None) -> float:
+        if self._limit is None or task is None:
+            return float("inf")
+        is_first = self._again is not None and task.tries == 0
+        return self._limit * _FIRST_SHARE if is_first else max(self._limit - task.spent, 1.0)
+
+    def _over(self, worker: _Worker) -> _Task | None:
+        """The task of a worker, if it is over for good, with what became of it."""
+        task = worker.task
+        assert task is not None
+        if not worker.pipe.poll() and worker.began:
+            return self._lost(worker, is_late=True)
+        try:
+            said = worker.pipe.recv()
+        except (EOFError, OSError):
+            return self._lost(worker)
+        if isinstance(said, _Begun):
+            self._num_unborn = 0
+            worker.began, worker.cpu_before = time.monotonic(), said.cpu_seconds
+            return None
+        worker.task, worker.began = None, 0.0
+        task.add_cost(said.seconds, said.cpu_seconds)
+        if said.error is not None:
+            raise said.error
+        task.result = said.result
+        return task
+
+    def _lost(self, worker: _Worker, is_late: bool = False) -> _Task | None:
+        """The task of a worker that has died, or has to, if it is not tried again."""
+        task = worker.task
+        assert task is not None
+        self._workers.remove(worker)
+        seconds = time.monotonic() - worker.began if worker.began else 0.0
+        cpu_seconds = worker.ended(is_late)
+        if not worker.began and worker.exit_code != _KILLED:
+            self._check_start(worker)
+            self._waiting.appendleft(task.again(task.job))
+            return None
+        task.tries += 1
+        task.add_cost(seconds, cpu_seconds if worker.began else 0.0)
+        task.is_late, task.is_killed = is_late, not is_late and worker.exit_code == _KILLED
+        task.fault = f"it was not done after {task.spent:.3g} s" if is_late else death(worker.exit_code)
+        if task.tries > 1 or not (task.is_killed or self._again):
+            return task
+        if task.is_killed:
+            self._last.append(task.again(task.job, is_alone=True))
+        elif self._again is not None:
+            self._waiting.appendleft(task.again(self._again(task.job, task.fault)))
+        return None
+
+    def _check_start(self, worker: _Worker) -> None:
+        self._num_unborn += 1
+        if self._num_unborn >= _MOST_UNBORN:
+            raise ClutterGenError(
+                f"worker processes end before they begin: {death(worker.exit_code)}",
+                hint='in a script of your own, calling it below `if __name__ == "__main__":`',
+            )
+
+
+def death(exit_code: int | None) -> str:
+    """What an exit status says of the end of a process."""
+    if exit_code is None or exit_code >= 0:
+        return f"its worker process ended with status {exit_code}"
+    try:
+        name = signal.Signals(-exit_code).name
+    except ValueError:
+        name = f"signal {-exit_code}"
+    if name == "SIGKILL":
+        return "its worker process was killed from outside (SIGKILL), perhaps for want of memory"
+    if name in ("SIGTERM", "SIGINT", "SIGHUP"):
+        return f"its worker process was ended from outside ({name})"
+    told = (signal.strsignal(-exit_code) or "").lower()
+    return f"its worker process crashed ({name}{f': {told}' if told else ''})"
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """Said by a worker that has a job and all that it needs for it."""
+
+    cpu_seconds: float
+
+
+@dataclass(frozen=True)
+class _Done:
+    """Said by a worker when a job is over."""
+
+    result: Any
+    error: Exception | None
+    seconds: float
+    cpu_seconds: float
+
+
+@dataclass
+class _Task:
+    """One job, its tries so far, and what became of the last."""
+
+    index: int
+    job: Any
+    is_alone: bool = False
+    tries: int = 0
+    spent: float = 0.0
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+    result: Any = None
+    fault: str = ""
+    is_late: bool = False
+    is_killed: bool = False
+
+    @property
+    def outcome(self) -> Outcome:
+        return Outcome(self.result, self.fault, self.seconds, self.cpu_seconds, self.is_late, self.is_killed)
+
+    def add_cost(self, seconds: float, cpu_seconds: float) -> None:
+        self.seconds += seconds
+        self.spent += seconds
+        self.cpu_seconds += cpu_seconds
+
+    def again(self, job: Any, is_alone: bool = False) -> _Task:
+        """Of time, what was spent counts, but not in the company of others that took the memory."""
+        spent = 0.0 if is_alone else self.spent
+        return _Task(self.index, job, is_alone, self.tries, spent, self.seconds, self.cpu_seconds)
+
+
+class _Worker:
+    """A spawned process.
+
+    Attributes:
+      pipe: to it.
+      task: what it does; None if nothing.
+      began: when it began that, on the monotonic clock; 0 if it has not.
+      cpu_before: processor seconds that it had used by then.
+    """
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self._process.start()
+        theirs.close()
+        self.task: _Task | None = None
+        self.began = self.cpu_before = 0.0
+        self._say(function)
+
+    @property
+    def exit_code(self) -> int | None:
+        return self._process.exitcode
+
+    def give(self, task: _Task) -> None:
+        self.task, self.began = task, 0.0
+        self._say(task.job)
+
+    def _say(self, what: Any) -> None:
+        try:
+            self.pipe.send(what)
+        except (BrokenPipeError, ConnectionResetError):
+            # It has died, and is found so when it is listened to.
+            pass
+
+    def kill(self) -> None:
+        """Ends it, whatever it does."""
+        self._process.kill()
+        self._process.join()
+
+    def ended(self, is_late: bool) -> float:
+        """Processor seconds of its task, once it is over; 0 where the system does not say.
+
+        Args:
+          is_late: it has to be killed.
+        """
+        before = os.times()
+        if is_late:
+            self._process.kill()
+        self._process.join()
+        after = os.times()
+        used = after.children_user + after.children_system - before.children_user - before.children_system
+        return max(used - self.cpu_before, 0.0)
+
+
+def _serve(pipe: Connection) -> None:
+    """In a worker: first the function comes, then jobs, until nobody sends any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # One thread each, and no GPU; before anything heavy is loaded, as the function and the jobs do.
     os.environ["OMP_NUM_THREADS"] = "1"
     os.environ["JAX_PLATFORMS"] = "cpu"
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        function = pipe.recv()
+        while True:
+            job = pipe.recv()
+            pipe.send(_Begun(time.process_time()))
+            pipe.send(_done(function, job))
+    except EOFError:
+        return
+
+
+def _done(function: Callable[[Any], Any], job: Any) -> _Done:
+    start, cpu_start = time.perf_counter(), time.process_time()
+    result, failure = None, None
+    try:
+        result = function(job)
+    except Exception as error:
+        failure = error
+    return _Done(result, failure, time.perf_counter() - start, time.process_time() - cpu_start)
+
+
+def _end_with_parent() -> None:
+    """A parent that was killed ends nobody, and a worker at work does not hear that it is gone."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from cluttergen_jax.assets.body import BodyConfig
-from cluttergen_jax.assets.config import NUM_TRIALS
+from cluttergen_jax.assets.config import NUM_TRIALS, TIME_LIMIT
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import NAME_PATTERN, object_hash
 from cluttergen_jax.assets.pool import ALL, EMBEDDED, Pool, read_pool, user_pool_folder, user_root, write_pool
@@ -18,12 +20,15 @@ from cluttergen_jax.config import check_positive, check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.planning import YCB, Failure, Planned, plan_all
-from cluttergen_jax.importing.processes import CRASHED, run_all
+from cluttergen_jax.importing.processes import Crew, Outcome
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, read_shape
 from cluttergen_jax.importing.readers.axes import UpAxis
 from cluttergen_jax.importing.solo import measured_object
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.progress import Progress
+
+_JITTER = 1e-4
+"""Share of an object's size by which a second try moves the corners that its parts are cut from."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +51,24 @@ class ObjectConfig:
 
 @dataclass(frozen=True)
 class Job:
-    """One object to be made and stored in the cache under `key`."""
+    """One object to be made and stored in the cache under `key`.
+
+    Attributes:
+      fault: how a first try was lost; empty at the first.
+    """
 
     source: ObjectFile
     key: str
     config: ObjectConfig
+    fault: str = ""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What an object cost: seconds by the clock, and of processors; of all tries, without the start of a process."""
+
+    seconds: float
+    cpu_seconds: float
 
 
 def made(job: Job) -> ObjectAsset | str:
@@ -59,42 +77,47 @@ def made(job: Job) -> ObjectAsset | str:
         # Rest and ball test look at the poses themselves, so MuJoCo's own log has nothing to add.
         with silent_log():
             shape = read_shape(job.source, job.config.read)
-            asset = measured_object(shape, job.config.body, job.config.trials)
-            return replace(asset, flags=(*job.source.notes, *asset.flags))
+            body = replace(job.config.body, jitter=_JITTER if job.fault else 0.0)
+            asset = measured_object(shape, body, job.config.trials)
+            second = (f"made on a second try, its surface minutely roughened: at first {job.fault}",)
+            return replace(asset, flags=(*job.source.notes, *(second if job.fault else ()), *asset.flags))
     except ClutterGenError as error:
         return str(error)
     except Exception as error:  # One object that nobody foresaw must not end a run of hundreds.
         return f"{job.source.path}: {type(error).__name__}: {error}"
 
 
-def run_job(job: Job) -> str:
-    """Makes the object and caches it. The empty string, or why it could not be made."""
-    return _cached(job, made(job))
+def second_try(job: Job, fault: str) -> Job:
+    """The same object by a slightly other way, after a first try was lost."""
+    return replace(job, fault=fault)
 
 
-def _cached(job: Job, asset: ObjectAsset | str) -> str:
-    if isinstance(asset, str):
-        return asset
-    try:
-        cache.store(job.key, asset)
-    except OSError as error:
-        return f"{job.source.path}: {type(error).__name__}: {error}"
-    return ""
+def _outcomes(jobs: Sequence[Job], config: ImportConfig) -> Generator[tuple[int, Outcome], None, None]:
+    """What became of each job as they come, from processes of this machine or of a cluster."""
+    if config.cluster is not None:
+        yield from _outcomes_on(config.cluster, jobs, config.time_limit)
+        return
+    crew = Crew(made, config.jobs or os.cpu_count() or 1, config.time_limit, second_try)
+    with closing(crew):
+        yield from crew.outcomes(jobs)
 
 
-def _maker() -> Callable[[Job], ObjectAsset | str]:
-    return made
+def _maker(limit: float) -> Callable[[Job], Outcome]:
+    """On a cluster, each worker has a process of its own that can be ended."""
+    crew = Crew(made, 1, limit, second_try)
+    return lambda job: next(crew.outcomes([job]))[1]
 
 
-def _run_on(cluster: Cluster, jobs: Sequence[Job]) -> Generator[tuple[int, str], None, None]:
-    """As `processes.run_all`, on a cluster; objects come back to the cache of this machine."""
+def _outcomes_on(
+    cluster: Cluster, jobs: Sequence[Job], limit: float
+) -> Generator[tuple[int, Outcome], None, None]:
     # One thread each, as in processes of this machine (`processes`).
-    lost: ObjectAsset | str = f"{CRASHED}, {MOST_DEATHS} times"
-    done: Generator[tuple[int, ObjectAsset | str], None, None]
-    done = each_on(cluster, _maker, jobs, "object", settings={"OMP_NUM_THREADS": "1"}, if_lost=lost)
+    lost = Outcome(fault=f"its worker on the cluster ended, {MOST_DEATHS} times")
+    done: Generator[tuple[int, Outcome], None, None]
+    make = partial(_maker, limit)
+    done = each_on(cluster, make, jobs, "object", settings={"OMP_NUM_THREADS": "1"}, if_lost=lost)
     with closing(done):
-        for index, asset in done:
-            yield index, _cached(jobs[index], asset)
+        yield from done
 
 
 @dataclass(frozen=True)
@@ -109,6 +132,7 @@ class ImportConfig:
       add: add to a pool that exists.
       settings: a file of settings per object, in place of the `objects.toml` in each folder.
       cluster: where objects are made; in processes of this machine if None.
+      time_limit: seconds that an object may take, a second try included; then it is left out.
     """
 
     object: ObjectConfig = field(default_factory=ObjectConfig)
@@ -118,9 +142,11 @@ class ImportConfig:
     add: bool = False
     settings: Path | None = None
     cluster: Cluster | None = None
+    time_limit: float = TIME_LIMIT
 
     def __post_init__(self) -> None:
         check_workers("jobs", self.jobs)
+        check_positive(self, "time_limit")
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +160,7 @@ class ImportReport:
       failures: those that could not be.
       skipped: files that are no objects, and why.
       up_axes: by object, the vertical axis of its file, and who says so.
+      costs: by object, what it cost now; those that failed among them, those from the cache not.
     """
 
     path: Path | None
@@ -142,6 +169,13 @@ class ImportReport:
     failures: tuple[Failure, ...]
     skipped: tuple[Skipped, ...] = ()
     up_axes: dict[str, UpAxis] = field(default_factory=dict)
+    costs: dict[str, Cost] = field(default_factory=dict)
+
+    @property
+    def cost(self) -> Cost:
+        """All objects together; seconds are of objects that were made beside each other."""
+        each = self.costs.values()
+        return Cost(sum(cost.seconds for cost in each), sum(cost.cpu_seconds for cost in each))
 
     @property
     def pool(self) -> Pool:
@@ -184,15 +218,15 @@ def import_sources(
     if config.force:
         for job in missing:
             cache.drop(job.key)
-    failures = (*planned.failures, *unreadable, *_make(missing, config))
+    lost, costs = _make(missing, config)
+    failures = (*planned.failures, *unreadable, *lost)
     made |= _loaded(missing)
     names = [each.source.name for each in planned.objects if each.source.name in made]
     objects = tuple(made[name] for name in names)
     path = _write(pool_name, objects, old, config) if objects else None
     axes = {each.source.name: each.up for each in planned.objects}
-    return ImportReport(
-        path, objects, num_cached, failures, planned.skipped, {name: axes[name] for name in names}
-    )
+    of_names = {name: axes[name] for name in names}
+    return ImportReport(path, objects, num_cached, failures, planned.skipped, of_names, costs)
 
 
 def _check_name(name: str) -> None:
@@ -220,24 +254,61 @@ def _loaded(jobs: Sequence[Job]) -> dict[str, ObjectAsset]:
     return {name: asset for name, asset in pairs if asset is not None}
 
 
-def _make(jobs: Sequence[Job], config: ImportConfig) -> list[Failure]:
-    """Runs the jobs; those that failed, in the order of the jobs."""
+def _make(jobs: Sequence[Job], config: ImportConfig) -> tuple[list[Failure], dict[str, Cost]]:
+    """Runs the jobs; those that failed, in the order of the jobs, and what each cost."""
     reasons: dict[int, str] = {}
+    costs: dict[str, Cost] = {}
     num_processes = config.jobs or os.cpu_count() or 1
     is_shown = config.progress and bool(jobs)
     with Progress("importing", len(jobs), "object") if is_shown else nullcontext() as progress:
+        say = partial(print, file=sys.stderr, flush=True) if progress is None else progress.say
         if progress is not None:
             at_once = (
                 f"{min(num_processes, len(jobs))} at a time" if config.cluster is None else "on a cluster"
             )
             progress.say(f"importing {len(jobs)} objects, {at_once}")
-        done = _run_on(config.cluster, jobs) if config.cluster else run_all(run_job, jobs, num_processes)
-        for index, reason in done:
-            if progress is not None:
-                progress.update(note=jobs[index].source.name)
-            if reason:
-                reasons[index] = reason
-    return [Failure(jobs[index].source.name, reasons[index]) for index in sorted(reasons)]
+        with closing(_outcomes(jobs, config)) as outcomes:
+            for index, outcome in outcomes:
+                job, cost = jobs[index], Cost(outcome.seconds, outcome.cpu_seconds)
+                costs[job.source.name] = cost
+                reason = _kept(job, outcome)
+                if reason:
+                    reasons[index] = reason
+                say(_line(job.source.name, cost, outcome.result, reason))
+                if progress is not None:
+                    progress.update(note=job.source.name)
+    return [Failure(jobs[index].source.name, reasons[index]) for index in sorted(reasons)], costs
+
+
+def _kept(job: Job, outcome: Outcome) -> str:
+    """Stores the object that was made in the cache. The empty string, or why there is none."""
+    if outcome.fault:
+        return str(AssetError(f"{job.source.path}: {outcome.fault}", hint=_hint(outcome)))
+    if isinstance(outcome.result, str):
+        return outcome.result
+    try:
+        cache.store(job.key, outcome.result)
+    except OSError as error:
+        return f"{job.source.path}: {type(error).__name__}: {error}"
+    return ""
+
+
+def _hint(outcome: Outcome) -> str:
+    if outcome.is_late:
+        return "a longer `time_limit`, or a mesh without pieces that cross, or of fewer triangles"
+    if outcome.is_killed:
+        return "fewer `jobs` at a time, or a mesh of fewer triangles"
+    return "a mesh without pieces that cross, or of fewer triangles"
+
+
+def _line(name: str, cost: Cost, asset: ObjectAsset | str | None, reason: str) -> str:
+    """One object's line in a log."""
+    took = f"{cost.seconds:.1f} s, {cost.cpu_seconds:.1f} CPU-seconds"
+    if reason or not isinstance(asset, ObjectAsset):
+        return f"{name}: failed after {took}: {reason}"
+    parts = "1 part" if len(asset.parts) == 1 else f"{len(asset.parts)} parts"
+    flags = f"; flagged: {'; '.join(asset.flags)}" if asset.flags else ""
+    return f"{name}: made in {took}: {parts}, {asset.mass:.3g} kg{flags}"
 
 
 def _write(name: str, objects: tuple[ObjectAsset, ...], old: Pool | None, config: ImportConfig) -> Path:

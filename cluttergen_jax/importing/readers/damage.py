@@ -11,6 +11,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.stl import announced, is_text_stl, num_triangles
 
 _AGAIN = "fetching or exporting the file again"
 # OBJ counts from one (or backwards from -1); a zero would be taken for the last vertex.
@@ -205,13 +206,12 @@ def _held(path: Path, uri: str | None, binary: int) -> int:
 def _check_stl_size(path: Path) -> None:
     size = path.stat().st_size
     with path.open("rb") as file:
-        head = file.read(84)
-        is_text = b"facet" in head.lower() + file.read(1000).lower()
-    if is_text or len(head) < 84:
+        head = file.read(1084)
+    if len(head) < 84 or is_text_stl(head, size):
         return
-    triangles = int.from_bytes(head[80:84], "little")
-    if size != 84 + 50 * triangles:
-        raise _too_short(path, f"a binary STL file of {triangles:,} triangles", 84 + 50 * triangles, size)
+    count = announced(head)
+    if size != 84 + 50 * count and num_triangles(path.read_bytes(), count) is None:
+        raise _too_short(path, f"a binary STL file of {count:,} triangles", 84 + 50 * count, size)
 
 
 def _check_ply_size(path: Path) -> None:

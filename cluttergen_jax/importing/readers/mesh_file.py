@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,10 +21,21 @@ from cluttergen_jax.importing.readers.collada import collada_notes, unit_of
 from cluttergen_jax.importing.readers.companions import Companions
 from cluttergen_jax.importing.readers.damage import check_whole, unreadable
 from cluttergen_jax.importing.readers.materials import Dresser, gltf_notes
+from cluttergen_jax.importing.readers.ply_polygons import cut_ply
+from cluttergen_jax.importing.readers.polygons import cut_obj
+from cluttergen_jax.importing.readers.stl import sound_stl
 from cluttergen_jax.importing.readers.text import opened
 
 _RANDOM = re.compile(r"_[0-9a-f]{6}$")
 """What trimesh puts behind a node's name where several surfaces hang on it, another each time."""
+
+
+_MENDS: dict[str, Callable[[bytes], tuple[bytes, tuple[str, ...]]]] = {
+    ".obj": cut_obj,
+    ".ply": cut_ply,
+    ".stl": sound_stl,
+}
+"""By suffix, what is done to a file's content before it is parsed."""
 
 
 class MeshFile(NamedTuple):
@@ -55,7 +69,7 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
     check_whole(path)
     beside = Companions(path)
     try:
-        scene = trimesh.load_scene(**opened(path), resolver=beside, process=False)
+        scene, of_parsing = _parsed(path, beside)
     except AssetError:
         raise
     except Exception as error:  # trimesh's loaders raise whatever their parsers do.
@@ -76,12 +90,36 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
             pieces.append(dresser.piece(mesh, geometry.visual))
             materials.append(getattr(geometry.visual, "material", None))
     lost = gltf_notes(path, materials) if is_gltf else collada_notes(path) if is_collada else ()
-    notes = tuple(dict.fromkeys([*beside.notes, *lost, *dresser.notes]))
+    notes = tuple(dict.fromkeys([*of_parsing, *beside.notes, *lost, *dresser.notes]))
     if not pieces:
         raise AssetError(
             f"{path} holds no triangles", "a surface mesh, not points or curves", "; ".join(notes)
         )
     return MeshFile(pieces, notes)
+
+
+def _parsed(path: Path, beside: Companions) -> tuple[trimesh.Scene, list[str]]:
+    """What trimesh makes of a file whose concave polygons are cut and whose counts are right, and notes."""
+    content, notes = opened(path), []
+    if (mend := _MENDS.get(path.suffix.lower())) is not None:
+        data, of_content = mend(content["file_obj"].getvalue())
+        content["file_obj"] = io.BytesIO(data)
+        notes += of_content
+    with _dae_polygons_cut(path) as of_polygons:
+        scene = trimesh.load_scene(**content, resolver=beside, process=False)
+    return scene, [*notes, *of_polygons]
+
+
+@contextmanager
+def _dae_polygons_cut(path: Path) -> Iterator[list[str]]:
+    if path.suffix.lower() != ".dae":
+        yield []
+        return
+    # Loaded for COLLADA alone.
+    from cluttergen_jax.importing.readers.dae_polygons import dae_polygons_cut
+
+    with dae_polygons_cut() as notes:
+        yield notes
 
 
 def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:

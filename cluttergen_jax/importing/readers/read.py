@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from cluttergen_jax.assets.folds import unfolded
 from cluttergen_jax.assets.mesh import joined
-from cluttergen_jax.assets.shape import Provenance, Shape
+from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.axes import AUTO, own_up, turn_of
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
@@ -40,10 +41,13 @@ def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
     if source.kind != "mesh" and model.stated is None and options.mass is None:
         what = "mass" if model.density is None else "mass but a density"
         notes = (*notes, f"its file states no {what}: it is its volume times {density:g} kg/m^3")
+    pieces = tuple(_unfolded(piece) for piece in model.pieces)
+    if any(piece is not before for piece, before in zip(pieces, model.pieces, strict=True)):
+        notes = (*notes, "its surface lay flat over itself in places: they are cut anew")
     shape = Shape(
         name=source.name,
         label=source.label,
-        pieces=tuple(piece.transformed(turn, np.zeros(3)) for piece in model.pieces),
+        pieces=tuple(piece.transformed(turn, np.zeros(3)) for piece in pieces),
         provenance=_provenance(source, options),
         parts=None
         if model.parts is None
@@ -74,6 +78,13 @@ def _model(source: ObjectFile, options: ReadOptions) -> tuple[Model, float]:
 def read_source(path: str | Path, options: ReadOptions | None = None) -> list[Shape]:
     """Reads every object that `path` holds; the first that cannot be read raises AssetError."""
     return [read_shape(source, options) for source in find_sources(path)]
+
+
+def _unfolded(piece: Piece) -> Piece:
+    mesh = piece.mesh
+    # Vertices that are not finite are told by `_check_size`.
+    mended = unfolded(mesh, piece.uv) if np.isfinite(mesh.vertices).all() else mesh
+    return piece if mended is mesh else replace(piece, mesh=mended)
 
 
 def _provenance(source: ObjectFile, options: ReadOptions) -> Provenance:

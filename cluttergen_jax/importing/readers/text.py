@@ -15,6 +15,7 @@ from typing import Any
 
 from cluttergen_jax.importing.readers.collada import with_image_paths
 from cluttergen_jax.importing.readers.gltf_plain import plain_glb
+from cluttergen_jax.importing.readers.stl import is_text_stl
 
 _END_OF_HEADER = b"end_header"
 _WORD_AND_TAB = re.compile(rb"^[ \t]*([a-z]+)[ ]*\t[ \t]*", re.MULTILINE)
@@ -39,7 +40,7 @@ def opened(path: Path) -> dict[str, Any]:
         data = (utf8(head) if end else head) + end + body
     elif suffix == ".obj":
         data = _plain_obj(utf8(data))
-    elif not _is_binary_stl(data):
+    elif is_text_stl(data, len(data)):
         data = utf8(data)
     return {"file_obj": io.BytesIO(data), "file_type": suffix[1:]}
 
@@ -66,8 +67,3 @@ def _plain_obj(data: bytes) -> bytes:
     if b"\t" in data:
         data = _WORD_AND_TAB.sub(rb"\1 ", data)
     return f"mtllib {ALL_MATERIALS}\n".encode() + data if material_lines(data) else data
-
-
-def _is_binary_stl(data: bytes) -> bool:
-    """By its length: the free header of a binary file may begin with the first word of text files."""
-    return len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")

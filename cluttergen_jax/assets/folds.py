@@ -1,0 +1,206 @@
+"""Surfaces that lie flat over themselves: found, and where the flat place has one outline cut anew.
+
+A polygon of concave outline that was cut into a fan arrives so: closed, with the right volume and area by sign, and
+yet with triangles that lie over each other. CoACD crashes over it, or never ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import manifold3d
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from cluttergen_jax.assets.mesh import Mesh
+
+_FLAT = 1e-4
+_FLAP = 1e-3
+_STRAIGHT = 5e-6
+"""Shares of the diagonal: so far from the plane of its neighbour is a triangle that lies in it, and so wide
+is one that counts; and 1 - |cosine| between such neighbours."""
+_PASSES = 4
+_RINGS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class _Neighbours:
+    """Pairs of triangles that share an edge and lie in one plane.
+
+    Attributes:
+      pairs: i64[N, 2], triangles.
+      is_fold: bool[N], where one lies over the other; else beside it.
+    """
+
+    pairs: np.ndarray
+    is_fold: np.ndarray
+
+
+def num_folds(mesh: Mesh) -> int:
+    """At how many edges a surface turns back flat over itself; its vertices are welded."""
+    return int(_neighbours(mesh).is_fold.sum()) if len(mesh.faces) else 0
+
+
+def unfolded(mesh: Mesh, uv: np.ndarray | None = None) -> Mesh:
+    """The mesh without such folds, where they can be cut anew: each within the outline of its surroundings.
+
+    The vertices stay, and with them what belongs to each. What cannot be cut without losing a vertex or laying
+    triangles over each other stays as it is, such as what has no area.
+
+    Args:
+      mesh: vertices need not be welded.
+      uv: f64[V, 2], texture coordinates; nothing is cut across a seam in them.
+    """
+    for _ in range(_PASSES):
+        mended = _unfolded_once(mesh, uv)
+        if mended is mesh:
+            break
+        mesh = mended
+    return mesh
+
+
+def _unfolded_once(mesh: Mesh, uv: np.ndarray | None) -> Mesh:
+    if not len(mesh.faces):
+        return mesh
+    welded, label = _welded(mesh, uv)
+    kept = np.flatnonzero((welded.faces != np.roll(welded.faces, 1, axis=1)).all(1))
+    welded = Mesh(welded.vertices, welded.faces[kept])
+    near = _neighbours(welded)
+    stays, faces = np.ones(len(mesh.faces), bool), []
+    for place in _places(near, len(kept)):
+        cut = _cut_anew(welded, place) if stays[kept[place]].all() else None
+        if cut is not None:
+            faces.append(_named(cut, label, mesh.faces[kept[place]]))
+            stays[kept[place]] = False
+    return Mesh(mesh.vertices, np.concatenate([mesh.faces[stays], *faces])) if faces else mesh
+
+
+def _places(near: _Neighbours, number: int) -> Iterator[np.ndarray]:
+    """Sets of triangles to be cut together: flat places with a fold as wholes, then each fold and ever more around it.
+
+    Args:
+      number: of triangles.
+    """
+    if not near.is_fold.any():
+        return
+    whole, folded = _connected(near.pairs, number), _connected(near.pairs[near.is_fold], number)
+    for each in np.unique(whole[near.pairs[near.is_fold, 0]]):
+        yield np.flatnonzero(whole == each)
+    for each in np.unique(folded[near.pairs[near.is_fold, 0]]):
+        is_inside = folded == each
+        for _ in range(_RINGS):
+            yield np.flatnonzero(is_inside)
+            is_met = is_inside[near.pairs].any(1)
+            around = near.pairs[is_met].reshape(-1)
+            if is_inside[around].all():
+                break
+            is_inside[around] = True
+
+
+def _connected(pairs: np.ndarray, number: int) -> np.ndarray:
+    """i64[number]: which of the sets that pairs connect each belongs to."""
+    links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(number, number))
+    return connected_components(links, directed=False)[1]
+
+
+def _welded(mesh: Mesh, uv: np.ndarray | None) -> tuple[Mesh, np.ndarray]:
+    """The mesh with vertices of equal place and texture coordinates as one, and i64[V], which one."""
+    digits = 6 - int(np.floor(np.log10(max(float(np.ptp(mesh.vertices)), 1e-9))))
+    columns = [np.round(mesh.vertices, digits), *([] if uv is None else [np.round(uv, 6)])]
+    _, first, label = np.unique(np.concatenate(columns, 1), axis=0, return_index=True, return_inverse=True)
+    label = label.reshape(-1)
+    return Mesh(mesh.vertices[first], label[mesh.faces]), label
+
+
+def _neighbours(mesh: Mesh) -> _Neighbours:
+    """Of each edge that two triangles share; triangles without area have no neighbours."""
+    faces = mesh.faces.astype(np.int64)
+    start, end, tip = (np.roll(faces, -turn, axis=1).reshape(-1) for turn in range(3))
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    _, edge, number = np.unique(low * len(mesh.vertices) + high, return_inverse=True, return_counts=True)
+    edge = edge.reshape(-1)
+    order = np.argsort(edge, kind="stable")
+    one, two = order[number[edge[order]] == 2].reshape(-1, 2).T
+    # A sheet drawn from both sides is a triangle and its reverse, and no fold; nor are two that turn unlike.
+    is_pair = (start[one] == end[two]) & (tip[one] != tip[two])
+    one, two = one[is_pair], two[is_pair]
+    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    normals = mesh.normals
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    base = mesh.vertices[start[one]]
+    along = _unit(mesh.vertices[end[one]] - base)
+    arms = [mesh.vertices[tip[side]] - base for side in (one, two)]
+    arms = [arm - (arm * along).sum(1, keepdims=True) * along for arm in arms]
+    a, b = normals[one // 3], normals[two // 3]
+    off = np.maximum(np.abs((arms[1] * a).sum(1)), np.abs((arms[0] * b).sum(1)))
+    is_flat = (off < _FLAT * diagonal) & (np.abs((a * b).sum(1)) > 1 - _STRAIGHT)
+    width = np.minimum(*(np.linalg.norm(arm, axis=1) for arm in arms))
+    is_fold = is_flat & ((arms[0] * arms[1]).sum(1) > 0) & (width > _FLAP * diagonal)
+    return _Neighbours(np.stack([one, two], 1)[is_flat] // 3, is_fold[is_flat])
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+
+
+def _cut_anew(mesh: Mesh, place: np.ndarray) -> np.ndarray | None:
+    """i64[F, 3]: the triangles within the outline of a flat place; None if they would overlap."""
+    faces = mesh.faces[place].astype(np.int64)
+    normal = mesh.normals[place].sum(0)
+    area = float(np.linalg.norm(normal))
+    whole = float(np.linalg.norm(mesh.normals[place], axis=1).sum())
+    loops = _loops(faces)
+    if area < 1e-6 * whole or not loops or len(np.setdiff1d(faces, np.concatenate(loops))):
+        return None
+    side = np.cross(normal / area, np.eye(3)[np.abs(normal).argmin()])
+    side = side / np.linalg.norm(side)
+    axes = np.stack([side, np.cross(normal / area, side)], axis=1)
+    corners = np.concatenate(loops)
+    flat = (mesh.vertices[corners] - mesh.vertices[corners[0]]) @ axes
+    ends = np.cumsum([len(loop) for loop in loops])[:-1]
+    try:
+        cut = np.asarray(manifold3d.triangulate(np.split(flat, ends)), np.int64).reshape(-1, 3)
+    except (RuntimeError, ValueError):
+        return None
+    (ax, ay), (bx, by) = (flat[cut[:, 1]] - flat[cut[:, 0]]).T, (flat[cut[:, 2]] - flat[cut[:, 0]]).T
+    areas = ax * by - ay * bx
+    is_sound = bool((areas > -1e-9 * area).all()) and np.isclose(areas.sum(), area, rtol=1e-4)
+    return corners[cut] if is_sound else None
+
+
+def _loops(faces: np.ndarray) -> list[np.ndarray]:
+    """The outlines of some triangles: vertices in the triangles' own order."""
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], -1).reshape(-1, 2)
+    size = int(faces.max()) + 1
+    there, back = edges[:, 0] * size + edges[:, 1], edges[:, 1] * size + edges[:, 0]
+    onward: dict[int, list[int]] = {}
+    for start, end in edges[~np.isin(there, back)].tolist():
+        onward.setdefault(start, []).append(end)
+    loops = []
+    while onward:
+        first = vertex = next(iter(onward))
+        loop = []
+        while True:
+            loop.append(vertex)
+            ends = onward.get(vertex)
+            if not ends:
+                return []
+            following = ends.pop()
+            if not ends:
+                del onward[vertex]
+            vertex = following
+            if vertex == first:
+                break
+        loops.append(np.array(loop))
+    return loops
+
+
+def _named(cut: np.ndarray, label: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Triangles of welded vertices as triangles of those that the place had before."""
+    used = before.reshape(-1)
+    names, first = np.unique(label[used], return_index=True)
+    return used[first][np.searchsorted(names, cut)]

@@ -1,0 +1,124 @@
+"""Polygons of mesh files: those that a fan from the first corner would fold are cut into other triangles.
+
+The parsers cut every polygon into a fan. Of one with a concave outline such triangles lie over each other, with the
+outline's edges and its area still right: closed, and no solid. So the file is handed to them with these
+polygons already cut, by Manifold's ear clipping; all other polygons stay as they are.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import manifold3d
+import numpy as np
+
+_SLACK = 1e-9
+"""Of a polygon's area: so much of a triangle may face the other way, by rounding."""
+_OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
+_OBJ_POLYGON = re.compile(rb"^[ \t]*f((?:[ \t]+[-+\d/]+){4,})[ \t\r]*(?:#.*)?$", re.MULTILINE)
+CROSSING = "a polygon whose outline crosses itself is cut into a fan from its first corner"
+
+
+def cuts(points: np.ndarray, polygons: Sequence[np.ndarray]) -> tuple[dict[int, np.ndarray], bool]:
+    """The triangles of those polygons that a fan would fold.
+
+    Args:
+      points: f64[V, 3].
+      polygons: i64[N] each, the corners of one, N >= 3, as indices of points.
+
+    Returns:
+      By index of the polygon, i64[N - 2, 3], its triangles as places in its outline, turned as it is; and
+      whether some polygon cannot be cut so, because its outline crosses itself.
+    """
+    found: dict[int, np.ndarray] = {}
+    is_crossing = False
+    lengths = np.array([len(each) for each in polygons], np.int64)
+    for length in np.unique(lengths[lengths > 3]):
+        which = np.flatnonzero(lengths == length)
+        corners = points[np.stack([polygons[index] for index in which])]
+        for index in np.flatnonzero(_is_folded_fan(corners)):
+            triangles = _ears(corners[index])
+            if triangles is None:
+                is_crossing = True
+            else:
+                found[int(which[index])] = triangles
+    return found, is_crossing
+
+
+def _is_folded_fan(corners: np.ndarray) -> np.ndarray:
+    """bool[M]: of f64[M, N, 3], whether a triangle of the fan faces against the polygon's own normal."""
+    arms = corners[:, 1:] - corners[:, :1]
+    # Each is a triangle's normal, twice as long as its area; together they are the polygon's, by Newell.
+    normals = np.cross(arms[:, :-1], arms[:, 1:])
+    normal = normals.sum(1)
+    along = np.einsum("mni,mi->mn", normals, normal)
+    return (along < -_SLACK * (normal**2).sum(1)[:, None]).any(1)
+
+
+def _ears(corners: np.ndarray) -> np.ndarray | None:
+    """The triangles of one polygon seen along its normal; None if they would overlap."""
+    flat = _seen_along_normal(corners)
+    try:
+        triangles = np.asarray(manifold3d.triangulate([flat]), np.int64)
+    except (RuntimeError, ValueError):
+        return None
+    areas, area = _areas(flat[triangles]), _area(flat)
+    is_sound = len(triangles) == len(corners) - 2 and (areas >= -_SLACK * area).all()
+    return triangles if is_sound and np.isclose(areas.sum(), area, rtol=1e-6) else None
+
+
+def _seen_along_normal(corners: np.ndarray) -> np.ndarray:
+    """f64[N, 2]: the polygon projected along its normal, counter-clockwise."""
+    arms = corners[1:] - corners[0]
+    normal = np.cross(arms[:-1], arms[1:]).sum(0)
+    normal = normal / max(float(np.linalg.norm(normal)), 1e-300)
+    side = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    side = side / max(float(np.linalg.norm(side)), 1e-300)
+    return (corners - corners[0]) @ np.stack([side, np.cross(normal, side)], axis=1)
+
+
+def _areas(triangles: np.ndarray) -> np.ndarray:
+    """f64[M]: twice the signed areas of f64[M, 3, 2]."""
+    (ax, ay), (bx, by) = (triangles[:, 1] - triangles[:, 0]).T, (triangles[:, 2] - triangles[:, 0]).T
+    return ax * by - ay * bx
+
+
+def _area(outline: np.ndarray) -> float:
+    """Twice the signed area of f64[N, 2]."""
+    x, y = outline.T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+def cut_obj(data: bytes) -> tuple[bytes, tuple[str, ...]]:
+    """The text of an OBJ file with its concave polygons cut, and what to say of others.
+
+    Corners keep their own words, and with them texture coordinates and normals. What the parser itself would
+    refuse stays as it is.
+    """
+    data = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    lines = list(_OBJ_POLYGON.finditer(data))
+    if not lines:
+        return data, ()
+    words = [line[1].split() for line in lines]
+    try:
+        points = np.array(_OBJ_VERTEX.findall(data)).astype(np.float64)
+        polygons = [_obj_corners(each, len(points)) for each in words]
+    except (ValueError, IndexError):
+        return data, ()
+    found, is_crossing = cuts(points, polygons)
+    parts, end = [], 0
+    for index, triangles in sorted(found.items()):
+        text = [b"f " + b" ".join(words[index][place] for place in triangle) for triangle in triangles]
+        parts += [data[end : lines[index].start()], b"\n".join(text)]
+        end = lines[index].end()
+    return b"".join([*parts, data[end:]]), (CROSSING,) if is_crossing else ()
+
+
+def _obj_corners(words: Sequence[bytes], num_points: int) -> np.ndarray:
+    """i64[N]: the vertices of a face, from zero on; as the parser does, negative ones count from the last."""
+    named = np.array([int(word.partition(b"/")[0]) for word in words])
+    corners = np.where(named > 0, named - 1, named + num_points)
+    if corners.min() < 0 or corners.max() >= num_points:
+        raise IndexError("a vertex that is not there")
+    return corners
