@@ -17,8 +17,8 @@ def decompose(solid: Solid, config: DecompositionConfig, jitter: float = 0.0) ->
     """Convex parts, f64[V, 3] each, in the solid's frame, as many vertices as CoACD gives them.
 
     Args:
-      jitter: share of the diagonal by which each vertex that CoACD sees is moved at most, always in the same way. There
-        are closed meshes over which it crashes or never ends, and the slightest change helps.
+      jitter: share of the diagonal by which each vertex that CoACD sees is moved at most, always in the same
+        way. There are closed meshes over which it crashes or never ends, and the slightest change helps.
 
     Raises:
       AssetError: neither CoACD nor Qhull can make anything of the mesh.

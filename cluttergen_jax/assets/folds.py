@@ -1,7 +1,7 @@
 """Surfaces that lie flat over themselves: found, and where the flat place has one outline cut anew.
 
-A polygon of concave outline that was cut into a fan arrives so: closed, with the right volume and area by sign, and
-yet with triangles that lie over each other. CoACD crashes over it, or never ends.
+A polygon of concave outline that was cut into a fan arrives so: closed, with the right volume and area by
+sign, and yet with triangles that lie over each other. CoACD crashes over it, or never ends.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ def num_folds(mesh: Mesh) -> int:
 
 
 def unfolded(mesh: Mesh, uv: np.ndarray | None = None) -> Mesh:
-    """The mesh without such folds, where they can be cut anew: each within the outline of its surroundings.
+    """The mesh without such folds, where they can be cut anew, each within the outline around it.
 
-    The vertices stay, and with them what belongs to each. What cannot be cut without losing a vertex or laying
-    triangles over each other stays as it is, such as what has no area.
+    The vertices stay, and with them what belongs to each. What cannot be cut without losing a vertex or
+    laying triangles over each other stays as it is, such as what has no area.
 
     Args:
       mesh: vertices need not be welded.
@@ -78,7 +78,7 @@ def _unfolded_once(mesh: Mesh, uv: np.ndarray | None) -> Mesh:
 
 
 def _places(near: _Neighbours, number: int) -> Iterator[np.ndarray]:
-    """Sets of triangles to be cut together: flat places with a fold as wholes, then each fold and ever more around it.
+    """Sets of triangles to be cut together: flat places with a fold, then each fold and ever more around it.
 
     Args:
       number: of triangles.

@@ -9,6 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
@@ -66,9 +67,9 @@ def run_all(
 class Crew:
     """Worker processes, one job each at a time.
 
-    A worker that dies takes one job with it, which is tried a second time: at once and changed by `again`
-    where that is given, else, if something outside has killed the worker, alone when all others are done. A job over
-    its time limit is ended with its worker, and tried again only where `again` is given.
+    A worker that dies takes one job with it. If something outside has killed it, for want of memory perhaps,
+    the job is tried a second time when all others are done, alone. After any other death, and after a job over
+    its limit, which is ended with its worker, the second try is what `again` makes of the job, if that is given.
 
     Args:
       function: of a job, for all workers; it and the jobs are pickled.
@@ -184,7 +185,11 @@ class Crew:
         task.tries += 1
         task.add_cost(seconds, cpu_seconds if worker.began else 0.0)
         task.is_late, task.is_killed = is_late, not is_late and worker.exit_code == _KILLED
-        task.fault = f"it was not done after {task.spent:.3g} s" if is_late else death(worker.exit_code)
+        task.fault = (
+            f"it was not done after {task.spent:.{0 if task.spent >= 10 else 1}f} s"
+            if is_late
+            else death(worker.exit_code)
+        )
         if task.tries > 1 or not (task.is_killed or self._again):
             return task
         if task.is_killed:
@@ -207,15 +212,14 @@ def death(exit_code: int | None) -> str:
     if exit_code is None or exit_code >= 0:
         return f"its worker process ended with status {exit_code}"
     try:
-        name = signal.Signals(-exit_code).name
+        name, told = signal.Signals(-exit_code).name, signal.strsignal(-exit_code) or ""
     except ValueError:
-        name = f"signal {-exit_code}"
+        name, told = f"signal {-exit_code}", ""
     if name == "SIGKILL":
         return "its worker process was killed from outside (SIGKILL), perhaps for want of memory"
     if name in ("SIGTERM", "SIGINT", "SIGHUP"):
         return f"its worker process was ended from outside ({name})"
-    told = (signal.strsignal(-exit_code) or "").lower()
-    return f"its worker process crashed ({name}{f': {told}' if told else ''})"
+    return f"its worker process crashed ({name}{f': {told.lower()}' if told else ''})"
 
 
 @dataclass(frozen=True)
@@ -295,11 +299,9 @@ class _Worker:
         self._say(task.job)
 
     def _say(self, what: Any) -> None:
-        try:
+        # If it has died, that is found when it is listened to.
+        with suppress(BrokenPipeError, ConnectionResetError):
             self.pipe.send(what)
-        except (BrokenPipeError, ConnectionResetError):
-            # It has died, and is found so when it is listened to.
-            pass
 
     def kill(self) -> None:
         """Ends it, whatever it does."""

@@ -65,7 +65,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Cost:
-    """What an object cost: seconds by the clock, and of processors; of all tries, without the start of a process."""
+    """What an object cost, all tries together: seconds by the clock, and of processors."""
 
     seconds: float
     cpu_seconds: float

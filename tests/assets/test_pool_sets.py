@@ -16,6 +16,7 @@ from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sour
 from cluttergen_jax.learning.methods import choose_method
 from cluttergen_jax.learning.training.train import TrainConfig
 from cluttergen_jax.scene.bank import read_bank
+from tests.helpers.imports import made_here
 from tests.helpers.shapes import make_box
 from tests.helpers.worlds import box, prism
 
@@ -25,7 +26,7 @@ QUICK = ObjectConfig(trials=8)
 @pytest.fixture(autouse=True)
 def pools_of_a_user(home, monkeypatch):
     """Two pools of the user's own: a holds mug and pan, b holds another mug and a lid."""
-    monkeypatch.setattr(run, "run_all", lambda do, jobs, _: ((i, do(job)) for i, job in enumerate(jobs)))
+    monkeypatch.setattr(run, "_outcomes", made_here)
     write_pool(user_root() / "a", Pool("a", (make_box("mug"), make_box("pan")), licence="CC0"))
     write_pool(user_root() / "b", Pool("b", (make_box("mug", seed=1), make_box("lid")), licence="MIT"))
 

@@ -12,13 +12,19 @@ import trimesh
 
 from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.assets.config import DecompositionConfig
+from cluttergen_jax.assets.decompose import decompose
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.pool import find_pool, user_root
+from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.inspect_ import Inspect
-from cluttergen_jax.errors import AssetError, PoolError
+from cluttergen_jax.errors import AssetError, ConfigError, PoolError
 from cluttergen_jax.importing import cache, run
+from cluttergen_jax.importing.processes import Outcome
 from cluttergen_jax.importing.readers import ReadOptions, find_sources
 from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
+from tests.helpers.imports import made_here
 
 QUICK = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
 
@@ -56,7 +62,7 @@ def test_a_tree_becomes_a_pool_and_the_failure_is_named(tree, capsys):
 @pytest.fixture
 def here(monkeypatch):
     """Jobs run in this process: spawning has its own tests, and costs seconds."""
-    monkeypatch.setattr(run, "run_all", lambda do, jobs, _: ((i, do(job)) for i, job in enumerate(jobs)))
+    monkeypatch.setattr(run, "_outcomes", made_here)
 
 
 def test_an_unchanged_pool_is_read_not_made(tree, here):
@@ -66,6 +72,53 @@ def test_an_unchanged_pool_is_read_not_made(tree, here):
     assert time.perf_counter() - start < 1.0
     assert (first.num_cached, second.num_cached) == (0, 1)
     assert not second.failures
+
+
+def test_a_line_tells_of_each_object_and_what_it_cost(tree, monkeypatch, capsys):
+    late = Outcome(fault="it was not done after 120 s", seconds=120.0, cpu_seconds=119.5, is_late=True)
+
+    def some(jobs, config):
+        for index, job in enumerate(jobs):
+            cost = {"seconds": 2.0, "cpu_seconds": 1.5}
+            yield index, late if job.source.name == "cube" else Outcome(run.made(job), **cost)
+
+    monkeypatch.setattr(run, "_outcomes", some)
+    status = Import(sources=(str(tree),), pool="mine", trials=8, progress=False).run()
+    assert status == 1
+    out, err = capsys.readouterr()
+    assert "crate: made in 2.0 s, 1.5 CPU-seconds: 1 part, 0.096 kg" in err
+    assert "cube: failed after 120.0 s, 119.5 CPU-seconds" in err
+    assert "not done after 120 s. Try: a longer --time-limit" in err
+    assert "cost: 124.0 s of work, 122.5 CPU-seconds; most: cube 120.0 s, crate 2.0 s, lamp 2.0 s" in out
+    report = import_sources([tree], "mine", QUICK)
+    assert report.num_cached == 1
+    assert set(report.costs) == {"cube", "lamp"}
+    assert find_pool("mine").names == ("crate",)
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_time_limit_is_a_length_of_time(limit):
+    with pytest.raises(ConfigError, match="time_limit"):
+        ImportConfig(time_limit=limit)
+
+
+def test_a_second_try_is_said(tree):
+    (source,) = find_sources(tree / "crate.obj")
+    job = run.Job(source, "key", ObjectConfig(trials=8))
+    assert "SIGSEGV" in run.made(run.second_try(job, "its worker process crashed (SIGSEGV)")).flags[0]
+
+
+def test_a_minute_jitter_leaves_the_parts_of_a_bracket(tmp_path):
+    bracket = trimesh.boolean.union(
+        [
+            trimesh.creation.box((0.1, 0.03, 0.02)),
+            trimesh.creation.box((0.02, 0.03, 0.1)),
+        ]
+    )
+    solid = solid_of([Mesh(bracket.vertices, bracket.faces)])
+    plain, moved = (decompose(solid, DecompositionConfig(), jitter) for jitter in (0.0, 1e-4))
+    volumes = [sum(hull_of(part).volume for part in parts) for parts in (plain, moved)]
+    assert volumes[1] == pytest.approx(volumes[0], rel=0.05)
 
 
 def test_changed_content_needs_force(tree, here):

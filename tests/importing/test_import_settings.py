@@ -13,6 +13,7 @@ from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
 from cluttergen_jax.importing.readers.axes import AXES, turn_of
 from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
+from tests.helpers.imports import made_here
 
 SIZE = (0.03, 0.05, 0.07)
 QUICK = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
@@ -21,7 +22,7 @@ QUICK = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
 @pytest.fixture(autouse=True)
 def here(home, monkeypatch):
     # Jobs run in this process: spawning has its own tests, and costs seconds.
-    monkeypatch.setattr(run, "run_all", lambda do, jobs, _: ((i, do(job)) for i, job in enumerate(jobs)))
+    monkeypatch.setattr(run, "_outcomes", made_here)
 
 
 @pytest.fixture

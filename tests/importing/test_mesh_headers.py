@@ -4,6 +4,7 @@ import json
 import struct
 import sys
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.readers.text import utf8
 
+CASES = Path(__file__).parents[1] / "cases" / "import" / "09_stl_trailing"
 OBJ = """# {comment}
 mtllib box.mtl
 v 0 0 0
@@ -132,8 +134,9 @@ def ply_of(encoding, rows):
         ("a.glb", glb(negative), "header is damaged"),
         ("a.glb", glb(no_number), "header is damaged"),
         ("a.glb", glb(lambda _: None)[:-50], "damaged"),
-        ("a.stl", stl_of(3_000_000_000), "3,000,000,000 triangles"),
-        ("a.stl", stl_of(11), "11 triangles"),
+        ("a.stl", stl_of(3_000_000_000)[:-50], "3,000,000,000 triangles"),
+        ("a.stl", stl_of(12)[:-50], "12 triangles"),
+        ("a.stl", stl_of(12)[:-20], "12 triangles"),
         ("a.ply", ply_of("binary", 3_000_000_000), "header announces|promises"),
         ("a.ply", ply_of("ascii", 3_000_000_000), "header announces|promises"),
     ],
@@ -156,3 +159,33 @@ def test_sound_files_pass(tmp_path, suffix):
     trimesh.creation.icosphere(subdivisions=2, radius=0.05).export(path)
     (shape,) = read_source(path)
     assert len(shape.pieces[0].mesh.faces) == 320
+
+
+@pytest.mark.parametrize("count", [0, 11, 13, 2**31 - 1, 3_000_000_000, 2**32 - 1])
+def test_a_false_count_of_an_stl_file_is_said(tmp_path, count):
+    (tmp_path / "a.stl").write_bytes(stl_of(count))
+    (shape,) = read_source(tmp_path / "a.stl")
+    assert len(shape.pieces[0].mesh.faces) == 12
+    assert any(f"announces {count:,} triangles: the 12 " in note for note in shape.notes)
+
+
+@pytest.mark.parametrize("rest", [b"\0", b"\r\n", b"x" * 50, b"COLOR=" + bytes(200)])
+def test_bytes_after_the_last_triangle_of_an_stl_file_are_said(tmp_path, rest):
+    (tmp_path / "a.stl").write_bytes(stl_of(12) + rest)
+    (shape,) = read_source(tmp_path / "a.stl")
+    assert shape.pieces[0].mesh.volume == pytest.approx(0.05**3, rel=1e-5)
+    assert any(f"{len(rest)} bytes after its last triangle" in note for note in shape.notes)
+
+
+def test_a_binary_stl_file_may_begin_like_one_of_text(tmp_path):
+    for count in (12, 0):
+        (tmp_path / "a.stl").write_bytes(b"solid with facet".ljust(80) + stl_of(count)[80:])
+        (shape,) = read_source(tmp_path / "a.stl")
+        assert len(shape.pieces[0].mesh.faces) == 12
+
+
+def test_a_file_with_a_newline_after_its_triangles():
+    """As it was sent."""
+    (shape,) = read_source(CASES / "trail.stl")
+    assert len(shape.pieces[0].mesh.faces) == 12
+    assert any("2 bytes" in note for note in shape.notes)

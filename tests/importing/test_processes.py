@@ -1,11 +1,21 @@
-"""Worker processes: results come back by index, a crash costs one job, an early exit leaves no worker."""
+"""Worker processes: results come back by index, a crash costs one job, an early exit leaves no worker.
+
+So does a job without an end. What ended a worker is told.
+"""
 
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
-from cluttergen_jax.importing.processes import CRASHED, run_all
+import psutil
+import pytest
+
+from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.importing.processes import Crew, death, run_all
 
 
 def reciprocal(number):
@@ -24,9 +34,89 @@ def sleep(seconds):
     return ""
 
 
+def end(how):
+    """Ends its own process by a signal, or with a status, or computes for ever; or returns what it is."""
+    if how == "spin":
+        while True:
+            pass
+    if isinstance(how, signal.Signals):
+        os.kill(os.getpid(), how)
+    if isinstance(how, int):
+        os._exit(how)
+    return how
+
+
+def spin_named(folder):
+    """Says which process it is, and computes for ever."""
+    Path(folder, str(os.getpid())).touch()
+    end("spin")
+
+
+def plain(job, fault):
+    """A second job in the place of one that was lost."""
+    return f"second try after: {fault}"
+
+
+class Unborn:
+    """A job that ends the process that unpickles it."""
+
+    def __reduce__(self):
+        return os._exit, (7,)
+
+
+def outcomes(jobs, **options):
+    crew = Crew(end, 2, **options)
+    try:
+        return dict(crew.outcomes(jobs))
+    finally:
+        crew.close()
+
+
 def test_a_crash_costs_only_its_own_job():
     results = dict(run_all(reciprocal, [1, 2, 0, 4], 1))
-    assert results == {0: "1.0", 1: "0.5", 2: CRASHED, 3: "0.25"}
+    lost = results.pop(2)
+    assert results == {0: "1.0", 1: "0.5", 3: "0.25"}
+    assert "SIGKILL" in lost
+    assert "memory" in lost
+
+
+def test_what_ended_a_worker_is_told():
+    found = outcomes([signal.SIGSEGV, signal.SIGABRT, 3, "well"])
+    assert "SIGSEGV" in found[0].fault
+    assert "SIGABRT" in found[1].fault
+    assert "status 3" in found[2].fault
+    assert "memory" not in "".join(each.fault for each in found.values())
+    assert (found[3].result, found[3].fault) == ("well", "")
+    assert "signal 250" in death(-250)
+
+
+def test_a_job_without_an_end_is_ended_and_the_rest_goes_on():
+    found = outcomes(["spin", "well"], limit=0.6)
+    assert found[1].result == "well"
+    assert found[0].is_late
+    assert "not done after 0.6 s" in found[0].fault or found[0].seconds > 0.65
+    assert found[0].seconds >= 0.6
+    if sys.platform.startswith("linux"):
+        assert 0 < found[0].cpu_seconds <= found[0].seconds + 0.1
+
+
+@pytest.mark.parametrize("how", ["spin", signal.SIGSEGV])
+def test_a_lost_job_is_tried_once_more_in_another_way(how):
+    found = outcomes([how], limit=0.6, again=plain)[0]
+    assert not found.fault
+    assert found.result.startswith("second try after: it")
+    found = outcomes([how], limit=0.6, again=lambda job, fault: job)[0]
+    assert found.fault
+    assert found.seconds < 60
+
+
+def test_workers_that_cannot_begin_end_the_run():
+    with pytest.raises(ClutterGenError, match=r"status 7.*__main__"):
+        outcomes([Unborn()])
+
+
+def test_a_result_of_none_is_one():
+    assert outcomes([None])[0].fault == ""
 
 
 def test_workers_take_one_thread_and_no_gpu():
@@ -39,11 +129,38 @@ def test_leaving_early_ends_the_workers():
     assert next(results) == (0, "")
     start = time.perf_counter()
     results.close()
-    for process in multiprocessing.active_children():
-        process.join(10)
     assert time.perf_counter() - start < 20
     assert not multiprocessing.active_children()
 
 
 def test_no_jobs_need_no_process():
     assert list(run_all(reciprocal, [], 4)) == []
+
+
+def is_running(pid):
+    """Whether there is such a process, and not only its name in a table that nobody has cleared."""
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs signals")
+def test_workers_do_not_outlive_a_parent_that_is_killed(tmp_path):
+    """A worker that computes for ever hears nothing of its parent's end."""
+    code = (
+        "from tests.importing.test_processes import spin_named\n"
+        "from cluttergen_jax.importing.processes import Crew\n"
+        f"jobs = [{str(tmp_path)!r}]\n"
+        "next(Crew(spin_named, 1).outcomes(jobs))\n"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code])
+    deadline = time.time() + 60
+    while not list(tmp_path.iterdir()) and time.time() < deadline:
+        time.sleep(0.05)
+    (named,) = tmp_path.iterdir()
+    parent.kill()
+    parent.wait()
+    while is_running(int(named.name)) and time.time() < deadline:
+        time.sleep(0.05)
+    assert not is_running(int(named.name))

@@ -1,4 +1,4 @@
-"""COLLADA polygons: pycollada cuts every one into a fan; here those that a fan would fold are cut otherwise."""
+"""COLLADA polygons: pycollada cuts each into a fan; here those that a fan would fold are cut otherwise."""
 
 from __future__ import annotations
 

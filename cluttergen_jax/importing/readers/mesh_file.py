@@ -100,7 +100,8 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
 
 def _parsed(path: Path, beside: Companions) -> tuple[trimesh.Scene, list[str]]:
     """What trimesh makes of a file whose concave polygons are cut and whose counts are right, and notes."""
-    content, notes = opened(path), []
+    content = opened(path)
+    notes: list[str] = []
     if (mend := _MENDS.get(path.suffix.lower())) is not None:
         data, of_content = mend(content["file_obj"].getvalue())
         content["file_obj"] = io.BytesIO(data)

@@ -1,4 +1,4 @@
-"""PLY files with polygons: those that a fan would fold are cut, and faces of several lengths become triangles.
+"""PLY files with polygons: cut where a fan would fold, and all as triangles where they differ in length.
 
 The parser takes faces of several lengths in text, but not in binary files. So every polygon of such a file is
 written anew as triangles, each with what the file says of its polygon.
@@ -18,8 +18,9 @@ import numpy as np
 from cluttergen_jax.importing.readers.polygons import CROSSING, cuts
 
 _CODES = {
-    "char": "b", "int8": "b", "uchar": "B", "uint8": "B", "short": "h", "int16": "h", "ushort": "H", "uint16": "H",
-    "int": "i", "int32": "i", "uint": "I", "uint32": "I", "float": "f", "float32": "f", "double": "d", "float64": "d",
+    "char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f",
+    "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I",
+    "double": "d", "float32": "f", "float64": "d",
 }  # fmt: skip
 _CORNERS = ("vertex_indices", "vertex_index")
 _END = re.compile(rb"end_header[ \t]*\r?\n")
@@ -120,7 +121,7 @@ def _order(head: Sequence[str]) -> str:
 
 
 def _is_of_triangles(body: bytes, vertex: _Element, face: _Element, place: int, order: str) -> bool:
-    """Whether all faces of a binary file are triangles with nothing else of varying length: most large ones."""
+    """Whether all faces of a binary file are triangles, with no other lists: so are most large ones."""
     lists = [each for each in (*vertex.properties, *face.properties) if each.count]
     if len(lists) > 1:
         return False

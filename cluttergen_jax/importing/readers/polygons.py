@@ -1,8 +1,8 @@
 """Polygons of mesh files: those that a fan from the first corner would fold are cut into other triangles.
 
-The parsers cut every polygon into a fan. Of one with a concave outline such triangles lie over each other, with the
-outline's edges and its area still right: closed, and no solid. So the file is handed to them with these
-polygons already cut, by Manifold's ear clipping; all other polygons stay as they are.
+The parsers cut every polygon into a fan. Of one with a concave outline such triangles lie over each other,
+with the outline's edges and its area by sign still right: closed, and no solid. So the file is handed to them with
+these polygons already cut, by Manifold's ear clipping; all other polygons stay as they are.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def cuts(points: np.ndarray, polygons: Sequence[np.ndarray]) -> tuple[dict[int, 
     lengths = np.array([len(each) for each in polygons], np.int64)
     for length in np.unique(lengths[lengths > 3]):
         which = np.flatnonzero(lengths == length)
-        corners = points[np.stack([polygons[index] for index in which])]
+        corners = points[np.stack([polygons[index] for index in which.tolist()])]
         for index in np.flatnonzero(_is_folded_fan(corners)):
             triangles = _ears(corners[index])
             if triangles is None:

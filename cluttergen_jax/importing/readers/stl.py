@@ -33,8 +33,8 @@ def announced(data: bytes) -> int:
 def num_triangles(data: bytes, count: int) -> int | None:
     """How many triangles there are after the head of a binary file; None if some have been cut off.
 
-    All that fit where the count stands for none or they close the surface, which those of the count do not; else
-    the first `count`.
+    All that fit, where the count stands for none, or where they close the surface and those of the count do
+    not; else the first `count`.
 
     Args:
       data: the whole file; count: what it announces.
@@ -51,7 +51,7 @@ def num_triangles(data: bytes, count: int) -> int | None:
 
 
 def sound_stl(data: bytes) -> tuple[bytes, tuple[str, ...]]:
-    """A binary file with a count that is right and nothing after its triangles, and what was wrong with it."""
+    """A binary file with a true count and nothing after its triangles, and what was wrong with it."""
     count = announced(data)
     number = None if is_text_stl(data, len(data)) or len(data) < _HEAD else num_triangles(data, count)
     if number is None:
@@ -65,7 +65,7 @@ def sound_stl(data: bytes) -> tuple[bytes, tuple[str, ...]]:
 
 
 def _is_closed(data: bytes, number: int) -> bool:
-    """Whether each edge of the first `number` triangles is passed as often in one direction as in the other."""
+    """Whether the first `number` triangles pass each edge as often in one direction as in the other."""
     corners = np.frombuffer(data, _RECORD, number, _HEAD)["corners"].reshape(-1, 3)
     if not number or not np.isfinite(corners).all():
         return False
