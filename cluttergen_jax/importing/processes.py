@@ -67,9 +67,10 @@ def run_all(
 class Crew:
     """Worker processes, one job each at a time.
 
-    A worker that dies takes one job with it. If something outside has killed it, for want of memory perhaps,
-    the job is tried a second time when all others are done, alone. After any other death, and after a job over
-    its limit, which is ended with its worker, the second try is what `again` makes of the job, if that is given.
+    A worker that dies takes one job with it. If something outside has killed it, for want of memory
+    perhaps, the job is tried a second time when all others are done, alone. After any other death, and
+    after a job over its limit, which is ended with its worker, the second try is what `again` makes of the
+    job, if that is given.
 
     Args:
       function: of a job, for all workers; it and the jobs are pickled.

@@ -133,6 +133,19 @@ def test_corners_keep_their_texture_coordinates(tmp_path):
     np.testing.assert_allclose(mesh.visual.uv, mesh.vertices[:, :2])
 
 
+@pytest.mark.parametrize("is_quad", [False, True])
+def test_corners_that_count_back_do_so_from_their_own_line(is_quad, tmp_path):
+    vertices, polygons = prism(np.array([[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]), 0)
+    lines = []
+    for polygon in polygons:
+        for part in [polygon] if is_quad else [polygon[:3], [*polygon[2:], polygon[0]]]:
+            lines += ["v {} {} {}".format(*vertices[i]) for i in part] + ["vt 0 0"]
+            lines += ["f " + " ".join(f"{i}/-1" for i in range(-len(part), 0))]
+    (tmp_path / "box.obj").write_text("\n".join(lines))
+    (shape,) = read_source(tmp_path / "box.obj")
+    assert cleaned(shape.pieces[0].mesh).volume == pytest.approx(0.1 * 0.1 * HEIGHT)
+
+
 def test_what_a_fan_covers_stays_as_it_is():
     ring = np.linspace(0, 2 * np.pi, 9)[:-1]
     what = prism(0.05 * np.stack([np.cos(ring), np.sin(ring)], 1), 3)

@@ -1,8 +1,8 @@
 """Polygons of mesh files: those that a fan from the first corner would fold are cut into other triangles.
 
 The parsers cut every polygon into a fan. Of one with a concave outline such triangles lie over each other,
-with the outline's edges and its area by sign still right: closed, and no solid. So the file is handed to them with
-these polygons already cut, by Manifold's ear clipping; all other polygons stay as they are.
+with the outline's edges and its area by sign still right: closed, and no solid. So the file is handed to
+them with these polygons already cut, by Manifold's ear clipping; all other polygons stay as they are.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ _SLACK = 1e-9
 """Of a polygon's area: so much of a triangle may face the other way, by rounding."""
 _OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
 _OBJ_POLYGON = re.compile(rb"^[ \t]*f((?:[ \t]+[-+\d/]+){4,})[ \t\r]*(?:#.*)?$", re.MULTILINE)
+_OBJ_BACKWARD = re.compile(rb"^[ \t]*f[^\n]*[ \t/]-", re.MULTILINE)
+_OBJ_LINE = re.compile(rb"^[ \t]*(vt|vn|v|f)[ \t]+([^\n#]*)", re.MULTILINE)
 CROSSING = "a polygon whose outline crosses itself is cut into a fan from its first corner"
 
 
@@ -93,10 +95,13 @@ def _area(outline: np.ndarray) -> float:
 def cut_obj(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     """The text of an OBJ file with its concave polygons cut, and what to say of others.
 
-    Corners keep their own words, and with them texture coordinates and normals. What the parser itself would
-    refuse stays as it is.
+    Corners keep their own words, and with them texture coordinates and normals. Negative ones count back from
+    their own line, but the parser counts them from the last: they are written as counted from the first. What
+    the parser itself would refuse stays as it is.
     """
     data = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    if _OBJ_BACKWARD.search(data):
+        data = _forward(data)
     lines = list(_OBJ_POLYGON.finditer(data))
     if not lines:
         return data, ()
@@ -115,10 +120,30 @@ def cut_obj(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     return b"".join([*parts, data[end:]]), (CROSSING,) if is_crossing else ()
 
 
+def _forward(data: bytes) -> bytes:
+    """The text of an OBJ file with all corners counted from the first."""
+    numbers = {b"v": 0, b"vt": 0, b"vn": 0}
+    parts, end = [], 0
+    for line in _OBJ_LINE.finditer(data):
+        if line[1] != b"f":
+            numbers[line[1]] += 1
+            continue
+        words = (zip(word.split(b"/"), numbers.values(), strict=False) for word in line[2].split())
+        corners = [b"/".join(_counted(name, number) for name, number in word) for word in words]
+        parts += [data[end : line.start()], b"f " + b" ".join(corners)]
+        end = line.end()
+    return b"".join([*parts, data[end:]])
+
+
+def _counted(name: bytes, number: int) -> bytes:
+    """A corner's index from the first on; `number` there are so far."""
+    is_backward = name[:1] == b"-" and name[1:].isdigit() and 0 < int(name[1:]) <= number
+    return b"%d" % (number + 1 + int(name)) if is_backward else name
+
+
 def _obj_corners(words: Sequence[bytes], num_points: int) -> np.ndarray:
-    """i64[N]: the vertices of a face, from zero on; as the parser does, negative ones count from the last."""
-    named = np.array([int(word.partition(b"/")[0]) for word in words])
-    corners = np.where(named > 0, named - 1, named + num_points)
+    """i64[N]: the vertices of a face, from zero on."""
+    corners = np.array([int(word.partition(b"/")[0]) for word in words]) - 1
     if corners.min() < 0 or corners.max() >= num_points:
         raise IndexError("a vertex that is not there")
     return corners

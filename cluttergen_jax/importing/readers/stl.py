@@ -1,7 +1,8 @@
 """Binary STL files: how many triangles one holds, where its length says otherwise than its count.
 
 The format is a head of 80 bytes, a count, and 50 bytes for each triangle. Some programs write something of
-their own after the last triangle; those that do not know the number beforehand leave it at 0 or at its greatest.
+their own after the last triangle; those that do not know the number beforehand leave it at 0 or at its
+greatest.
 """
 
 from __future__ import annotations
