@@ -10,17 +10,18 @@ import numpy as np
 from cluttergen_jax.assets.cloud import surface_cloud
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose
-from cluttergen_jax.assets.deviation import deviation
+from cluttergen_jax.assets.deviation import deviation, size_alarm
 from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.hollow import MAX_FILL, Hollow, find_hollow, holds_ball, known_hollow
 from cluttergen_jax.assets.inertia import MassProperties, mass_properties
+from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
 from cluttergen_jax.assets.parts import MAX_BASE_CORNERS, as_meshes, finished, hull_of
 from cluttergen_jax.assets.pieces import drawn
 from cluttergen_jax.assets.rest import resting_poses, settled_turn, tilt_of
 from cluttergen_jax.assets.shape import Provenance, Shape
 from cluttergen_jax.assets.solid import Solid, solid_of
-from cluttergen_jax.assets.stated_mass import believed
+from cluttergen_jax.assets.stated_mass import believed, mass_alarm
 from cluttergen_jax.errors import AssetError, ConfigError
 
 MAX_DEVIATION = 0.05
@@ -237,11 +238,20 @@ def _asset(
             cavity_fill=None if best.fill is None else round(best.fill, 4),
             holds_ball=best.holds,
         ),
-        flags=tuple(_faults(best, config)),
+        flags=(*_alarms(shape, solid), *_faults(best, config)),
         notes=notes,
         friction=shape.friction,
     )
     return replace(asset, resting=resting_poses(asset, config.seed))
+
+
+def _alarms(shape: Shape, solid: Solid) -> Iterator[str]:
+    """Where an object's file contradicts itself: what it holds may not be the object that is meant."""
+    colliding = shape.colliding or shape.parts
+    if colliding and (alarm := size_alarm(solid.surface.vertices, joined(colliding).vertices)):
+        yield alarm
+    if shape.mass is None and shape.stated is not None and (alarm := mass_alarm(shape.stated, solid.mesh)):
+        yield alarm
 
 
 def _faults(best: _Candidate, config: BodyConfig) -> Iterator[str]:

@@ -10,6 +10,8 @@ MAX_TEXTURE = 1024
 """Pixels a side that an imported image has at most, unless asked."""
 MAX_PART_VERTICES = 32
 """Vertices that a convex part has at most."""
+ALARM_FACTOR = 3.0
+"""What a file says twice may differ by this much: what is seen and what collides, mass and size."""
 NUM_TRIALS = 256
 """Placements by which an object's solo stability is measured."""
 TIME_LIMIT = 120.0

@@ -1,4 +1,7 @@
-"""How far the parts' surface is from the mesh: the symmetric Hausdorff distance, by sampling."""
+"""How far the parts' surface is from the mesh, and whether the two can be one object.
+
+The former is the symmetric Hausdorff distance, by sampling.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.cloud import sample_solid, sample_surface
+from cluttergen_jax.assets.config import ALARM_FACTOR
 from cluttergen_jax.assets.mesh import Mesh, joined
-from cluttergen_jax.assets.parts import hull_of
+from cluttergen_jax.assets.parts import hull_of, sound_points
 from cluttergen_jax.assets.solid import Solid
 from cluttergen_jax.assets.voxels import Voxels
 
@@ -67,3 +71,33 @@ def deviation(parts: Sequence[np.ndarray], solid: Solid, seed: int = 0) -> float
 def hull_deviation(points: np.ndarray, solid: Solid) -> float:
     """`deviation` of a single hull."""
     return deviation([points], solid)
+
+
+def size_alarm(surface: np.ndarray, colliding: np.ndarray) -> str:
+    """Why what is seen and what collides can hardly be one object; empty if they can.
+
+    The space that both take together is held against that of the smaller: so it matters as well whether they
+    lie in one place. Space is that of the convex hull or of the box around it, whichever differs less: hollow
+    things, thin shells and boxes around forks are all sound.
+
+    Args:
+      surface, colliding: f64[N, 3], all vertices of each.
+    """
+    spaces = [_spaces(points) for points in (surface, colliding, np.concatenate([surface, colliding]))]
+    ratio = float((spaces[2] / np.minimum(spaces[0], spaces[1])).min())
+    if ratio < ALARM_FACTOR:
+        return ""
+    seen, hit = (
+        " x ".join(f"{1000 * side:.0f}" for side in np.ptp(each, axis=0)) for each in (surface, colliding)
+    )
+    return (
+        f"what is seen ({seen} mm) and what collides ({hit} mm) do not match: together they take "
+        f"{ratio:.3g} times the space of the smaller"
+    )
+
+
+def _spaces(points: np.ndarray) -> np.ndarray:
+    """f64[2]: the volumes of the hull and of the box around it, m^3; what is flat is given a thickness."""
+    points = sound_points(points)
+    hull, box = hull_of(points), float(np.ptp(points, axis=0).prod())
+    return np.array([box if hull is None else hull.volume, box])

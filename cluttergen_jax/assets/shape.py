@@ -91,6 +91,7 @@ class Shape:
       stated: mass and inertia as the object's own file has them, not yet believed.
       friction: sliding coefficient wherever the object touches something; None for the contact's.
       notes: what its reader decided on the user's behalf, in words.
+      colliding: all that collides according to its file, whether or not it can serve as `parts`.
     """
 
     name: str
@@ -104,3 +105,4 @@ class Shape:
     stated: StatedMass | None = None
     friction: float | None = None
     notes: tuple[str, ...] = ()
+    colliding: tuple[Mesh, ...] = ()

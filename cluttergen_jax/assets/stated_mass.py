@@ -7,11 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cluttergen_jax.assets.config import ALARM_FACTOR
 from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 
 MIN_DENSITY, MAX_DENSITY = 20.0, 20_000.0
+# What everyday things weigh over their convex hulls, kg/m^3: from an empty pitcher to a block of stone. Steel
+# and toys of plush lie beyond it, by less than the factor of an alarm.
+_USUAL_DENSITY = (75.0, 3000.0)
 # How far the principal moments may be from those of the same mass spread evenly.
 _MAX_RATIO = 4.0
 # A body whose moments differ by less than this may well have one moment about every axis.
@@ -87,6 +91,30 @@ def believed(
             "the mass is spread evenly over its volume instead"
         )
     return stated.body, ""
+
+
+def mass_alarm(stated: StatedMass, solid: Mesh) -> str:
+    """Why a stated mass and the object's size contradict each other, taken or not; empty if they do not.
+
+    Over the convex hull, so that hollow things and thin shells are as heavy as they look; over the volume of
+    the mesh as well where no material weighs so much.
+
+    Args:
+      stated: in the solid's frame.
+      solid: closed, oriented outwards.
+    """
+    mass, hull = stated.body.mass, hull_of(solid.vertices)
+    if hull is None or not (np.isfinite(mass) and mass > 0):
+        return ""
+    low, high = _USUAL_DENSITY
+    over_hull, over_mesh = mass / hull.volume, mass / solid.volume
+    if not low / ALARM_FACTOR <= over_hull <= high * ALARM_FACTOR:
+        told = f"{over_hull:,.3g} kg/m^3 over its convex hull, where {low:g} to {high:,.0f} are usual"
+    elif not MIN_DENSITY <= over_mesh <= MAX_DENSITY:
+        told = f"{over_mesh:,.3g} kg/m^3 over the volume of its mesh"
+    else:
+        return ""
+    return f"its stated mass of {mass:.3g} kg does not fit its size: {told}"
 
 
 def _why_no_mass(stated: StatedMass, density: float, even: MassProperties) -> str:

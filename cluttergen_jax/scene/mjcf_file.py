@@ -1,6 +1,7 @@
 """A whole scene from somebody's MJCF file: free bodies as objects, all that is fixed as the support.
 
-For looking and drawing. What a scene file does not say is left open: resting poses, licences.
+For looking and drawing. What a scene file does not say is left open: resting poses, licences. What is seen is
+decided as for imports (`readers.mjcf_roles`); planes are left to whoever draws, who has a floor of his own.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import rotation_matrix, transformed
-from cluttergen_jax.importing.readers.mjcf import compiled, geom_mesh, geom_piece, is_solid
+from cluttergen_jax.importing.readers.mjcf import compiled
+from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece
+from cluttergen_jax.importing.readers.mjcf_roles import Roles, roles_of
 from cluttergen_jax.scene.scene import Scene
 
 _FLAT = 0.01
@@ -27,7 +30,7 @@ def read_mjcf_scene(path: str | Path) -> Scene:
     """Reads a scene at its keyframe called `scene`, its first keyframe, or its reference configuration.
 
     Raises:
-      AssetError: MuJoCo cannot compile the file, or no body in it is free.
+      AssetError: MuJoCo cannot compile the file, or no body in it is free and has a surface.
     """
     path = Path(path)
     model = compiled(path)
@@ -39,25 +42,35 @@ def read_mjcf_scene(path: str | Path) -> Scene:
     free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
     if not len(free):
         raise AssetError(f"{path} holds nothing that can move freely", "a file with free bodies")
+    roles = {int(body): _roles(model, data, model.body_rootid == body) for body in free}
+    # A free body of helpers alone, such as a target that is moved about, is none of the objects.
+    free = np.array([body for body, found in roles.items() if found.surface], int)
+    if not len(free):
+        raise AssetError(
+            f"{path} holds free bodies, but nothing of them is seen or collides",
+            "geoms in groups 0 to 2 with an alpha above 0, or geoms that collide; planes do not count",
+        )
     provenance = Provenance(path.name, "not stated")
-    objects = tuple(_object(model, data, int(body), provenance) for body in free)
+    objects = tuple(_object(model, data, body, roles[body], provenance) for body in free.tolist())
     poses = np.concatenate([data.xpos[free], data.xquat[free]], axis=1)
     names = tuple(asset.name for asset in objects)
     return Scene(names, objects, poses, _support(model, data, objects, poses, provenance))
 
 
-def _object(model: mujoco.MjModel, data: mujoco.MjData, body: int, provenance: Provenance) -> ObjectAsset:
+def _roles(model: mujoco.MjModel, data: mujoco.MjData, is_of: np.ndarray) -> Roles:
+    """The roles of all geoms of the bodies that bool[nbody] `is_of` marks."""
+    return roles_of(model, data, np.flatnonzero(is_of[model.geom_bodyid]).tolist())
+
+
+def _object(
+    model: mujoco.MjModel, data: mujoco.MjData, body: int, roles: Roles, provenance: Provenance
+) -> ObjectAsset:
     turn, origin = data.xmat[body].reshape(3, 3), data.xpos[body]
-    geoms = [i for i in range(model.ngeom) if _root(model, i) == body and is_solid(model, i)]
-    touches = [i for i in geoms if model.geom_contype[i] or model.geom_conaffinity[i]]
-    seen = [i for i in geoms if i not in touches] or geoms
     name = model.body(body).name or f"body-{body}"
-    if not geoms:
-        raise AssetError(f"body {name} has no solid geoms")
-    local = {i: geom_mesh(model, data, i).transformed(turn.T, -turn.T @ origin) for i in geoms}
-    pieces = tuple(geom_piece(model, data, i).transformed(turn.T, -turn.T @ origin) for i in seen)
+    pieces = tuple(geom_piece(model, data, i).transformed(turn.T, -turn.T @ origin) for i in roles.surface)
+    meshes = (geom_mesh(model, data, i) for i in roles.colliding or roles.surface)
+    parts = tuple(Mesh.points(mesh.transformed(turn.T, -turn.T @ origin).vertices) for mesh in meshes)
     axes = rotation_matrix(model.body_iquat[body])
-    parts = tuple(Mesh.points(local[i].vertices) for i in touches or geoms)
     return ObjectAsset(
         name=name,
         label=name,
@@ -70,12 +83,6 @@ def _object(model: mujoco.MjModel, data: mujoco.MjData, body: int, provenance: P
         resting=(RestingPose((1.0, 0.0, 0.0, 0.0), float(-parts[0].vertices[:, 2].min()), 1.0),),
         provenance=provenance,
     )
-
-
-def _root(model: mujoco.MjModel, geom: int) -> int:
-    """The world's child that a geom hangs on; 0 for the world's own."""
-    body = int(model.geom_bodyid[geom])
-    return int(model.body_rootid[body])
 
 
 def _cloud(mesh: Mesh) -> np.ndarray:
@@ -92,11 +99,7 @@ def _support(
     provenance: Provenance,
 ) -> SupportAsset:
     """All fixed geoms; the top is where the lowest object stands."""
-    fixed = [
-        i for i in range(model.ngeom) if model.body_weldid[model.geom_bodyid[i]] == 0 and is_solid(model, i)
-    ]
-    touches = [i for i in fixed if model.geom_contype[i] or model.geom_conaffinity[i]]
-    seen = [i for i in fixed if i not in touches] or fixed
+    seen = _roles(model, data, model.body_weldid == 0).surface
     pieces = tuple(geom_piece(model, data, i) for i in seen)
     placed = zip(objects, poses, strict=True)
     corners = [transformed(pose, part.vertices) for each, pose in placed for part in each.parts]

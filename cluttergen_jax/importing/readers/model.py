@@ -25,6 +25,7 @@ class Model:
       stated: mass and inertia, or None if the file has none.
       density: kg/m^3 as the file has it, for where it has no mass; None if it has none.
       notes: what was decided about the model, in words.
+      colliding: all that collides as the file has it, convex or not; empty where it tells nothing apart.
     """
 
     pieces: list[Piece]
@@ -32,6 +33,7 @@ class Model:
     stated: StatedMass | None
     notes: tuple[str, ...] = ()
     density: float | None = None
+    colliding: tuple[Mesh, ...] = ()
 
 
 def frozen_note(joints: Iterable[str]) -> tuple[str, ...]:

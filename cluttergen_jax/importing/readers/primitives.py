@@ -1,4 +1,4 @@
-"""Boxes, cylinders, spheres, capsules and ellipsoids as meshes, and as convex parts of few vertices."""
+"""Boxes, cylinders, spheres, capsules, ellipsoids and height fields as meshes."""
 
 from __future__ import annotations
 
@@ -29,6 +29,30 @@ def capsule(radius: float, half_height: float) -> Mesh:
     tri = trimesh.creation.capsule(height=2 * half_height, radius=radius, count=(16, 16))
     tri.apply_translation(-tri.bounds.mean(0))
     return _mesh(tri)
+
+
+def height_field(heights: np.ndarray, half_x: float, half_y: float, base: float) -> Mesh:
+    """The ground under a grid of heights as a closed mesh, down to z = -base.
+
+    Args:
+      heights: f[R, C], metres, at least 2 x 2; columns run along x, rows along y, evenly from -half to +half.
+    """
+    rows, columns = heights.shape
+    y, x = np.meshgrid(
+        np.linspace(-half_y, half_y, rows), np.linspace(-half_x, half_x, columns), indexing="ij"
+    )
+    top = np.stack([x, y, heights], axis=-1).reshape(-1, 3)
+    bottom = top * [1, 1, 0] - [0, 0, base]
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    upper = np.concatenate([np.stack(each, axis=-1).reshape(-1, 3) for each in ((a, b, c), (a, c, d))])
+    # The outline, counter-clockwise seen from above, each point once.
+    rim = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
+    after, below = np.roll(rim, -1), rows * columns
+    sides = [
+        np.stack(each, axis=-1) for each in ((rim, rim + below, after), (after, rim + below, after + below))
+    ]
+    return Mesh(np.concatenate([top, bottom]), np.concatenate([upper, upper[:, ::-1] + below, *sides]))
 
 
 def _mesh(tri: trimesh.Trimesh) -> Mesh:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from cluttergen_jax.assets.folds import unfolded
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.axes import AUTO, own_up, turn_of
@@ -49,17 +50,20 @@ def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
         label=source.label,
         pieces=tuple(piece.transformed(turn, np.zeros(3)) for piece in pieces),
         provenance=_provenance(source, options),
-        parts=None
-        if model.parts is None
-        else tuple(part.transformed(turn, np.zeros(3)) for part in model.parts),
+        parts=None if model.parts is None else _turned(model.parts, turn),
         mass=options.mass,
         density=density,
         stated=None if model.stated is None else model.stated.scaled(rotation, options.scale, mass_scale),
         friction=options.friction,
         notes=notes,
+        colliding=_turned(model.colliding, turn),
     )
     _check_size(shape, source.path)
     return shape
+
+
+def _turned(meshes: Sequence[Mesh], turn: np.ndarray) -> tuple[Mesh, ...]:
+    return tuple(mesh.transformed(turn, np.zeros(3)) for mesh in meshes)
 
 
 def _model(source: ObjectFile, options: ReadOptions) -> tuple[Model, float]:

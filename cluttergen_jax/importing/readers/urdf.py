@@ -79,6 +79,7 @@ def read_urdf(path: Path, max_side: int = MAX_TEXTURE) -> Model:
         stated=None if stated is None else stated.scaled(np.eye(3), scale),
         notes=tuple(dict.fromkeys([*_notes(robot, joints, masses), *joints.notes, *reader.notes])),
         density=_density(robot, path),
+        colliding=tuple(piece.mesh for piece in collisions),
     )
 
 
