@@ -91,8 +91,8 @@ def size_alarm(surface: np.ndarray, colliding: np.ndarray) -> str:
         " x ".join(f"{1000 * side:.0f}" for side in np.ptp(each, axis=0)) for each in (surface, colliding)
     )
     return (
-        f"what is seen ({seen} mm) and what collides ({hit} mm) do not match: together they take "
-        f"{ratio:.3g} times the space of the smaller"
+        f"what is seen ({seen} mm) and what collides ({hit} mm) do not match in size or place: "
+        f"together they take {ratio:.3g} times the space of the smaller"
     )
 
 

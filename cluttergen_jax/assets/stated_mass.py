@@ -109,12 +109,16 @@ def mass_alarm(stated: StatedMass, solid: Mesh) -> str:
     low, high = _USUAL_DENSITY
     over_hull, over_mesh = mass / hull.volume, mass / solid.volume
     if not low / ALARM_FACTOR <= over_hull <= high * ALARM_FACTOR:
-        told = f"{over_hull:,.3g} kg/m^3 over its convex hull, where {low:g} to {high:,.0f} are usual"
+        told = f"{_density(over_hull)} over its convex hull, where {low:g} to {high:,.0f} are usual"
     elif not MIN_DENSITY <= over_mesh <= MAX_DENSITY:
-        told = f"{over_mesh:,.3g} kg/m^3 over the volume of its mesh"
+        told = f"{_density(over_mesh)} over the volume of its mesh"
     else:
         return ""
     return f"its stated mass of {mass:.3g} kg does not fit its size: {told}"
+
+
+def _density(value: float) -> str:
+    return f"{value:,.0f} kg/m^3" if value >= 100 else f"{value:.3g} kg/m^3"
 
 
 def _why_no_mass(stated: StatedMass, density: float, even: MassProperties) -> str:

@@ -15,7 +15,7 @@ from cluttergen_jax.importing.readers import primitives
 
 _GEOM = mujoco.mjtGeom
 # What MuJoCo takes for "no colour given": a material's colour holds then.
-_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
+_DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 
 
 def geom_kind(model: mujoco.MjModel, geom: int) -> mujoco.mjtGeom:
@@ -36,7 +36,7 @@ def is_convex(model: mujoco.MjModel, geom: int) -> bool:
 def geom_rgba(model: mujoco.MjModel, geom: int) -> tuple[float, float, float, float]:
     """The colour that MuJoCo draws a geom in: its own if it has one, else its material's."""
     material, own = int(model.geom_matid[geom]), model.geom_rgba[geom]
-    is_given = material < 0 or not np.array_equal(own, np.float32(_DEFAULT_RGBA))
+    is_given = material < 0 or not np.array_equal(own, _DEFAULT_RGBA)
     r, g, b, a = own if is_given else model.mat_rgba[material]
     return (float(r), float(g), float(b), float(a))
 

@@ -1,0 +1,114 @@
+"""Files that contradict themselves by a factor of three are flagged: what is seen, what collides, mass."""
+
+import re
+
+import numpy as np
+import pytest
+
+from cluttergen_jax.assets.body import BodyConfig, make_object
+from cluttergen_jax.assets.deviation import size_alarm
+from cluttergen_jax.assets.inertia import MassProperties
+from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.modeller.catalog import POOLS, make_shape
+from cluttergen_jax.assets.solid import solid_of
+from cluttergen_jax.assets.stated_mass import combined, mass_alarm
+from cluttergen_jax.cli.pool_table import pool_table
+from cluttergen_jax.importing.readers import ReadOptions, read_source
+from tests.helpers.shapes import open_box_slabs, slab
+
+CARTON = (0.04, 0.03, 0.08)
+
+
+def points(half, center=(0.0, 0.0, 0.0)):
+    return slab(half, center).vertices
+
+
+@pytest.mark.parametrize(
+    ("colliding", "told"),
+    [
+        (points((0.09, 0.09, 0.12)), "80 x 60 x 160 mm.*180 x 180 x 240 mm.*10.1 times"),
+        (points((0.02, 0.0005, 0.02)), "80 x 60 x 160 mm.*40 x 1 x 40 mm.*480 times"),
+        (points((0.02, 0.0, 0.02)), "40 x 0 x 40 mm"),
+        (points(CARTON, (0.25, 0, 0)), "80 x 60 x 160 mm.*80 x 60 x 160 mm.*4.1[23] times"),
+    ],
+)
+def test_what_collides_is_about_what_is_seen(colliding, told):
+    found = size_alarm(points(CARTON), colliding)
+    assert re.search(told, found)
+    # Whichever of the two is the wrong one.
+    assert found.split("together")[1] == size_alarm(colliding, points(CARTON)).split("together")[1]
+
+
+def test_hollow_things_thin_shells_and_coarse_boxes_raise_no_alarm():
+    tray = joined(open_box_slabs()).vertices
+    assert size_alarm(tray, points((0.05, 0.04, 0.03), (0, 0, 0.03))) == ""
+    # A bent wire, whose hull is a sixth of the box that stands in for it.
+    bow = np.concatenate([points((0.05, 0.001, 0.001)), points((0.001, 0.001, 0.02), (0.049, 0, 0.019))])
+    bow = np.concatenate([bow, points((0.001, 0.02, 0.001), (-0.049, 0.019, 0))])
+    lower, upper = bow.min(0), bow.max(0)
+    assert size_alarm(bow, points((upper - lower) / 2, (upper + lower) / 2)) == ""
+    assert size_alarm(points(CARTON), points(np.array(CARTON) * 1.2)) == ""
+
+
+@pytest.mark.parametrize(
+    ("mass", "told"),
+    [
+        (0.007, "9.11 kg/m^3 over its convex hull, where 75 to 3,000 are usual"),
+        (0.1, ""),
+        (0.4, ""),
+        (6.0, ""),
+        (8.0, "10,417 kg/m^3 over its convex hull"),
+        (np.nan, ""),
+        (-1.0, ""),
+    ],
+)
+def test_a_mass_that_does_not_fit_the_size(mass, told):
+    alarm = mass_alarm(combined([MassProperties(mass, np.zeros(3), np.eye(3))]), slab(CARTON))
+    assert bool(alarm) == bool(told)
+    assert told in alarm
+
+
+def test_a_shell_is_as_heavy_as_its_hull_unless_no_material_weighs_so_much():
+    shell = solid_of(open_box_slabs(wall=0.0002)).mesh
+    assert shell.volume < 0.05 * 240e-6
+    assert mass_alarm(combined([MassProperties(0.1, np.zeros(3), np.eye(3))]), shell) == ""
+    alarm = mass_alarm(combined([MassProperties(0.3, np.zeros(3), np.eye(3))]), shell)
+    assert "over the volume of its mesh" in alarm
+
+
+@pytest.mark.parametrize("family", sorted({family for families in POOLS.values() for family in families}))
+def test_our_own_objects_raise_none(family):
+    shape = make_shape(family)
+    assert shape.parts
+    assert (
+        size_alarm(*(joined(each).vertices for each in ([p.mesh for p in shape.pieces], shape.parts))) == ""
+    )
+
+
+URDF = """<robot name="carton"><link name="box">
+  <visual><geometry><box size="0.08 0.06 0.16"/></geometry></visual>
+  <collision><geometry><box size="0.18 0.18 0.24"/></geometry></collision>
+  <inertial><mass value="40"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+</link></robot>"""
+MJCF = """<mujoco><worldbody><body name="carton">
+  <geom type="box" size=".04 .03 .08" contype="0" conaffinity="0" mass="40"/>
+  <geom type="box" size=".09 .09 .12" group="3" mass="0"/>
+</body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(("name", "text"), [("carton.urdf", URDF), ("carton.xml", MJCF)])
+def test_a_file_that_contradicts_itself_is_flagged_and_its_table_says_so(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    (shape,) = read_source(tmp_path / name)
+    asset = make_object(shape, BodyConfig(tier="light"))
+    size, mass = asset.flags
+    assert size.startswith("what is seen (80 x 60 x 160 mm) and what collides (180 x 180 x 240 mm)")
+    assert mass.startswith("its stated mass of 40 kg does not fit its size")
+    assert any("40 kg is not taken" in note for note in asset.notes)
+    assert f"  ! carton: {mass}" in pool_table([asset])
+
+
+def test_whoever_gives_a_mass_has_looked(tmp_path):
+    (tmp_path / "carton.xml").write_text(MJCF.replace(".09 .09 .12", ".04 .03 .08"))
+    (shape,) = read_source(tmp_path / "carton.xml", ReadOptions(mass=0.5))
+    assert make_object(shape, BodyConfig(tier="light")).flags == ()
