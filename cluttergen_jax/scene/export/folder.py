@@ -19,6 +19,7 @@ from typing import Any
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import folder_whole, inside
+from cluttergen_jax.locks import lock_beside
 from cluttergen_jax.scene import Scene, scene_cameras
 from cluttergen_jax.scene.collection import check_alike
 from cluttergen_jax.scene.export.formats import Format, find_format
@@ -54,15 +55,21 @@ def export_scenes(
 
     Raises:
       ConfigError: no such format, no such camera, no scenes, scenes that do not go together, or `out` exists.
+      BankError: another export is being written there.
       MissingExtraError: the format needs a package that is not installed.
       UnsafePathError: an object's name is a path that leads out of the folder.
     """
     kind, out = find_format(format), Path(out)
     _check_place(out, overwrite)
-    with folder_whole(out) as fresh:
-        if cameras:
-            scenes = (replace(each, cameras=scene_cameras(each.support, cameras)) for each in scenes)
-        _Folder(fresh, kind).write(scenes)
+    with lock_beside(out):
+        # Whoever held the lock may have made it meanwhile.
+        _check_place(out, overwrite)
+        with folder_whole(out) as fresh:
+            if cameras:
+                scenes = (replace(each, cameras=scene_cameras(each.support, cameras)) for each in scenes)
+            _Folder(fresh, kind).write(scenes)
+            # Where the file system knows no locks, another export may have been faster.
+            _check_place(out, overwrite)
     return out
 
 
