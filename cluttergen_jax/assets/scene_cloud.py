@@ -43,14 +43,14 @@ def cloud_colours(asset: ObjectAsset) -> np.ndarray:
     spots, shades = [np.zeros((0, 3))], [np.zeros((0, 3))]
     for seed, (piece, count) in enumerate(zip(asset.pieces, counts.tolist(), strict=True)):
         if count:
-            points, shade = _coloured_points(piece, count, seed)
+            points, shade = coloured_points(piece, count, seed)
             spots.append(points)
             shades.append(shade)
     nearest = cKDTree(np.concatenate(spots)).query(asset.cloud)[1]
     return np.round(255 * np.clip(np.concatenate(shades)[nearest], 0, 1)).astype(np.uint8)
 
 
-def _coloured_points(piece: Piece, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def coloured_points(piece: Piece, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """f64[count, 3], even over the area, and f64[count, 3], the colours there, each in [0, 1]."""
     points, faces, weights = sample_faces(piece.mesh, count, seed)
     shade = np.tile(np.array(piece.rgba[:3]), (count, 1))

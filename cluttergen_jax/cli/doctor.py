@@ -7,6 +7,7 @@ import os
 import platform
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from typing import ClassVar
 
 _CORE = (
     "cluttergen_jax",
@@ -46,6 +47,9 @@ class Doctor:
 
     Example: `cluttergen doctor`
     """
+
+    needs_mujoco: ClassVar[bool] = False
+    """It tells what is wrong where MuJoCo cannot even be imported."""
 
     def run(self) -> int:
         """Runs the command; the exit status."""

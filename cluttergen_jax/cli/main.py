@@ -19,6 +19,7 @@ from cluttergen_jax.cli.flags import removed_name, with_flags
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.files import advice_on, cache_home, check_utf8
 from cluttergen_jax.progress import stop_asked
+from cluttergen_jax.rendering.gl import check_importable
 
 INTERRUPTED = 130
 _MANY_OBJECTS = 100_000
@@ -99,7 +100,8 @@ def run(command: Any) -> int:
     """Runs a command: its exit status, 2 for an error that was explained, 130 for Ctrl-C."""
     _keep_programs()
     try:
-        _check_backend()
+        if getattr(command, "needs_mujoco", True):
+            check_importable()
         return command.run()
     except ClutterGenError as error:
         chosen = getattr(command, "action", command)
@@ -134,19 +136,6 @@ def _unread() -> int:
     """Whoever read the output has seen enough; nothing more may be written to it, not even at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
-
-
-def _check_backend() -> None:
-    """MuJoCo itself refuses to be imported when MUJOCO_GL names a backend that it cannot load.
-
-    Raises:
-      ClutterGenError: so it is.
-    """
-    if backend := os.environ.get("MUJOCO_GL"):
-        try:
-            import mujoco  # noqa: F401
-        except (RuntimeError, ImportError, AttributeError) as error:
-            raise ClutterGenError(f"MUJOCO_GL={backend}: {error}", hint="unset MUJOCO_GL") from error
 
 
 def _told(error: OSError) -> str:

@@ -17,9 +17,15 @@ from cluttergen_jax.errors import ClutterGenError
 _BACKENDS = {"Linux": ("egl", "osmesa", "glfw"), "Darwin": ("cgl", "glfw")}.get(platform.system(), ("glfw",))
 _ANY = ("", "enable", "enabled", "on", "true", "1")
 _SAME = {"glx": "glfw", "wgl": "glfw"}
+_OFF = ("disable", "disabled", "off", "false", "0")
+_BY_PYOPENGL = ("egl", "osmesa")
+"""Backends that PyOpenGL loads, and loads for one of them alone if PYOPENGL_PLATFORM names it."""
 _PROBE_SECONDS = 60
 _PROBE = """
+import importlib, os
 import mujoco
+# MuJoCo keeps to itself why it cannot import a backend.
+importlib.import_module("mujoco." + os.environ["MUJOCO_GL"])
 model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
 data = mujoco.MjData(model)
 mujoco.mj_forward(model, data)
@@ -32,6 +38,15 @@ _INSTALL = (
     "on Debian or Ubuntu `apt install libegl1 libgl1-mesa-dri` (EGL, with or without a GPU) or `apt install "
     "libosmesa6` (OSMesa)"
 )
+_PLAIN = {
+    # This is how PyOpenGL says that it finds no library.
+    "'NoneType' object has no attribute": "its library is not installed",
+    "Unable to load": "its library is not installed",
+    "No module named": "its Python package is not installed",
+    "an OpenGL platform library has not been loaded": "no window can be opened here",
+    "Cannot initialize a EGL device display": "there is no EGL device that can be used",
+}
+"""What errors of MuJoCo and PyOpenGL contain, and what they mean."""
 # A GL context belongs to one thread at a time, and MuJoCo's EGL display is shared by the process.
 _LOCK = threading.RLock()
 
@@ -42,6 +57,9 @@ class RendererError(ClutterGenError):
 
 def _failure(backend: str) -> str | None:
     """Why `backend` cannot draw, or None if it can. It is tried in a process that a bad driver may crash."""
+    platform_asked = os.environ.get("PYOPENGL_PLATFORM", "").lower()
+    if backend in _BY_PYOPENGL and platform_asked not in ("", backend):
+        return f"PYOPENGL_PLATFORM={platform_asked} rules it out"
     command, env = [sys.executable, "-P", "-c", _PROBE], {**os.environ, "MUJOCO_GL": backend}
     try:
         done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=_PROBE_SECONDS)
@@ -49,9 +67,12 @@ def _failure(backend: str) -> str | None:
         return f"no picture within {_PROBE_SECONDS} s"
     if done.returncode == 0:
         return None
-    last = (done.stderr.strip().splitlines() or [f"the trial ended with code {done.returncode}"])[-1]
-    # This is how PyOpenGL says that it finds no library.
-    return "its library is not installed" if "'NoneType' object has no attribute" in last else last
+    return _plain((done.stderr.strip().splitlines() or [f"the trial ended with code {done.returncode}"])[-1])
+
+
+def _plain(message: object) -> str:
+    """What MuJoCo or PyOpenGL said, in plain words if it is known."""
+    return next((meant for said, meant in _PLAIN.items() if said in str(message)), str(message))
 
 
 @functools.cache
@@ -73,12 +94,40 @@ def find_backend() -> str:
       RendererError: none works; it says why and what to install.
     """
     given = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if given in _OFF:
+        raise RendererError(
+            f"MUJOCO_GL={given} switches pictures off",
+            f"MUJOCO_GL={', '.join(_BACKENDS)}, or unset",
+            "unsetting MUJOCO_GL",
+        )
     backend, failures = _trial(given)
     if backend is None:
-        setting, unset = (f" with MUJOCO_GL={given}", "unsetting MUJOCO_GL, or ") if given else ("", "")
-        given = f"No OpenGL backend can draw here{setting} ({failures})"
-        raise RendererError(given, ", ".join(_BACKENDS), unset + _INSTALL)
+        settings = {"MUJOCO_GL": given, "PYOPENGL_PLATFORM": os.environ.get("PYOPENGL_PLATFORM", "")}
+        told = " and ".join(f"{name}={value}" for name, value in settings.items() if value)
+        unset = "".join(f"unsetting {name}, or " for name, value in settings.items() if value)
+        raise RendererError(
+            f"No OpenGL backend can draw here{f' with {told}' if told else ''} ({failures})",
+            ", ".join(_BACKENDS),
+            unset + _INSTALL,
+        )
     return backend
+
+
+def check_importable() -> None:
+    """Refuses settings with which MuJoCo itself cannot be imported, though simulation needs no pictures.
+
+    Raises:
+      RendererError: MUJOCO_GL names no backend, or one whose library is missing.
+    """
+    if given := os.environ.get("MUJOCO_GL"):
+        try:
+            importlib.import_module("mujoco")
+        except (RuntimeError, ImportError, AttributeError, OSError) as error:
+            raise RendererError(
+                f"MuJoCo cannot be imported with MUJOCO_GL={given}: {_plain(error)}",
+                f"MUJOCO_GL={', '.join(_BACKENDS)}, disable, or unset",
+                f"unsetting MUJOCO_GL; for pictures {_INSTALL}",
+            ) from error
 
 
 def renderer_status() -> tuple[bool, str]:

@@ -156,18 +156,37 @@ def scene_renderer(
     Raises:
       RendererError: nothing here can draw.
     """
+    model, data, content = _prepared_scene(objects, support, points, picture)
+    width, height = picture.width, picture.height
+    reach = set_range(model, content, picture.view, width, height)
+    with open_renderer(model, width, height) as model_renderer:
+        camera = _fitted(content, points, picture)
+        yield SceneRenderer(model_renderer, data, picture, reach, content, camera)
+
+
+def scene_camera(
+    objects: Sequence[ObjectAsset], support: SupportAsset | None, points: np.ndarray, picture: PictureConfig
+) -> Camera:
+    """The camera that `scene_renderer` of these begins with; needs no OpenGL."""
+    return _fitted(_prepared_scene(objects, support, points, picture)[2], points, picture)
+
+
+def _prepared_scene(
+    objects: Sequence[ObjectAsset], support: SupportAsset | None, points: np.ndarray, picture: PictureConfig
+) -> tuple[mujoco.MjModel, mujoco.MjData, np.ndarray]:
+    """The model with its objects at the origin, its data, and f64[P, 3], all that the whole view shows."""
     home = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(objects), 1))
     spec, _ = scene_spec(objects, home, support)
     model, is_drawn = prepared(spec.compile(), picture.hulls, None)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     is_fixed = is_drawn & (model.body_weldid[model.geom_bodyid] == 0)
-    content = np.concatenate([drawn_points(model, data, is_fixed), points])
-    width, height = picture.width, picture.height
-    reach = set_range(model, content, picture.view, width, height)
-    with open_renderer(model, width, height) as model_renderer:
-        camera = fitted_camera(content if picture.whole else points, picture.view, width, height)
-        yield SceneRenderer(model_renderer, data, picture, reach, content, camera)
+    return model, data, np.concatenate([drawn_points(model, data, is_fixed), points])
+
+
+def _fitted(content: np.ndarray, points: np.ndarray, picture: PictureConfig) -> Camera:
+    shown = content if picture.whole else points
+    return fitted_camera(shown, picture.view, picture.width, picture.height)
 
 
 def swept(points: np.ndarray, num_turns: int = 36) -> np.ndarray:

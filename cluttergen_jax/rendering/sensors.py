@@ -15,9 +15,14 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.picture import distinct_colour
-from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
+from cluttergen_jax.rendering.scene_renderer import (
+    PictureConfig,
+    RenderStyle,
+    scene_camera,
+    scene_renderer,
+)
 from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.rays import FIRST_OBJECT, FLOOR, SUPPORT
+from cluttergen_jax.sensing.rays import FIRST_OBJECT, FLOOR, SUPPORT, RaySensor, sensed_model
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,15 +30,15 @@ class Sensed:
     """One view of a scene. H rows, W columns, N objects; `names` are theirs.
 
     Attributes:
-      rgb: uint8[H, W, 3].
-      depth: f32[H, W], metres along the optical axis (not along the ray); inf where nothing is.
+      rgb: uint8[H, W, 3]; None where nothing was drawn.
+      depth: f32[H, W], metres along the optical axis (not along the ray); inf where nothing is within 20 m.
       segmentation: u8[H, W] or u16[H, W], labels as in `sensing.rays`: 0 floor or nothing, 1 support, then
         object k of the scene as 2 + k.
       camera: where it was seen from.
       poses: f64[N, 7], T_world_object, metres, wxyz.
     """
 
-    rgb: np.ndarray
+    rgb: np.ndarray | None
     depth: np.ndarray
     segmentation: np.ndarray
     camera: Camera
@@ -47,18 +52,27 @@ def sense(
     poses: np.ndarray,
     support: SupportAsset,
     picture: PictureConfig | None = None,
+    is_drawn: bool = True,
 ) -> Sensed:
-    """Colour, depth and segmentation of a scene from one place.
+    """Depth and segmentation of a scene from one place, by rays, and its colours.
+
+    Args:
+      is_drawn: draw the colours, which needs OpenGL; all else needs none.
 
     Raises:
-      RendererError: nothing here can draw.
+      RendererError: colours are wanted, and nothing here can draw.
     """
     picture = picture or PictureConfig()
     poses = np.asarray(poses, np.float64).reshape(-1, 7)
-    styles = [RenderStyle(pose) for pose in poses]
-    with scene_renderer(objects, support, close_points(objects, poses, support), picture) as renderer:
-        rgb = renderer.picture(styles)
-        image, camera = renderer.measure(styles), renderer.camera
+    points = close_points(objects, poses, support)
+    camera, rgb = scene_camera(objects, support, points, picture), None
+    if is_drawn:
+        with scene_renderer(objects, support, points, picture) as renderer:
+            rgb = renderer.picture([RenderStyle(pose) for pose in poses])
+    sensor = RaySensor(sensed_model(objects, support), surfaces=not picture.hulls)
+    data = sensor.make_data()
+    sensor.pose(data, poses)
+    image = sensor.sense(data, camera)
     labels = image.label.astype(np.uint8 if len(objects) < 254 else np.uint16)
     return Sensed(rgb, image.depth, labels, camera, tuple(names), poses)
 
@@ -93,11 +107,11 @@ def palette() -> np.ndarray:
 
 
 def npz_of(sensed: Sensed) -> bytes:
-    """All arrays of one view under their names, as compressed NumPy; readable without pickle."""
+    """All arrays of one view under their names, as compressed NumPy, readable without pickle; `rgb` if drawn."""
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,
-        rgb=sensed.rgb,
+        **({} if sensed.rgb is None else {"rgb": sensed.rgb}),
         depth=sensed.depth,
         segmentation=sensed.segmentation,
         intrinsics=sensed.camera.K,

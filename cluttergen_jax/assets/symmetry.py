@@ -1,0 +1,174 @@
+"""Turns after which an object looks the same: about its own z, and in all of space."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.scene_cloud import coloured_points
+from cluttergen_jax.assets.shape import Piece
+
+TOLERANCE = 0.005
+"""Metres that a symmetric object's surface may lie off itself once it is turned; points lie 2 mm apart. It
+is the error below which a pose counts as right: depth cameras do not tell such turns apart."""
+ROUND = 24
+"""An object of so many equal turns counts as round: any turn about z is as good as another."""
+_ORDERS = (ROUND, 8, 6, 5, 4, 3, 2)
+_NUM_POINTS = 40_000
+_NUM_TURNED = 1000
+_SHARE_OF_SIZE = 0.04
+"""Of the object's size, that a turned surface may lie off in `symmetries_of` if that is less than `TOLERANCE`:
+small objects have small details."""
+_COLOUR_STEP, _SHARE_ALIKE = 0.12, 0.99
+"""Colours are alike if red, green and blue, in [0, 1], differ by less; so many points have to be alike."""
+_SAME_AXIS = np.cos(np.radians(10))
+
+
+@dataclass(frozen=True, eq=False)
+class Symmetries:
+    """Rigid motions of an object onto itself, in its own frame, as BOP states them.
+
+    Any of them may be followed by any turn about one of the axes.
+
+    Attributes:
+      axes: f64[A, 3], unit vectors: the axis of a body of revolution, or three of a ball.
+      point: f64[3], metres: all axes go through it, and no motion moves it.
+      motions: f64[M, 4, 4], metres; the one that moves nothing is left out.
+    """
+
+    axes: np.ndarray
+    point: np.ndarray
+    motions: np.ndarray
+
+
+def turn_symmetry(asset: ObjectAsset) -> int:
+    """The most equal turns about its z axis after which the object looks the same, colours aside; 1 for none.
+
+    What is drawn of it decides; of an object without surfaces, its collision parts.
+    """
+    meshes = [piece.mesh for piece in asset.pieces] or [_hull(part.vertices) for part in asset.parts]
+    surface = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes])
+    dense, _ = trimesh.sample.sample_surface(surface, _NUM_POINTS, seed=0)
+    tree, sparse = cKDTree(dense), dense[: _NUM_POINTS // 20]
+    for order in _ORDERS:
+        turned = (sparse @ turn_matrix(angle)[:3, :3].T for angle in _angles(order))
+        if all(tree.query(points)[0].max() <= TOLERANCE for points in turned):
+            return order
+    return 1
+
+
+def _hull(vertices: np.ndarray) -> Mesh:
+    hull = trimesh.convex.convex_hull(vertices)
+    return Mesh(np.asarray(hull.vertices), np.asarray(hull.faces))
+
+
+def _angles(order: int) -> np.ndarray:
+    return 2 * np.pi * np.arange(1, order // 2 + 1) / order
+
+
+def turn_matrix(angle: float) -> np.ndarray:
+    """f64[4, 4]: a turn about z by radians."""
+    matrix = np.eye(4)
+    matrix[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return matrix
+
+
+def symmetries_of(pieces: Sequence[Piece]) -> Symmetries:
+    """The symmetries of coloured surfaces: of bodies of revolution, boxes, prisms and balls.
+
+    Axes are sought along the object's own and along those of the smallest box around it, through the middle
+    of its surface. Colours count: a can is round, and its label is not.
+    """
+    surface = trimesh.util.concatenate([trimesh.Trimesh(each.mesh.vertices, each.mesh.faces) for each in pieces])
+    middle = np.asarray(surface.centroid)
+    frames = [np.eye(3), trimesh.bounds.oriented_bounds(surface)[0][:3, :3]]
+    test = _Test(pieces, middle)
+    axes = _distinct([axis for frame in frames for axis in frame if test.is_round(axis)])
+    if len(axes) > 1:
+        return Symmetries(np.eye(3), middle, np.zeros((0, 4, 4)))
+    if axes:
+        over = Rotation.from_rotvec(np.pi * _across(axes[0])).as_matrix()
+        turns = [over] if test.has(over) else []
+    else:
+        groups = sorted((group for frame in frames for group in _groups(frame)), key=len, reverse=True)
+        turns = next((group for group in groups if all(map(test.has, group))), [])
+    return Symmetries(np.array(axes).reshape(-1, 3), middle, _motions(turns, middle))
+
+
+class _Test:
+    """Whether surfaces look the same after a turn about a point."""
+
+    def __init__(self, pieces: Sequence[Piece], middle: np.ndarray) -> None:
+        areas = np.array([np.linalg.norm(piece.mesh.normals, axis=1).sum() for piece in pieces])
+        counts = np.ceil(_NUM_POINTS * areas / areas.sum()).astype(int).tolist()
+        samples = [coloured_points(piece, count, 0) for piece, count in zip(pieces, counts, strict=True)]
+        points = np.concatenate([spots for spots, _ in samples]) - middle
+        diameter = 2 * np.linalg.norm(points, axis=1).max()
+        self._tolerance = min(TOLERANCE, _SHARE_OF_SIZE * diameter)
+        # Colours as three more coordinates, so that the other side of a thin wall is not near.
+        shades = np.concatenate([shades for _, shades in samples]) * self._tolerance / _COLOUR_STEP
+        self._tree, self._coloured = cKDTree(points), cKDTree(np.hstack([points, shades]))
+        rng = np.random.default_rng(0)
+        some = rng.choice(len(points), _NUM_TURNED, replace=False)
+        self._points, self._shades = points[some], shades[some]
+        # A small detail has few of the points, and vertices of its own.
+        vertices = np.unique(np.concatenate([piece.mesh.vertices for piece in pieces]) - middle, axis=0)
+        self._vertices = vertices[rng.permutation(len(vertices))[:_NUM_TURNED]]
+
+    def has(self, turn: np.ndarray) -> bool:
+        """Whether the turn f64[3, 3] changes nothing."""
+        turned = self._points @ turn.T
+        moved = np.concatenate([turned, self._vertices @ turn.T])
+        if not self._is_near(self._tree, moved).all():
+            return False
+        return bool(self._is_near(self._coloured, np.hstack([turned, self._shades])).mean() >= _SHARE_ALIKE)
+
+    def _is_near(self, tree: cKDTree, points: np.ndarray) -> np.ndarray:
+        return np.isfinite(tree.query(points, distance_upper_bound=self._tolerance)[0])
+
+    def is_round(self, axis: np.ndarray) -> bool:
+        """Whether no turn about the axis f64[3] changes anything."""
+        return all(self.has(Rotation.from_rotvec(angle * axis).as_matrix()) for angle in _angles(ROUND))
+
+
+def _distinct(axes: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Of axes that are nearly the same, the first."""
+    kept: list[np.ndarray] = []
+    for axis in axes:
+        if all(abs(axis @ other) < _SAME_AXIS for other in kept):
+            kept.append(axis)
+    return kept
+
+
+def _across(axis: np.ndarray) -> np.ndarray:
+    """f64[3]: a unit vector at right angles to it."""
+    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    return side / np.linalg.norm(side)
+
+
+def _groups(frame: np.ndarray) -> Iterator[list[np.ndarray]]:
+    """Groups of turns, without the identity: a cube's, and prisms' and cyclic ones about each row of a frame."""
+    cube = Rotation.create_group("O").as_matrix()
+    yield [frame.T @ turn @ frame for turn in cube if not np.allclose(turn, np.eye(3))]
+    for axis, side in zip(frame, np.roll(frame, -1, axis=0), strict=True):
+        over = Rotation.from_rotvec(np.pi * side).as_matrix()
+        for order in _ORDERS[1:]:
+            steps = 2 * np.pi * np.arange(order) / order
+            turns = [Rotation.from_rotvec(angle * axis).as_matrix() for angle in steps]
+            yield [*turns[1:], *(turn @ over for turn in turns)]
+            yield turns[1:]
+
+
+def _motions(turns: Sequence[np.ndarray], middle: np.ndarray) -> np.ndarray:
+    """f64[M, 4, 4]: the turns about a point."""
+    motions = np.tile(np.eye(4), (len(turns), 1, 1))
+    for motion, turn in zip(motions, turns, strict=True):
+        motion[:3, :3], motion[:3, 3] = turn, middle - turn @ middle
+    return motions
