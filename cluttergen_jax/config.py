@@ -55,6 +55,8 @@ Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 Tier = Literal["standard", "light"]
 CameraName = Literal["overhead", "front", "side", "wrist"]
 FilmFormat = Literal["gif", "mp4"]
+PixelOrigin = Literal["center", "corner"]
+"""Where pixel coordinates (0, 0) are in the first pixel."""
 PlacerHead = Literal["scored", "mixture", "regression"]
 PlacerPreset = Literal["cpu", "paper"]
 PlacerLoss = Literal["printed", "symmetric"]

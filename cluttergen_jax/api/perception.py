@@ -69,6 +69,7 @@ def perception_data(
     from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.downstream.splits import SPLITS
     from cluttergen_jax.placement.setup import check_range
+    from cluttergen_jax.rendering.gl import find_backend
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -84,6 +85,9 @@ def perception_data(
         check_range("num_objects", num_objects, 1, most, min(8, most))
     num_scenes = -(-num_views // (VIEWS_A_SCENE * len(_METHODS)))
     VIEWS.check_place(Path(out))
+    if overwrite or not any(Path(out).glob(f"bank-{split}-*")):
+        # Scenes take minutes, and are of no use where nothing can draw them.
+        find_backend()
     banks: dict[str, Any] = {
         method: generate(
             Path(out) / f"bank-{split}-{method}",

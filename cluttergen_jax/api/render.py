@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.api.text import parse_size, scene_numbers
-from cluttergen_jax.config import FilmFormat
+from cluttergen_jax.config import FilmFormat, PixelOrigin
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.config import CameraView, FilmConfig
 
@@ -35,6 +35,8 @@ def render(
     bop: bool = False,
     views: int = 4,
     seed: int = 0,
+    split: str = "train_synt",
+    pixel_origin: PixelOrigin = "center",
     size: tuple[int, int] | str | None = None,
     view: CameraView | None = None,
     whole: bool = False,
@@ -59,13 +61,18 @@ def render(
       figure: the closed-loop figure: an object's failed attempts ringed in red, until it stands.
       density: where the method would put the object of the last attempt, as a heat map on the table.
       depth: a 16-bit PNG in millimetres along the optical axis (0: nothing there), and beside it a JSON file
-        with the camera, the names and the poses, and all of it in an NPZ file.
+        with the camera, the names and the poses, and all of it in an NPZ file. Depth, segmentation, points
+        and bop need no OpenGL; without any, their colours are left out.
       segmentation: an indexed PNG: 0 floor or nothing, 1 support, 2 + k object k; and the same two files.
       points: a PLY point cloud of all surfaces: metres, world frame, colours, labels as above.
       bop: a dataset for pose estimation in the format of the BOP benchmark, in the folder bop: colour, depth,
-        masks, poses, models. Scenes are added to one that is there.
+        masks, poses, models. Scenes are added to one that is there; those of a second bank get the next
+        numbers, and the same call resumes.
       views: pictures of each of its scenes, by cameras at random places around it.
       seed: of where these cameras stand; 0 to 4294967295.
+      split: folder of its scenes: train, val or test, with a kind of images after it.
+      pixel_origin: of its cam_K: "center", the first pixel's middle is (0, 0), as in OpenCV; "corner", its
+        corner is, as in OpenGL and in the renderer of bop_toolkit.
       size: of pictures, WIDTHxHEIGHT in pixels; 1280x960, and 640x480 for films and bop, if not given. In
         Python also a pair.
       view: from which side the scene is seen; the defaults of `CameraView` if not given.
@@ -79,7 +86,8 @@ def render(
     Raises:
       PoolError, BankError, AssetError: there is no such source, no such scene, or none that stands.
       ConfigError: a setting is out of range.
-      ClutterGenError: nothing can be drawn on this machine.
+      RendererError: what is asked for has to be drawn, and nothing can be drawn on this machine.
+      BankError: another call is adding scenes to the same dataset.
     """
     products = {
         "picture": picture,
@@ -99,12 +107,18 @@ def render(
         raise ConfigError("picture=False, and nothing else is asked for", f"one or more of {others}")
     numbers = _numbers(scenes)
     size = parse_size(size) if isinstance(size, str) else size
+    from cluttergen_jax.rendering.gl import check_importable
+
+    check_importable()
+    from cluttergen_jax.generation.sources.bop import BopConfig
     from cluttergen_jax.generation.sources.rendering import Rendering
     from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.rendering.scene_renderer import PictureConfig
 
     check_range("views", views, 1, _MOST_VIEWS, 4)
     check_range("seed", seed, 0, 2**32 - 1, 0)
+    if pixel_origin not in get_args(PixelOrigin):
+        raise ConfigError(f"pixel_origin = {pixel_origin!r}", ", ".join(get_args(PixelOrigin)))
     check_range("columns", columns, 1, _MOST_COLUMNS, 4)
     return Rendering(
         frozenset(name for name, is_asked in products.items() if is_asked),
@@ -115,8 +129,7 @@ def render(
         film,
         pace or FilmConfig(),
         columns,
-        views,
-        seed,
+        BopConfig(views, seed, split, pixel_origin),
     ).make(str(source), numbers)
 
 

@@ -24,8 +24,8 @@ _ORDERS = (ROUND, 8, 6, 5, 4, 3, 2)
 _NUM_POINTS = 40_000
 _NUM_TURNED = 1000
 _SHARE_OF_SIZE = 0.04
-"""Of the object's size, that a turned surface may lie off in `symmetries_of` if that is less than `TOLERANCE`:
-small objects have small details."""
+"""Of the object's size: in `symmetries_of` a turned surface may lie off by so much, if that is less than
+`TOLERANCE`: small objects have small details."""
 _COLOUR_STEP, _SHARE_ALIKE = 0.12, 0.99
 """Colours are alike if red, green and blue, in [0, 1], differ by less; so many points have to be alike."""
 _SAME_AXIS = np.cos(np.radians(10))
@@ -86,7 +86,8 @@ def symmetries_of(pieces: Sequence[Piece]) -> Symmetries:
     Axes are sought along the object's own and along those of the smallest box around it, through the middle
     of its surface. Colours count: a can is round, and its label is not.
     """
-    surface = trimesh.util.concatenate([trimesh.Trimesh(each.mesh.vertices, each.mesh.faces) for each in pieces])
+    vertices = np.concatenate([piece.mesh.corners.reshape(-1, 3) for piece in pieces])
+    surface = trimesh.Trimesh(vertices, np.arange(len(vertices)).reshape(-1, 3))
     middle = np.asarray(surface.centroid)
     frames = [np.eye(3), trimesh.bounds.oriented_bounds(surface)[0][:3, :3]]
     test = _Test(pieces, middle)
@@ -154,7 +155,7 @@ def _across(axis: np.ndarray) -> np.ndarray:
 
 
 def _groups(frame: np.ndarray) -> Iterator[list[np.ndarray]]:
-    """Groups of turns, without the identity: a cube's, and prisms' and cyclic ones about each row of a frame."""
+    """Groups of turns, without the identity: a cube's, and prisms' and pyramids' about a frame's rows."""
     cube = Rotation.create_group("O").as_matrix()
     yield [frame.T @ turn @ frame for turn in cube if not np.allclose(turn, np.eye(3))]
     for axis, side in zip(frame, np.roll(frame, -1, axis=0), strict=True):

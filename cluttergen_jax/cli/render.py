@@ -25,6 +25,8 @@ class Render(Options):
         report = self.call(render)
         for path in report.paths:
             print(path)
+        for note in report.notes:
+            print(f"note: {with_flags(note, type(self))}", file=sys.stderr)
         if report.failures:
             print(with_flags(failures_text(report.failures), type(self)), file=sys.stderr)
         return 1 if report.failures else 0

@@ -42,7 +42,8 @@ _PLAIN = {
     # This is how PyOpenGL says that it finds no library.
     "'NoneType' object has no attribute": "its library is not installed",
     "Unable to load": "its library is not installed",
-    "No module named": "its Python package is not installed",
+    "No module named 'OpenGL'": "its Python package is not installed",
+    "No module named 'glfw'": "its Python package is not installed",
     "an OpenGL platform library has not been loaded": "no window can be opened here",
     "Cannot initialize a EGL device display": "there is no EGL device that can be used",
 }

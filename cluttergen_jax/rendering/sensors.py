@@ -107,18 +107,22 @@ def palette() -> np.ndarray:
 
 
 def npz_of(sensed: Sensed) -> bytes:
-    """All arrays of one view under their names, as compressed NumPy, readable without pickle; `rgb` if drawn."""
+    """All arrays of one view under their names, as compressed NumPy, readable without pickle.
+
+    `rgb` is not there if no colours were drawn.
+    """
     buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        **({} if sensed.rgb is None else {"rgb": sensed.rgb}),
-        depth=sensed.depth,
-        segmentation=sensed.segmentation,
-        intrinsics=sensed.camera.K,
-        T_world_camera=sensed.camera.T_world_camera,
-        names=np.array(sensed.names),
-        poses=sensed.poses,
-    )
+    arrays = {
+        "rgb": sensed.rgb,
+        "depth": sensed.depth,
+        "segmentation": sensed.segmentation,
+        "intrinsics": sensed.camera.K,
+        "T_world_camera": sensed.camera.T_world_camera,
+        "names": np.array(sensed.names),
+        "poses": sensed.poses,
+    }
+    there = {name: each for name, each in arrays.items() if each is not None}
+    np.savez_compressed(buffer, **there)  # type: ignore[arg-type]
     return buffer.getvalue()
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,23 +15,25 @@ from cluttergen_jax.assets.scene_cloud import ply_of, scene_points
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.generation.sources import BankSource, open_source
+from cluttergen_jax.generation.sources.bop import BopConfig, BopScenes
 from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.progress import tracked
 from cluttergen_jax.rendering.assets import render_scene
-from cluttergen_jax.rendering.bop import BopDataset
 from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.density import NUM_PROPOSALS, density_figure
 from cluttergen_jax.rendering.figure import closed_loop_figure
 from cluttergen_jax.rendering.film import replay, replay_frames, turntable
-from cluttergen_jax.rendering.gl import find_backend
+from cluttergen_jax.rendering.gl import RendererError, find_backend
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.sensors import camera_json, depth_png, npz_of, segmentation_png, sense
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.rendering.video import check_format, save_film
 from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.scene.bank.reference import missing_text
-from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, REALSENSE_SIZE, free
+from cluttergen_jax.sensing.camera import REALSENSE_SIZE
 
+_DRAWN = frozenset({"picture", "sheet", "turntable", "replay", "figure", "density"})
+"""What is made of colours. Depth, labels and masks come from rays, point clouds from surfaces."""
 _SHEET = 12
 _FINE, _QUICK = 32, 10
 _LARGE, _SMALL, _CELL = (1280, 960), (640, 480), (480, 360)
@@ -45,10 +48,12 @@ class RenderReport:
     Attributes:
       paths: the files.
       failures: what could not be made, and why.
+      notes: what else there is to know: what was there already, and what was left out.
     """
 
     paths: tuple[Path, ...]
     failures: tuple[_Failure, ...]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,7 @@ class Rendering:
       film: a format of films.
       pace: how fast films run.
       columns: of the contact sheet.
-      views: cameras that look at each scene of a BOP dataset; seed: of where they stand.
+      bop: of a BOP dataset.
     """
 
     products: frozenset[str]
@@ -75,28 +80,54 @@ class Rendering:
     film: str
     pace: FilmConfig
     columns: int
-    views: int
-    seed: int
+    bop: BopConfig
 
     def make(self, source: str, scenes: Sequence[int] | Literal["all"] | None) -> RenderReport:
         """Makes everything that is asked for of scenes of a source; see `chosen_numbers`."""
         if self._makes("turntable", "replay"):
             check_format(self.film)
         sizes = {size: self._picture(size, _QUICK) for size in (_LARGE, _SMALL, _CELL)}
+        is_drawn, notes = self._can_draw()
         opened, own = open_source(source)
         numbers = chosen_numbers(opened, own, scenes, _SHEET if self._makes("sheet") else 1)
-        if self.products - {"points"}:
-            find_backend()
         # Beside a sheet, single pictures are drawn of scenes that are named.
         singles = self._makes("picture") and (not self._makes("sheet") or bool(scenes))
         made: list[Path] = []
         failures: list[_Failure] = []
-        shown = tracked(numbers, "bop", len(numbers), "scene") if self._makes("bop") else numbers
-        for number in shown:
-            failures += self._make(opened, number, singles, sizes[_SMALL], made)
+        with ExitStack() as stack:
+            work = _Work(opened, singles, sizes[_SMALL], is_drawn)
+            if self._makes("bop"):
+                picture = self._picture(REALSENSE_SIZE, _QUICK)
+                dataset = BopScenes(self.out / "bop", opened.name, self.bop, picture, is_drawn)
+                work.dataset = stack.enter_context(dataset)
+                work.plan(numbers)
+                notes += dataset.told
+            shown = tracked(numbers, "bop", len(numbers), "scene") if self._makes("bop") else numbers
+            for number in shown:
+                failures += self._make(work, number, made)
         if self._makes("sheet"):
             made.append(save_png(self._sheet(opened, numbers), self.out / "sheet.png"))
-        return RenderReport(tuple(made), tuple(failures))
+        return RenderReport(tuple(made), tuple(failures), notes)
+
+    def _can_draw(self) -> tuple[bool, tuple[str, ...]]:
+        """Whether there is an OpenGL, and what to say if there is none and only colours are missed.
+
+        Raises:
+          RendererError: there is none, and something is asked for that is drawn.
+        """
+        if self.products == {"points"}:
+            return False, ()
+        try:
+            find_backend()
+        except RendererError as error:
+            drawn, others = self.products & _DRAWN, ", ".join(sorted(self.products - _DRAWN))
+            if not drawn:
+                return False, (f"no colours were drawn: {error}",)
+            if drawn != {"picture"} or not others:
+                raise
+            hint = f"picture=False, since {others} can be made without; or {error.hint}"
+            raise RendererError(error.given, error.allowed, hint) from error
+        return True, ()
 
     def _makes(self, *products: str) -> bool:
         """Whether one of them is asked for."""
@@ -107,10 +138,9 @@ class Rendering:
         samples = samples if self.samples is None else self.samples
         return replace(self.look, width=width, height=height, samples=samples)
 
-    def _make(
-        self, source: SceneSource, number: int, singles: bool, small: PictureConfig, made: list[Path]
-    ) -> Iterator[_Failure]:
+    def _make(self, work: _Work, number: int, made: list[Path]) -> Iterator[_Failure]:
         """Makes everything that is asked for of one scene; what cannot be made costs nothing else."""
+        source = work.source
         stem = self.out / (f"{number:06d}" if isinstance(source, BankSource) else _stem(source, number))
         attempted = None
         if self._makes("replay", "figure", "density"):
@@ -119,31 +149,31 @@ class Rendering:
             except ClutterGenError as error:
                 yield f"{stem.name}, its attempts", error
         try:
-            recording = attempted or source.still(number)
+            recording = attempted or work.still(number)
         except ClutterGenError as error:
             yield stem.name, error
             return
-        for ending, make in self._products(recording, number, attempted is not None, singles, small):
+        for ending, make in self._products(work, recording, number, attempted is not None):
             try:
                 made.extend(make(_named(stem, ending)))
             except ClutterGenError as error:
                 yield stem.name + ending, error
 
     def _products(
-        self, recording: Replay, number: int, has_attempts: bool, singles: bool, small: PictureConfig
+        self, work: _Work, recording: Replay, number: int, has_attempts: bool
     ) -> Iterator[tuple[str, _Make]]:
         """The endings of the files that are asked for, and how each is made."""
-        large = self._picture(_LARGE, _FINE)
-        if singles:
+        large, small, dataset = self._picture(_LARGE, _FINE), work.small, work.dataset
+        if work.singles:
             yield ".png", lambda path: [save_png(drawn(recording, large), path)]
         if self._makes("figure") and has_attempts:
             yield "-figure.png", lambda path: [save_png(closed_loop_figure(recording, picture=large), path)]
         if self._makes("density") and has_attempts:
             yield "-density.png", lambda path: [save_png(density_figure(recording, picture=large), path)]
         if self._makes("depth", "segmentation"):
-            yield "-sensors.npz", lambda path: self._sensed(recording, path, large)
-        if self._makes("bop"):
-            yield "-bop", lambda path: [self._bop(recording, number)]
+            yield "-sensors.npz", lambda path: self._sensed(recording, path, large, work.is_drawn)
+        if dataset is not None:
+            yield "-bop", lambda path: dataset.add(recording, number)
         if self._makes("points"):
             yield "-points.ply", lambda path: [_written(path, _cloud(recording))]
         if self._makes("turntable"):
@@ -155,10 +185,13 @@ class Rendering:
             length = len(replay_frames(recording, self.pace))
             yield f"-replay.{self.film}", lambda path: [self._filmed(steps, length, path)]
 
-    def _sensed(self, recording: Replay, path: Path, picture: PictureConfig) -> Iterator[Path]:
+    def _sensed(
+        self, recording: Replay, path: Path, picture: PictureConfig, is_drawn: bool
+    ) -> Iterator[Path]:
         placed = recording.placed
         names = [recording.names[index] for index in placed]
-        sensed = sense(_placed(recording), names, recording.poses[placed], recording.support, picture)
+        poses, support = recording.poses[placed], recording.support
+        sensed = sense(_placed(recording), names, poses, support, picture, is_drawn)
         stem = path.with_name(path.name.removesuffix("-sensors.npz"))
         if self._makes("depth"):
             yield _written(_named(stem, "-depth.png"), depth_png(sensed.depth))
@@ -166,17 +199,6 @@ class Rendering:
             yield _written(_named(stem, "-segmentation.png"), segmentation_png(sensed.segmentation))
         yield _written(_named(stem, "-camera.json"), camera_json(sensed))
         yield _written(path, npz_of(sensed))
-
-    def _bop(self, recording: Replay, number: int) -> Path:
-        """Adds the scene to the dataset BOP below `out`, seen from places drawn for its number."""
-        picture = self._picture(REALSENSE_SIZE, _QUICK)
-        focal = REALSENSE_FOCAL * picture.width / REALSENSE_SIZE[0]
-        rng = np.random.default_rng([self.seed, number])
-        support = replace(recording.support, region=recording.region)
-        cameras = [free(support, rng, picture.width, picture.height, focal) for _ in range(self.views)]
-        poses = recording.poses[recording.placed]
-        dataset = BopDataset(self.out / "bop")
-        return dataset.add(number, _placed(recording), poses, recording.support, cameras, picture)
 
     def _filmed(self, frames: Iterable[np.ndarray], count: int, path: Path) -> Path:
         shown = tracked(frames, path.name, count, "frame")
@@ -192,6 +214,42 @@ class Rendering:
             for number, recording in zip(numbers, recordings, strict=True)
         ]
         return contact_sheet(images, captions, self.columns)
+
+
+@dataclass
+class _Work:
+    """What the scenes of one call have in common.
+
+    Attributes:
+      source: of the scenes.
+      singles: draw a picture of each.
+      small: the picture of films.
+      is_drawn: there is an OpenGL.
+      dataset: BOP, which the scenes are added to, if it is asked for.
+    """
+
+    source: SceneSource
+    singles: bool
+    small: PictureConfig
+    is_drawn: bool
+    dataset: BopScenes | None = None
+    _stills: dict[int, Replay] = field(default_factory=dict)
+
+    def plan(self, numbers: Sequence[int]) -> None:
+        """Gives the scenes their numbers in the dataset; what cannot be read is told when its turn comes.
+
+        Raises:
+          ConfigError: a scene is there, seen otherwise.
+        """
+        for number in numbers:
+            with suppress(ClutterGenError):
+                self._stills[number] = self.source.still(number)
+        if self.dataset is not None:
+            self.dataset.plan(self._stills.items())
+
+    def still(self, number: int) -> Replay:
+        """The finished scene."""
+        return self._stills.get(number) or self.source.still(number)
 
 
 def chosen_numbers(
