@@ -12,6 +12,8 @@ from typing import Any, TextIO, TypeVar
 
 from tqdm import tqdm
 
+from cluttergen_jax.numerics import with_own_settings
+
 T = TypeVar("T")
 EVERY = 10.0
 """Seconds between two lines in a log."""
@@ -132,13 +134,15 @@ def interruptible(function: Callable[..., T], *args: Any) -> T:
     """
     if stop_asked.is_set():
         raise KeyboardInterrupt
+    # What JAX is asked to do differently holds for a thread alone.
+    whole = with_own_settings(function)
     if threading.current_thread() is not threading.main_thread():
-        return function(*args)
+        return whole(*args)
     result: Future[T] = Future()
 
     def work() -> None:
         try:
-            result.set_result(function(*args))
+            result.set_result(whole(*args))
         except BaseException as error:
             result.set_exception(error)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.config import Change, Engine, Method, Order, PlacerHead, Setting, Suite, check_workers
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
     from cluttergen_jax.evaluation.comparison import Comparison
@@ -21,6 +22,7 @@ _DOWNSTREAM = ("heads", "num_pairs", "bank")
 """What only some suites know."""
 
 
+@with_own_settings
 def evaluate(
     methods: Sequence[Method] = (),
     pools: Sequence[str] = (),
@@ -124,6 +126,7 @@ def evaluate(
     return compare(runner, planned, folder)
 
 
+@with_own_settings
 def evaluate_suite(
     suite: Suite,
     *,

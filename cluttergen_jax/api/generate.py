@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from cluttergen_jax.config import Containment, Engine, Method, Order, Overhang, Setting
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
@@ -18,6 +19,7 @@ MAX_SCENES = 2_000_000_000
 _MOST = 2**32 - 1
 
 
+@with_own_settings
 def generate(
     out: str | Path = "out",
     *,
@@ -51,6 +53,7 @@ def generate(
     render: bool = True,
     max_files: int = 1000,
     overwrite: bool = False,
+    allow_other_bits: bool = False,
     cluster: str | None = None,
     workers: int = 0,
 ) -> GeneratedBank:
@@ -104,6 +107,8 @@ def generate(
       render: draw a picture of each scene that gets a file.
       max_files: the first so many scenes get an MJCF file each (and a picture) if they succeed.
       overwrite: begin anew if the folder holds another bank.
+      allow_other_bits: continue a bank even if another processor, other flags of XLA or another jaxlib made
+        its scenes, so that the same seed here makes others; its record tells of both.
       cluster: where scenes are made: "local", Ray on this machine; "auto", the Ray cluster that this machine
         belongs to; or a cluster's address (extra `ray`). In this process if not given.
       workers: worker processes on the cluster, of `num_threads` cores each, one if that is 0; 0 takes as many
@@ -141,4 +146,6 @@ def generate(
         "checkpoint": None if checkpoint is None else str(checkpoint),
         "seed": seed,
     }
-    return write_bank(out, setup, chosen, recipe, num_scenes, render, max_files, overwrite, place)
+    return write_bank(
+        out, setup, chosen, recipe, num_scenes, render, max_files, overwrite, place, allow_other_bits
+    )

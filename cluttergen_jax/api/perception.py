@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.config import SegmenterInput, Split, check_noise, check_workers
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.perception.evaluation.evaluate import PerceptionResult
@@ -20,6 +21,7 @@ _METHODS = {"random": 5, "clear": 8, "drop": 8}
 """How scenes of views are made, and objects in each: rejection sampling fills few tables with more."""
 
 
+@with_own_settings
 def perception_data(
     out: str | Path = "views",
     *,
@@ -108,6 +110,7 @@ def perception_data(
     return write_views(out, banks, split, num_views, config, overwrite)
 
 
+@with_own_settings
 def perception_train(
     data: str | Path = "views",
     out: str | Path | None = None,
@@ -166,6 +169,7 @@ def perception_train(
     return SegmenterTraining(network, config, source, folder, show).run()
 
 
+@with_own_settings
 def perception_eval(
     data: str | Path = "views",
     segmenter: str | Path | None = None,

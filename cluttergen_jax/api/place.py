@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.config import Containment, Overhang
+from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 _MOST = 2**32 - 1
 
 
+@with_own_settings
 def place_by_hand(
     out: str | Path = "out/hand",
     *,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.config import Method, SensedFrom, Split, check_noise, check_workers
 from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
@@ -18,6 +19,7 @@ _MOST_PAIRS = 10_000_000
 _MOST_SEED = 999_999
 
 
+@with_own_settings
 def placer_data(
     out: str | Path = "pairs",
     bank: str | Path | None = None,
@@ -101,6 +103,7 @@ def placer_data(
     return write_pairs(out, found, of_split, num_pairs, camera, seed, num_threads, overwrite)
 
 
+@with_own_settings
 def placer_eval(
     data: str | Path,
     placers: Sequence[str] = ("random", "geometry", "geometry-occupied"),

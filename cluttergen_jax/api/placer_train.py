@@ -6,8 +6,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from cluttergen_jax.config import PlacerHead, PlacerLoss, PlacerNoise, PlacerPreset
+from cluttergen_jax.numerics import with_own_settings
 
 
+@with_own_settings
 def placer_train(
     data: str | Path | Sequence[str | Path],
     head: PlacerHead = "scored",

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.config import Encoder
+from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
     from cluttergen_jax.learning.training.pretrain import PretrainReport
 
 
+@with_own_settings
 def pretrain(
     encoder: Encoder = "pointnet2",
     out: str | Path | None = None,

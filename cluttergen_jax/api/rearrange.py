@@ -17,6 +17,7 @@ from cluttergen_jax.config import (
     check_workers,
 )
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.rearrange.observe import Observer
@@ -29,6 +30,7 @@ _MOST_EPISODES = 1_000_000
 _MOST_LAYOUTS = 64
 
 
+@with_own_settings
 def rearrange(
     out: str | Path = "out/rearrange",
     *,

@@ -10,6 +10,7 @@ from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.api.text import parse_size, scene_numbers
 from cluttergen_jax.config import FilmFormat, PixelOrigin
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.rendering.config import CameraView, FilmConfig
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 _MOST_VIEWS, _MOST_COLUMNS = 10_000, 1000
 
 
+@with_own_settings
 def render(
     source: str | Path,
     out: str | Path = "out/pictures",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from cluttergen_jax.api.places import check_file, check_folder
 from cluttergen_jax.config import MAX_NOISE, FilmFormat, Method, RobotTask, check_workers
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.query import Placer
@@ -23,6 +24,7 @@ _REGION = "0.5x0.5"
 _NUM_OBJECTS = 8
 
 
+@with_own_settings
 def robot_grasps(
     pool: str | Path = "household",
     objects: Sequence[str] = (),
@@ -82,6 +84,7 @@ def robot_grasps(
     return sets
 
 
+@with_own_settings
 def robot_place(
     out: str | Path = "out/robot",
     bank: str | Path | None = None,

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 from cluttergen_jax.config import Change, Encoder, Engine, EvalAction, Preset, Reward, Suite, Variant
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.training.suite import POOLS, SEEDS
+from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
     from cluttergen_jax.learning.training.suite_run import SuiteReport
 
 
+@with_own_settings
 def train(
     pool: str | Path = "dining",
     support: str | Path = "table",
@@ -118,6 +120,7 @@ def _refuse(given: Mapping[str, Any], taken: Sequence[str]) -> None:
             )
 
 
+@with_own_settings
 def train_suite(
     suite: Suite,
     *,

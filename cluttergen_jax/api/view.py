@@ -6,8 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cluttergen_jax.config import Method
+from cluttergen_jax.numerics import with_own_settings
 
 
+@with_own_settings
 def view(
     source: str | Path | None = None,
     *,

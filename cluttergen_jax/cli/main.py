@@ -18,6 +18,7 @@ from cluttergen_jax.cli.commands import COMMANDS, all_commands, load, overview
 from cluttergen_jax.cli.flags import removed_name, with_flags
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.files import advice_on, cache_home, check_utf8
+from cluttergen_jax.numerics import OF_THIS_PACKAGE
 from cluttergen_jax.progress import stop_asked
 from cluttergen_jax.rendering.gl import check_importable
 
@@ -31,6 +32,8 @@ def program(args: Sequence[str] | None = None) -> None:
     # Imports and traces make millions of objects that stay; looking for garbage among them took a sixth of a
     # short command's time.
     gc.set_threshold(_MANY_OBJECTS)
+    # What the API's functions ask of JAX for themselves, in all threads of this process and in its children.
+    os.environ.update(OF_THIS_PACKAGE)
     status = main(args)
     if status == INTERRUPTED:
         # What was computed is on disk. A compilation that is still at work in a thread would hold up an

@@ -82,7 +82,9 @@ def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type
             for name, parameter in inspect.signature(function).parameters.items():
                 if name not in fields and name != _NOT_AN_OPTION:
                     # One by one: some other annotation may name a type that takes long to import.
-                    kind = kinds.get(name) or _as_given(eval(parameter.annotation, function.__globals__))
+                    kind = kinds.get(name) or _as_given(
+                        eval(parameter.annotation, inspect.unwrap(function).__globals__)
+                    )
                     is_needed = all(name in inspect.signature(each).parameters for each in functions)
                     fields[name] = (name, kind, _default(parameter.default, kind, is_needed))
         for name in kinds.keys() - fields.keys():

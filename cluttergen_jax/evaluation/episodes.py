@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from flax import struct
 
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
 from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.placement.types import Episode, Transition
@@ -79,7 +80,7 @@ def run_episodes(
     """
     width = width_of(num_scenes)
     started = time.perf_counter()
-    key = jax.random.key(seed)
+    key = new_key(seed)
     rollout.compile(sampler, key, np.arange(width))
     compiled, cpu = time.perf_counter(), time.process_time()
     made: list[Attempts] = []

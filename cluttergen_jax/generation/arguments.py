@@ -35,7 +35,8 @@ def check_key(key: Any, call: str = "sample") -> None:
     if dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key):
         is_one = shape == ()
     else:
-        is_one = dtype == jnp.uint32 and shape == (2,)
+        # How long such a key is, JAX's default implementation says.
+        is_one = dtype == jnp.uint32 and shape == jax.eval_shape(lambda: jax.random.PRNGKey(0)).shape
     if not is_one:
         raise ConfigError(
             f"{call}(key) with a {type(key).__name__} of type {dtype} and shape {shape}",

@@ -16,6 +16,7 @@ from flax import struct
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation.arguments import check_key, is_known
+from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.placement.region import from_pose
 from cluttergen_jax.placement.setup import check_range
 from cluttergen_jax.scene import SceneCollection
@@ -93,6 +94,7 @@ class BankArrays(struct.PyTreeNode):
         """The same scenes on the host, to be put into a `mujoco.MjData`."""
         return SceneCollection(self.compiled, np.asarray(self.object_index), np.asarray(self.poses))
 
+    @with_own_settings
     def reset(self, key: Array) -> BankArrays:
         """A scene that stands, all of them equally likely. Pure: to be compiled and mapped.
 
@@ -105,6 +107,7 @@ class BankArrays(struct.PyTreeNode):
         check_key(key, "reset")
         return self.scene(jax.random.randint(key, (), 0, len(self)))
 
+    @with_own_settings
     def scene(self, place: Array) -> BankArrays:
         """The scene at `place`, i32, among those that stand (0 to len - 1); it may be traced.
 
@@ -116,6 +119,7 @@ class BankArrays(struct.PyTreeNode):
         return jax.tree.map(lambda leaf: leaf[place], self)
 
 
+@with_own_settings
 def load_bank(
     path: str | Path,
     *,
@@ -205,6 +209,7 @@ def _compiled(bank: Bank, reader: StandingReader) -> SceneModel:
     return compile_scenes(assets, reader.most, bank.support, stability.timestep, contact)
 
 
+@with_own_settings
 def _arrays(bank: Bank, compiled: SceneModel, scenes: StandingScenes) -> BankArrays:
     object_index = compiled.object_index(scenes.asset_index)
     return BankArrays(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import platform
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
@@ -18,14 +19,17 @@ import pyarrow as pa
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.cluster import Cluster, each_on
+from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.learning.methods import Method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
+from cluttergen_jax.numerics import bits_of_here, with_own_settings
 from cluttergen_jax.physics import engine_of
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_block, sample_blocks
 from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.progress import Progress
+from cluttergen_jax.scene.bank.bits import differences
 from cluttergen_jax.scene.bank.table import table_of
 
 Block = tuple[int, int]
@@ -41,12 +45,20 @@ def blocks_here(
 
 
 def blocks_on(
-    cluster: Cluster, setup: Setup, method: Method, blocks: Sequence[Block], seed: int
+    cluster: Cluster,
+    setup: Setup,
+    method: Method,
+    blocks: Sequence[Block],
+    seed: int,
+    bits: dict[str, str] | None = None,
 ) -> Iterator[tuple[int, pa.Table]]:
-    """Likewise, as the workers of a cluster make them."""
-    maker, config = BlockMaker.of(setup, method, seed), setup.problem.config
-    is_on_gpu = engine_of(config.engine, config.stability) == "warp"
-    made = each_on(cluster, maker, blocks, "block", maker.config.num_threads, int(is_on_gpu))
+    """Likewise, as the workers of a cluster make them.
+
+    Args:
+      bits: what workers have to compute by (`numerics.bits_of_here`); None for anything.
+    """
+    maker = replace(BlockMaker.of(setup, method, seed), bits=bits)
+    made = each_on(cluster, maker, blocks, "block", maker.config.num_threads, int(_is_on_gpu(setup)))
     with Progress("placing", sum(rows for _, rows in blocks), "scene") as progress, closing(made):
         if blocks:
             progress.say("workers start, and each compiles: about 30 s until the first scenes")
@@ -79,6 +91,7 @@ class BlockMaker:
       objects, standing: those that are placed, and those that stand there when an episode begins.
       keep_out, start: of `Setup`, as NumPy arrays.
       weights: the files of the method's checkpoint by name; None for a baseline.
+      bits: what a worker has to compute by; None for anything.
     """
 
     config: ProblemConfig
@@ -90,6 +103,7 @@ class BlockMaker:
     method: str
     weights: dict[str, bytes] | None
     seed: int
+    bits: dict[str, str] | None = None
 
     @classmethod
     def of(cls, setup: Setup, method: Method, seed: int) -> BlockMaker:
@@ -112,8 +126,14 @@ class BlockMaker:
             seed=seed,
         )
 
+    @with_own_settings
     def __call__(self) -> Callable[[Block], pa.Table]:
-        """The function that makes a block's rows."""
+        """The function that makes a block's rows.
+
+        Raises:
+          ClutterGenError: this worker's bits would be others than the bank's.
+        """
+        _check_worker(self.bits)
         problem = compose(self.objects, self.support, self.config, self.standing)
         keep_out, start = jax.tree.map(jnp.asarray, (self.keep_out, self.start))
         setup = Setup(problem, keep_out, start)
@@ -124,7 +144,31 @@ class BlockMaker:
             sampler = sampler_of(setup, Method(self.method, checkpoint))
         rollout = Rollout(is_constant=True)
 
+        @with_own_settings
         def make(block: Block) -> pa.Table:
             return _rows(problem, *sample_block(rollout, sampler, *block, self.seed))
 
         return make
+
+
+def bits_of(setup: Setup, cluster: Cluster | None) -> dict[str, str]:
+    """By what scenes are computed (`numerics.bits_of_here`), here or by workers of this machine's kind."""
+    # Without a GPU engine workers see no GPU.
+    return bits_of_here() | ({} if cluster is None or _is_on_gpu(setup) else {"device": "cpu"})
+
+
+def _is_on_gpu(setup: Setup) -> bool:
+    config = setup.problem.config
+    return engine_of(config.engine, config.stability) == "warp"
+
+
+def _check_worker(bits: dict[str, str] | None) -> None:
+    """Refuses to work where scenes would have other bits than the bank's."""
+    here = bits_of_here()
+    if bits is not None and here != bits:
+        told = "; ".join(differences(here, bits))
+        raise ClutterGenError(
+            f"scenes of a worker on {platform.node()} would have other bits than those of the bank: {told}",
+            "machines of one kind, which make the same scenes",
+            "`allow_other_bits` for a bank that is a mixture",
+        )

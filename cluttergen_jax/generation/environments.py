@@ -12,6 +12,7 @@ from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.generation.arguments import check_known
 from cluttergen_jax.generation.wrappers import ActionRange, FlatObservation, OnSurface
 from cluttergen_jax.learning.methods import rules_asked
+from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.placement.brax_env import Env
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
@@ -26,6 +27,7 @@ OBSERVATIONS = ("flat", "dict")
 ACTIONS = ("pose", "surface")
 
 
+@with_own_settings
 def make_env(
     pool: str | Path = "dining",
     support: str | Path = "table",
@@ -117,6 +119,7 @@ def make_env(
     return ActionRange(env, *action_range)
 
 
+@with_own_settings
 def make_gym_env(**settings: Any) -> GymnasiumEnv:
     """A `gymnasium.Env` of one scene; `settings` are those of `make_env`. Extra `gym`.
 
@@ -131,6 +134,7 @@ def make_gym_env(**settings: Any) -> GymnasiumEnv:
     return GymnasiumEnv(_without_reset("make_gym_env", settings))
 
 
+@with_own_settings
 def make_vector_env(num_envs: int = 64, **settings: Any) -> GymnasiumVectorEnv:
     """A `gymnasium.vector.VectorEnv`, all scenes simulated together; `settings` are those of `make_env`.
 

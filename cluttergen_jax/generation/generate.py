@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 from cluttergen_jax.cluster import Cluster
 from cluttergen_jax.config import stability_record
 from cluttergen_jax.files import writing
-from cluttergen_jax.generation.blocks import Block, blocks_here, blocks_on
+from cluttergen_jax.generation.blocks import Block, bits_of, blocks_here, blocks_on
 from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.learning.methods import DEFAULT_METHOD, Method, sampler_of
 from cluttergen_jax.physics import engine_of
@@ -66,17 +66,27 @@ def write_bank(
     max_files: int,
     overwrite: bool,
     cluster: Cluster | None = None,
+    allow_other_bits: bool = False,
 ) -> GeneratedBank:
     """The bank of a recipe in a folder, begun or continued; see `cluttergen_jax.generate`."""
-    problem, sampler = setup.problem, sampler_of(setup, method)
+    problem, sampler, bits = setup.problem, sampler_of(setup, method), bits_of(setup, cluster)
 
     def made(blocks: Sequence[Block]) -> Iterator[tuple[int, pa.Table]]:
         if cluster is None:
             return blocks_here(sampler, problem, blocks, recipe["seed"])
-        return blocks_on(cluster, setup, method, blocks, recipe["seed"])
+        return blocks_on(cluster, setup, method, blocks, recipe["seed"], None if allow_other_bits else bits)
 
     names, notes = names_of(problem.world.objects), tuple(_notes(problem))
-    with BankWriter(out, recipe, num_scenes, names, problem.world.support, overwrite) as writer:
+    with BankWriter(
+        out,
+        recipe,
+        num_scenes,
+        names,
+        problem.world.support,
+        overwrite,
+        bits=bits,
+        allow_other_bits=allow_other_bits,
+    ) as writer:
         for note in notes:
             print(note, file=sys.stderr, flush=True)
         started = time.perf_counter()

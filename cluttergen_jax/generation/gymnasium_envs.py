@@ -16,6 +16,7 @@ from gymnasium.vector.utils import batch_space
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.wrappers import ActionRange
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.brax_env import Env, State
 from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.placement.types import Episode
@@ -85,7 +86,7 @@ def _writable(array: np.ndarray) -> np.ndarray:
 
 def spaces_of(env: ActionRange) -> tuple[spaces.Space, spaces.Box]:
     """The spaces of one scene: observations, then actions."""
-    seen = jax.eval_shape(env.reset, jax.random.key(0)).obs
+    seen = jax.eval_shape(env.reset, new_key(0)).obs
     return space_of(seen), spaces.Box(env.low, env.high, (env.action_size,), np.float32)
 
 
@@ -189,7 +190,7 @@ def _masked(info: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, np.ndarr
 
 
 def _key(random: np.random.Generator) -> Array:
-    return jax.random.key(random.integers(2**32, dtype=np.uint32))
+    return new_key(random.integers(2**32, dtype=np.uint32))
 
 
 def _check_options(options: dict[str, Any] | None) -> None:

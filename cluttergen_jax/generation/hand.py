@@ -20,6 +20,7 @@ from cluttergen_jax.files import writing
 from cluttergen_jax.generation.files import write_files, write_model
 from cluttergen_jax.generation.generate import GeneratedBank, recipe_of
 from cluttergen_jax.learning.methods import Method, rules_asked
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.hand import HandError, HandScene
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.setup import Setup, make_setup, problem_config
@@ -105,7 +106,7 @@ class HandBank:
 
     def begin(self) -> HandScene:
         """The next scene, with none of its objects placed."""
-        key = jax.random.fold_in(jax.random.key(self._seed), self.num_kept)
+        key = jax.random.fold_in(new_key(self._seed), self.num_kept)
         return HandScene(self.setup, key, self.num_kept)
 
     def rehearse(self) -> None:

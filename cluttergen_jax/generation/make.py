@@ -18,6 +18,7 @@ from cluttergen_jax.learning.methods import (
     sampler_of,
     suited,
 )
+from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.setup import Setup, check_range, check_whole, make_setup, problem_config
@@ -26,6 +27,7 @@ from cluttergen_jax.scene.bank.reference import read_start
 MAX_RETRIES = 10_000
 
 
+@with_own_settings
 def make_sampler(
     pool: str | Path = "dining",
     support: str | Path = "table",

@@ -15,6 +15,7 @@ from cluttergen_jax.assets.reach import reach_of
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.arguments import check_call, check_key, is_known
+from cluttergen_jax.numerics import narrowed, with_own_settings
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.region import KeepOut, Region
@@ -55,6 +56,7 @@ class Sampler:
     max_retries: int
     num_scene_points: int
 
+    @with_own_settings
     def __call__(
         self,
         key: Array,
@@ -81,6 +83,7 @@ class Sampler:
         """
         check_key(key)
         check_call(region, keep_out, start)
+        region, keep_out, start = narrowed((region, keep_out, start))
         rules, support = self.steps.rules, self.problem.world.support
         fits = jnp.bool_(True) if region is None else _fits(region, rules.region, support)
         if start is not None:
@@ -127,6 +130,7 @@ class Sampler:
         """The compiled world's objects, in the order of `SceneBatch.object_index`."""
         return self.problem.world.names
 
+    @with_own_settings
     def scene(self, sampled: SceneBatch, index: int = 0) -> Scene:
         """One scene on the host, as pictures, exports and models (`Scene.to_mjspec`) take it.
 

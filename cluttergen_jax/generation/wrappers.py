@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.numerics import narrowed, new_key, with_own_settings
 from cluttergen_jax.placement.brax_env import Env, State, Wrapper
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.rules import Rules
@@ -45,10 +46,12 @@ class FlatObservation(Wrapper):
                 'observation="dict", or heights (num_cells) in place of clouds',
             )
 
+    @with_own_settings
     def reset(self, rng: Array) -> State:
         """See `PlacementEnv.reset`."""
         return self._flat(self.env.reset(rng))
 
+    @with_own_settings
     def step(self, state: State, action: Array) -> State:
         """See `PlacementEnv.step`."""
         return self._flat(self.env.step(state, action))
@@ -73,7 +76,7 @@ class FlatObservation(Wrapper):
     @property
     def observation_size(self) -> int:
         """D."""
-        return jax.eval_shape(self.reset, jax.random.key(0)).obs.shape[0]
+        return jax.eval_shape(self.reset, new_key(0)).obs.shape[0]
 
 
 class OnSurface(Wrapper):
@@ -91,6 +94,7 @@ class OnSurface(Wrapper):
         super().__init__(env)
         self.rules = rules
 
+    @with_own_settings
     def step(self, state: State, action: Array) -> State:
         """One attempt with `action`, f32[3]."""
         rules, episode = self.rules, state.pipeline_state.episode
@@ -116,6 +120,8 @@ class ActionRange(Wrapper):
             raise ConfigError(f"action_range = ({low}, {high})", "two numbers that rise", "(-1.0, 1.0)")
         self.low, self.high = float(low), float(high)
 
+    @with_own_settings
     def step(self, state: State, action: Array) -> State:
         """See `PlacementEnv.step`."""
+        action = narrowed(action)
         return self.env.step(state, jnp.clip((action - self.low) / (self.high - self.low), 0.0, 1.0))

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from cluttergen_jax.numerics import narrowed, new_key, with_own_settings
 from cluttergen_jax.placement.brax_env import Env, State
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.region import KeepOut
@@ -64,6 +65,7 @@ class PlacementEnv(Env):
     start: Start | None = None
     keep_out: KeepOut | None = None
 
+    @with_own_settings
     def reset(self, rng: Array, scene: Start | None = None, keep_out: KeepOut | None = None) -> State:
         """A new episode on an empty support, or around `scene`, outside `keep_out` (both optional).
 
@@ -73,6 +75,7 @@ class PlacementEnv(Env):
           scene, keep_out: instead of the environment's own.
         """
         key_episode, key_next = jax.random.split(rng)
+        scene, keep_out = narrowed((scene, keep_out))
         episode = self.rules.begin(
             key_episode,
             keep_out=self.keep_out if keep_out is None else keep_out,
@@ -90,10 +93,11 @@ class PlacementEnv(Env):
             info={"truncation": jnp.float32(0)}, **self._seen(ongoing, jnp.float32(0), jnp.bool_(False))
         )
 
+    @with_own_settings
     def step(self, state: State, action: Array) -> State:
         """One attempt with `action`, f32[4] in (0, 1)."""
         before: Ongoing = state.pipeline_state
-        after, transition = self.rules.attempt(before.episode, action)
+        after, transition = self.rules.attempt(before.episode, narrowed(action))
         ends = after.is_over & ~before.episode.is_over
         ongoing = before.replace(
             episode=after,
@@ -131,6 +135,7 @@ class PlacementEnv(Env):
             },
         }
 
+    @with_own_settings
     def observe(self, episode: Episode) -> dict[str, Any]:
         """The observation of an episode (`placement.observation.observe`)."""
         return observe(self.rules, episode, self.observation)
@@ -138,7 +143,7 @@ class PlacementEnv(Env):
     @property
     def observation_size(self) -> dict[str, Any]:
         """The shape of each observation; nested as the observation is."""
-        state = jax.eval_shape(self.reset, jax.random.key(0))
+        state = jax.eval_shape(self.reset, new_key(0))
         return jax.tree.map(lambda leaf: leaf.shape, state.obs)
 
     @property

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import jaxlie
 from flax import struct
 
+from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.types import Array
 
 
@@ -36,6 +37,7 @@ class KeepOut(struct.PyTreeNode):
     yaw: Array
 
 
+@with_own_settings
 def make_region(center: Array, half_extents: Array, yaw: Array, top: Array) -> Region:
     """A region on a flat top; all arguments may be traced.
 

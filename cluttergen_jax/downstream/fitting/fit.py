@@ -14,6 +14,7 @@ from flax import struct
 
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.types import Array
 
 _WARM_UP = 0.02
@@ -38,7 +39,7 @@ class Learner(Protocol):
 
 def blank_params(learner: Learner) -> Any:
     """Weights of a network's shapes, all zero."""
-    shapes = jax.eval_shape(learner.init, jax.random.key(0))
+    shapes = jax.eval_shape(learner.init, new_key(0))
     return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
 
 
@@ -112,13 +113,13 @@ class Fit:
 
     def start(self) -> FitState:
         """Fresh weights."""
-        params = self.learner.init(jax.random.key(self.config.seed))
+        params = self.learner.init(new_key(self.config.seed))
         moments = self.config.optimizer(self.num_steps).init(params)
         return FitState(params, moments, jnp.int32(0), params, jnp.float32(jnp.inf))
 
     def step(self, state: FitState, examples: Any) -> tuple[FitState, dict[str, Array]]:
         """One step on a batch of prepared examples: the new state, and the loss with its parts."""
-        key = jax.random.fold_in(jax.random.key(self.config.seed + 1), state.step)
+        key = jax.random.fold_in(new_key(self.config.seed + 1), state.step)
         gradient = jax.value_and_grad(self.learner.loss, has_aux=True)
         (loss, parts), slope = gradient(state.params, examples, key)
         optimizer = self.config.optimizer(self.num_steps)
@@ -128,7 +129,7 @@ class Fit:
 
     def loss(self, params: Any, examples: Any) -> Array:
         """f32: the loss on examples that nothing is learned from."""
-        return self.learner.loss(params, examples, jax.random.key(0))[0]
+        return self.learner.loss(params, examples, new_key(0))[0]
 
 
 def num_examples(examples: Any) -> int:

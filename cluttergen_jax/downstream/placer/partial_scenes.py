@@ -11,6 +11,7 @@ import numpy as np
 
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation.sources.replay import setup_of
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rules import Rules, empty_start
@@ -76,7 +77,7 @@ def episode_of(rules: Rules, keep_out: KeepOut, object_index: Array, poses: Arra
       poses: f32[N, 7], T_world_object.
       slot: i32, of the current object.
     """
-    episode = rules.begin(jax.random.key(0), rules.region, keep_out)
+    episode = rules.begin(new_key(0), rules.region, keep_out)
     num_objects = rules.geometry.num_objects
     is_before = (jnp.arange(object_index.shape[0]) < slot) & (object_index >= 0)
     place = jnp.where(is_before, object_index, num_objects)

@@ -28,6 +28,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed, scene_distances
 from cluttergen_jax.generation.make import make_sampler
 from cluttergen_jax.geometry import transformed
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.region import make_region
 from cluttergen_jax.types import Array
 
@@ -96,7 +97,7 @@ class SceneDraw:
         if poses is not None and len(standing):
             start[list(standing)], is_placed[list(standing)] = poses, True
         box = np.array([*region.center, *region.half_extents, region.yaw], np.float32)
-        keys = jax.random.split(jax.random.key(seed), number)
+        keys = jax.random.split(new_key(seed), number)
         found, stands = self._draw(keys, order, np.int32(len(standing)), start, is_placed, box)
         kept = np.asarray(found, np.float64)[np.asarray(stands)][:, list(chosen)]
         kept[..., 3:] /= np.linalg.norm(kept[..., 3:], axis=-1, keepdims=True)

@@ -18,6 +18,7 @@ from cluttergen_jax.downstream.robot.cameras import above
 from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.motion.columns import CELL, Columns, columns_of
 from cluttergen_jax.generation.sources.replay import setup_of
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.search.fit import Candidates, lower_onto
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.sensing.camera import Camera
@@ -77,7 +78,7 @@ class CameraPlacer:
         """
         sight = self._maker.fused(views, self._noise, np.random.default_rng(seed))
         query = self._maker.query(sight, self._names.index(name))
-        pose = np.array(self._ask(jax.random.key(seed), query))
+        pose = np.array(self._ask(new_key(seed), query))
         if last is not None:
             pose[-1] = last
         pose = np.asarray(self._lower(pose, query))

@@ -10,6 +10,7 @@ import numpy as np
 from cluttergen_jax.downstream.placer.judge import Judge
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.types import Verdict
@@ -37,7 +38,7 @@ class SearchPlaces:
         self._judge = Judge(self._scenes.rules)
         rules, propose = FullState(method).in_world(self._scenes.problem)
         self._propose: Any = jax.jit(lambda key, episode: proposals_of(propose, key, episode, rules).pose)
-        self._key = jax.random.key(seed)
+        self._key = new_key(seed)
 
     def __call__(self, index: int, scene: Scene) -> np.ndarray:
         """f64[M, 7]: T_world_object for the last object of a scene of the bank, best first."""

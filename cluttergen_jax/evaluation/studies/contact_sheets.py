@@ -13,6 +13,7 @@ from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.findings import Findings, Successes, successes_of
 from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.rollout.record import rectangle_of
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.gl import renderer_status
@@ -56,7 +57,7 @@ def renders(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
 
 def _outlined(runner: Runner, trial: Trial, scenes: Successes, scene: int) -> np.ndarray:
     """uint8[H, W, 3]: one of the successful scenes and the outline of the region that it was asked for in."""
-    key = jax.random.fold_in(jax.random.key(trial.seed), int(scenes.index[scene]))
+    key = jax.random.fold_in(new_key(trial.seed), int(scenes.index[scene]))
     region = rectangle_of(runner.setup(runner.resolve(trial)).rules.begin(key).region)
     height = np.full(len(_AROUND), scenes.world.support.top + _LINE)
     outline = np.column_stack([region.corners[_AROUND], height])

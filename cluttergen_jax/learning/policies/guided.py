@@ -19,6 +19,7 @@ from cluttergen_jax.learning.networks.stability import (
 )
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.learning.ppo.checkpoint import read_policy
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.trusted import CandidateSet, TrustedConfig, TrustedSearch
@@ -50,7 +51,7 @@ class Guided(TrustedSearch, eq=False):
 
 def blank_params(network: StabilityNetConfig) -> Any:
     """Parameters of the network's shapes, all zero."""
-    shapes = jax.eval_shape(StabilityNet(network).init, jax.random.key(0), jnp.zeros((1, NUM_FEATURES)))
+    shapes = jax.eval_shape(StabilityNet(network).init, new_key(0), jnp.zeros((1, NUM_FEATURES)))
     return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
 
 

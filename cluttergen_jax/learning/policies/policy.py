@@ -15,6 +15,7 @@ from cluttergen_jax.learning.agents import Agent, make_agent
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.learning.ppo.checkpoint import read_policy
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.observation import observe
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode
@@ -86,8 +87,8 @@ def load_policy(checkpoint: Checkpoint, rules: Rules, is_sampled: bool = True) -
     _check_history(checkpoint.placement, rules)
     policy = replace(policy, num_attempts=checkpoint.placement["max_attempts"])
     # Only shapes are needed: drawing fresh parameters would take longer to compile than acting does.
-    seen = jax.eval_shape(lambda: policy.observe(rules.begin(jax.random.key(0))))
-    shapes = jax.eval_shape(policy.agent.init, jax.random.key(0), seen)
+    seen = jax.eval_shape(lambda: policy.observe(rules.begin(new_key(0))))
+    shapes = jax.eval_shape(policy.agent.init, new_key(0), seen)
     blank = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
     return replace(policy, params=read_policy(checkpoint.path, blank))
 

@@ -86,9 +86,10 @@ def fresh_state(ppo: PPO, key: Any, params: Any) -> TrainState:
     if ppo.mesh is None:
         return jax.jit(ppo.start)(key, params)
     data, params = np.asarray(jax.random.key_data(key)), jax.device_get(params)
+    implementation = jax.random.key_impl(key)
 
     def start(data: Any, params: Any) -> TrainState:
-        return ppo.start(jax.random.wrap_key_data(data), params)
+        return ppo.start(jax.random.wrap_key_data(data, impl=implementation), params)
 
     sharding = state_sharding(ppo.mesh, jax.eval_shape(start, data, params))
     return jax.jit(start, out_shardings=sharding)(data, params)

@@ -12,6 +12,7 @@ import numpy as np
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.policy import TrainedPolicy, make_policy
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
@@ -64,7 +65,7 @@ class Evaluator:
         """
         params = jax.tree.map(lambda leaf: np.float32(np.float16(leaf)), params)
         sampler = BlockSampler(self.rules, replace(self._policy, params=params))
-        key = jax.random.fold_in(jax.random.key(self.seed), _FRESH)
+        key = jax.random.fold_in(new_key(self.seed), _FRESH)
         width = min(BLOCK_SIZE, self.num_episodes)
         scenes = self._rollout.run_all(sampler, key, self.num_episodes, width)
         found = scenes.is_success

@@ -41,6 +41,7 @@ from cluttergen_jax.learning.training.worlds import (
     mean_footprint,
     object_sets,
 )
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig, placement_record
 from cluttergen_jax.placement.setup import check_range
@@ -187,7 +188,7 @@ class GuidedTraining:
                     progress.update(len(seen[-1].features))
                     continue
                 world = crowds.world(number, index)
-                key = jax.random.fold_in(jax.random.key(config.seed), crowds.number_of(number, index))
+                key = jax.random.fold_in(new_key(config.seed), crowds.number_of(number, index))
                 explorer = Explorer(
                     LowestFit(world.rules, mapper=world.mapper),
                     params=params,

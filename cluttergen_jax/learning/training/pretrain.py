@@ -23,6 +23,7 @@ from cluttergen_jax.learning.training.classifier import (
     turned,
 )
 from cluttergen_jax.learning.training.interrupt import Interrupt
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.progress import Progress
 
 
@@ -121,7 +122,7 @@ class Pretraining:
     def _start(self) -> FitState:
         points = self.config.network.object_points
         start = jax.jit(self.fit.start, static_argnums=1)
-        state = start(jax.random.key(self.config.seed), points)
+        state = start(new_key(self.config.seed), points)
         last = self.folder / "last"
         return checkpoint.read_state(last, state) if checkpoint.has_state(last) else state
 
@@ -133,7 +134,7 @@ class Pretraining:
                 if interrupt.is_asked:
                     break
                 index = self._batch(number)
-                key = jax.random.fold_in(jax.random.key(config.seed + 1), number)
+                key = jax.random.fold_in(new_key(config.seed + 1), number)
                 state, loss, accuracy = step(state, shapes.cloud[index], shapes.label[index], key)
                 progress.update(note=f"loss {float(loss):.3f} accuracy {float(accuracy):.2f}")
                 if time.monotonic() - saved > config.save_every:
@@ -156,7 +157,7 @@ class Pretraining:
         shapes = make_clouds(
             config.families, _seeds(config, True), config.network.object_points, "held-out shapes"
         )
-        angle = jax.random.uniform(jax.random.key(config.seed), shapes.label.shape, maxval=2 * jnp.pi)
+        angle = jax.random.uniform(new_key(config.seed), shapes.label.shape, maxval=2 * jnp.pi)
         cloud = jax.vmap(turned)(jnp.asarray(shapes.cloud), angle)
         logits = jax.jit(self.fit.logits)
         whole = np.ones((config.batch_size, cloud.shape[1]), bool)

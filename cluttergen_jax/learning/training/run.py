@@ -20,6 +20,7 @@ from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.memory import check_memory
 from cluttergen_jax.learning.training.run_logger import Evaluate, Logger, NullLogger, RunConfig, RunLogger
 from cluttergen_jax.learning.training.updates import Updates, num_updates
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.rules import Rules
 
@@ -68,7 +69,7 @@ class Run:
 
     def start(self) -> TrainState:
         """The state to go on from: the last checkpoint's, or a fresh one."""
-        key_init, key_run = jax.random.split(jax.random.key(self.config.seed))
+        key_init, key_run = jax.random.split(new_key(self.config.seed))
         fresh = distributed.fresh_state(self.ppo, key_run, self._init(key_init))
         last = self.folder / "last"
         if not distributed.agree(has_state(last))[0, 0]:

@@ -21,6 +21,7 @@ from cluttergen_jax.learning.networks.stability import (
     StabilityPrediction,
 )
 from cluttergen_jax.learning.training.attempts import Examples
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.types import Array
 
 _AUXILIARY = 0.3
@@ -48,7 +49,7 @@ def fit(network: StabilityNetConfig, config: FitConfig, examples: Examples, seed
     schedule = optax.cosine_decay_schedule(config.learning_rate, config.num_epochs * num_batches)
     optimizer = optax.adamw(schedule)
     data = jax.tree.map(jnp.asarray, examples)
-    key_init, key_order = jax.random.split(jax.random.key(seed))
+    key_init, key_order = jax.random.split(new_key(seed))
     params = StabilityNet(network).init(key_init, jnp.zeros((1, NUM_FEATURES)))
 
     def step(state: tuple[Any, Any], index: Array) -> tuple[tuple[Any, Any], Array]:

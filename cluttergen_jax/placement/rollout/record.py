@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.numerics import new_key, with_own_settings
 from cluttergen_jax.placement.region import Region
 from cluttergen_jax.placement.rollout.blocks import BlockSampler
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
@@ -38,6 +39,7 @@ class Recorder:
     world: World
     width: int = BLOCK_SIZE
 
+    @with_own_settings
     def record(self, seed: int, index: int, title: str = "", num_proposals: int = 0) -> Replay:
         """Scene number `index` of `seed`, as `placement.rollout.sample_blocks` makes it.
 
@@ -50,7 +52,7 @@ class Recorder:
         rollout = self._rollout_with_history if num_proposals else self._rollout
         rollout.run(
             self.sampler,
-            jax.random.key(seed),
+            new_key(seed),
             places,
             np.arange(self.width) == row,
             lambda _, seen: steps.append(jax.tree.map(lambda leaf: leaf[row], seen)),
@@ -79,7 +81,7 @@ class Recorder:
         """f32[number, 4] drawn for an episode; None for none."""
         if not number:
             return None
-        keys = jax.random.split(jax.random.key(seed), number)
+        keys = jax.random.split(new_key(seed), number)
         return np.asarray(self._draw(keys, before))
 
     @cached_property

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.physics.host import HostPhysics
 from cluttergen_jax.placement.rollout.blocks import BlockSampler
 from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch
@@ -260,5 +261,5 @@ def sample_block(
     """The scene indices i32[n] of one block, and its scenes, as `sample_blocks` yields them."""
     place = np.arange(BLOCK_SIZE)
     indices = block * BLOCK_SIZE + place
-    scenes = rollout.run(sampler, jax.random.key(seed), indices, place < rows, on_step)
+    scenes = rollout.run(sampler, new_key(seed), indices, place < rows, on_step)
     return indices[:rows], jax.tree.map(lambda array: array[:rows], scenes)

@@ -33,6 +33,7 @@ from cluttergen_jax.assets.support_file import read_support, support_hash
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.files import check_utf8, inside
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
+from cluttergen_jax.scene.bank.bits import are_bits
 from cluttergen_jax.scene.bank.blocks import AGAIN, StoredBlocks, record_in
 from cluttergen_jax.scene.bank.remote import is_url, mirrored
 from cluttergen_jax.scene.bank.table import BankRow, rows_of, schema_of
@@ -250,4 +251,6 @@ def _wrong_part(record: dict[str, Any]) -> str | None:
     files = record.get("files", {})
     if not isinstance(files, dict) or not all(isinstance(digest, str) for digest in files.values()):
         return "its digests of files are not understood"
+    if "bits" in record and not are_bits(record["bits"]):
+        return "by what its scenes were computed is not understood"
     return None

@@ -14,6 +14,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import HAND
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.bits import Bits
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
 from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, CLUTTER, COUNTED, SCHEMA
 from cluttergen_jax.tables import markdown_table
@@ -105,7 +106,7 @@ def card_text(bank: Bank, stats: BankStats) -> str:
         _about(bank, stats),
         _figures(stats),
         _files(BY_HAND if _is_by_hand(bank.record["recipe"]) else ()),
-        _made(bank.record["recipe"]),
+        _made(bank.record["recipe"], bank.record.get("bits", [])),
         _stability(bank.record["recipe"]),
         assets_section(assets, bank.support),
     ]
@@ -188,7 +189,7 @@ def _files(added: Iterable[pa.Field]) -> str:
     return "\n".join([*lines, markdown_table(("column", "type", "meaning"), fields)])
 
 
-def _made(recipe: dict[str, Any]) -> str:
+def _made(recipe: dict[str, Any], bits: list[Bits]) -> str:
     placement = recipe.get("placement", {})
     rows = {
         "pool": public_name(str(recipe.get("pool"))),
@@ -216,6 +217,10 @@ def _made(recipe: dict[str, Any]) -> str:
         },
         "versions": ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items()),
     }
+    if bits:
+        rows["computed by"] = "; other scenes by ".join(
+            ", ".join(filter(None, each.values())) for each in bits
+        )
     return "\n".join(["## How it was made", "", *(f"- {name}: {value}" for name, value in rows.items())])
 
 

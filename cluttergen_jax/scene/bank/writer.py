@@ -18,6 +18,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.files import PARTIAL, check_utf8, folder_whole, inside, remove_partial, writing
+from cluttergen_jax.placement.rollout import blocks_of
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.bank import (
     FORMAT,
@@ -27,6 +28,7 @@ from cluttergen_jax.scene.bank.bank import (
     read_bank,
     recovered_record,
 )
+from cluttergen_jax.scene.bank.bits import Bits, check_bits
 from cluttergen_jax.scene.bank.blocks import (
     SHARD_BLOCKS,
     StoredBlocks,
@@ -55,10 +57,13 @@ class BankWriter:
       objects, support: stored once; damaged copies in the bank are mended.
       overwrite: begin anew if the folder holds another bank; the same one is continued.
       shard_blocks: how many blocks go into one file once all of them are there.
+      bits: by what scenes that are missing will be computed (`numerics.bits_of_here`); None where that
+        decides nothing.
+      allow_other_bits: continue the bank even if its scenes were computed otherwise; its record tells both.
 
     Raises:
-      BankError: the folder holds something else, or a bank of another recipe or of other assets; somebody
-        else is writing to it; or it cannot be written.
+      BankError: the folder holds something else, or a bank of another recipe, of other assets or, where
+        scenes are missing, of other bits; somebody else is writing to it; or it cannot be written.
       ConfigError: its path is not UTF-8.
     """
 
@@ -71,10 +76,12 @@ class BankWriter:
         support: SupportAsset,
         overwrite: bool = False,
         shard_blocks: int = SHARD_BLOCKS,
+        bits: Bits | None = None,
+        allow_other_bits: bool = False,
     ) -> None:
         self.path = mirrored(str(path)) if is_url(path) else Path(path)
         check_utf8(self.path)
-        self._shard_blocks = shard_blocks
+        self._shard_blocks, self._bits, self._allows_other_bits = shard_blocks, bits, allow_other_bits
         hashes = {
             "objects": {name: object_hash(asset) for name, asset in objects.items()},
             "support": support_hash(support),
@@ -205,27 +212,26 @@ class BankWriter:
 
     def _begin(self, num_scenes: int, overwrite: bool) -> None:
         remove_partial(self.path)
-        if overwrite and not self._is_to_be_continued():
+        if overwrite and not self._is_to_be_continued(num_scenes):
             _remove_bank(self.path)
         try:
             theirs = self._stored_record()
         except NewerBankError as error:
             hint = f"{error.hint}, another `out`, or `overwrite` to begin anew"
             raise BankError(error.given, hint=hint) from error
+        self._look(theirs)
         if theirs is not None:
-            _check_same(self.path, self._record, theirs)
-            num_scenes = max(num_scenes, theirs["num_scenes"])
-        self._stored = StoredBlocks.of(self.path)
-        known = (theirs or {}).get("files", {})
-        self._edited = self._edited_files(known)
-        self._sound: set[int] = set()
+            self._check_continued(theirs, num_scenes)
+        self._enter_bits(theirs, num_scenes)
         # What an interrupted writer left beside its shard counts, too: the shard is made again.
         self._loose = {
             block
             for block, (name, _) in self._stored.places.items()
             if name == block_path(self.path, block).name
         }
-        self._index = BankIndex(self.path, self._record, num_scenes, self._still_there(known))
+        num_scenes = max(num_scenes, (theirs or {}).get("num_scenes", 1))
+        known = self._still_there((theirs or {}).get("files", {}))
+        self._index = BankIndex(self.path, self._record, num_scenes, known)
         self._index.add_unknown_rows()
         self._index.write()
 
@@ -257,12 +263,44 @@ class BankWriter:
             return False
         return True
 
-    def _is_to_be_continued(self) -> bool:
+    def _look(self, theirs: dict[str, Any] | None) -> None:
+        """Finds the blocks that are there, and those that somebody has changed."""
+        self._stored = StoredBlocks.of(self.path)
+        self._edited = self._edited_files((theirs or {}).get("files", {}))
+        self._sound: set[int] = set()
+
+    def _lacks_scenes(self, num_scenes: int) -> bool:
+        """Whether scenes have to be made, for the first time or again."""
+        return not all(self.has_block(block, rows) for block, rows in blocks_of(num_scenes))
+
+    def _check_continued(self, theirs: dict[str, Any], num_scenes: int) -> None:
+        """Refuses to continue another bank than this one, or one that would get scenes of other bits."""
+        _check_same(self.path, self._record, theirs)
+        if self._brings_other_bits(theirs, num_scenes) and not self._allows_other_bits:
+            assert self._bits is not None
+            check_bits(self.path, self._bits, theirs["bits"])
+
+    def _brings_other_bits(self, theirs: dict[str, Any], num_scenes: int) -> bool:
+        """Whether the bank tells by what it was made, and scenes are missing that would be made otherwise."""
+        known = theirs.get("bits")
+        is_other = self._bits is not None and known is not None and self._bits not in known
+        return is_other and self._lacks_scenes(num_scenes)
+
+    def _enter_bits(self, theirs: dict[str, Any] | None, num_scenes: int) -> None:
+        """Tells in the record by what the scenes are made, where that is known of all of them."""
+        known = [] if theirs is None else theirs.get("bits")
+        if self._bits and (theirs is None or self._brings_other_bits(theirs, num_scenes)):
+            known = [*(known or []), self._bits]
+        if known:
+            self._record["bits"] = known
+
+    def _is_to_be_continued(self, num_scenes: int) -> bool:
         """Whether what the folder holds is the beginning of this very bank."""
         try:
             theirs = self._stored_record()
+            self._look(theirs)
             if theirs is not None:
-                _check_same(self.path, self._record, theirs)
+                self._check_continued(theirs, num_scenes)
         except BankError:
             return False
         return theirs is not None

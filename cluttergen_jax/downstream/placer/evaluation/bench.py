@@ -14,6 +14,7 @@ from cluttergen_jax.downstream.placer.pairs.stored import PairLabels
 from cluttergen_jax.downstream.placer.partial_scenes import episode_of, judging_rules
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
 from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer, Proposals
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.region import KeepOut, from_pose, to_pose
 from cluttergen_jax.placement.rules import Rules
@@ -74,7 +75,7 @@ class Bench:
         Raises:
           PoolError: a full-state method has no checkpoint for the pool.
         """
-        keys = jax.vmap(lambda pair: jax.random.fold_in(jax.random.key(seed), pair))(self.labels.pair)
+        keys = jax.vmap(lambda pair: jax.random.fold_in(new_key(seed), pair))(self.labels.pair)
         if not isinstance(placer, FullState):
             return answers(placer, keys, queries)
         rules, propose = placer.in_world(self.problem)

@@ -16,6 +16,7 @@ from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Placer
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, check_cameras
 from cluttergen_jax.downstream.placer.sight import QueryMaker
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.proportions import proportion
@@ -85,7 +86,7 @@ class Chains:
         """The episodes after one object more in some of them, and in which of these it stands."""
         state = np.asarray(episodes.poses), np.asarray(episodes.is_placed)
         queries = stacked(list(self._pool.map(lambda row: self._query(row, slot, *state), rows)))
-        key = jax.random.fold_in(jax.random.key(self._seed), slot)
+        key = jax.random.fold_in(new_key(self._seed), slot)
         keys = jax.vmap(lambda row: jax.random.fold_in(key, row))(rows)
         proposals = answers(placer, keys, queries)
         poses, is_placed = (each.copy() for each in state)

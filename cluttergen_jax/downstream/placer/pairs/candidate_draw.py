@@ -11,6 +11,7 @@ import numpy as np
 
 from cluttergen_jax.downstream.placer.map_search import draw, finalists, look
 from cluttergen_jax.downstream.placer.query import PlacementQuery
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.heightmap import HeightMap
 from cluttergen_jax.placement.rules import Rules
@@ -55,7 +56,7 @@ class CandidateDraw:
 
     def __call__(self, seeds: np.ndarray, episodes: Episode, queries: PlacementQuery) -> np.ndarray:
         """f32[Q, 32, 4]: x, y, z and yaw of T_region_object; seeds: u32[Q]."""
-        keys = jax.vmap(jax.random.key)(seeds)
+        keys = jax.vmap(new_key)(seeds)
         return np.asarray(_draw_many(self._search, keys, episodes, queries))
 
 

@@ -1,0 +1,100 @@
+"""Settings of JAX that a shell or a program has decide no scene: not its draws, not the width of numbers."""
+
+import json
+import os
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cluttergen_jax as cg
+from cluttergen_jax.assets.pool import Pool, write_pool
+from cluttergen_jax.numerics import new_key, own_settings
+from cluttergen_jax.progress import interruptible
+from cluttergen_jax.scene.bank import read_bank
+from tests.helpers.sampled_elsewhere import drawn
+from tests.helpers.worlds import trio
+
+BASELINES = ("random", "clear", "drop", "spread", "guided")
+HOSTILE = {
+    "JAX_ENABLE_X64": "1",
+    "JAX_THREEFRY_PARTITIONABLE": "0",
+    "JAX_DEFAULT_PRNG_IMPL": "rbg",
+    "JAX_RANDOM_SEED_OFFSET": "7",
+}
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
+
+
+def elsewhere(*words):
+    """What a program with other settings of JAX prints."""
+    done = subprocess.run(
+        [sys.executable, "-m", *words], env=os.environ | HOSTILE, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2**31 - 1, 2**31, 2**32 - 1])
+def test_a_seed_means_the_key_that_it_always_meant(seed):
+    usual = jax.random.key(seed, impl="threefry2x32")
+    key = jax.random.key_data(new_key(seed))
+    np.testing.assert_array_equal(key, jax.random.key_data(usual))
+    with jax.enable_x64(True):
+        np.testing.assert_array_equal(jax.random.key_data(jax.jit(new_key)(jnp.uint32(seed))), key)
+
+
+@pytest.mark.parametrize("method", BASELINES)
+def test_every_method_is_the_same_program_whatever_is_set(pool, method):
+    sample = cg.make_sampler(pool=pool, num_objects=1, method=method, num_threads=1)
+    usual = str(jax.make_jaxpr(sample)(new_key(0)))
+    with jax.enable_x64(True), jax.threefry_partitionable(False):
+        assert str(jax.make_jaxpr(sample)(new_key(0))) == usual
+
+
+def test_what_jax_is_told_holds_in_the_thread_that_can_be_interrupted():
+    def told():
+        return jax.config.jax_enable_x64, jax.config.jax_threefry_partitionable
+
+    with jax.enable_x64(True):
+        with own_settings():
+            assert told() == (False, True)
+            assert interruptible(told) == (False, True)
+        assert jax.config.jax_enable_x64
+
+
+def test_a_sampler_runs_where_all_is_set_otherwise(pool):
+    assert set(json.loads(elsewhere("tests.helpers.sampled_elsewhere", pool, "guided"))) == {"guided"}
+
+
+@pytest.mark.slow
+def test_a_sampler_of_each_method_draws_the_same_scene(pool):
+    theirs = json.loads(elsewhere("tests.helpers.sampled_elsewhere", pool, *BASELINES))
+    assert theirs == {method: drawn(pool, method) for method in BASELINES}
+
+
+@pytest.mark.slow
+def test_a_bank_is_the_same(pool, tmp_path):
+    # The command, and the function in a program of 64 bits.
+    settings = ["--pool", pool, "--num-objects", "2", "-n", "8", "--max-files", "0", "--method", "spread"]
+    elsewhere("cluttergen_jax", "generate", "--out", str(tmp_path / "command"), *settings)
+    ours = cg.generate(
+        tmp_path / "here", pool=pool, num_objects=2, num_scenes=8, max_files=0, method="spread"
+    )
+    with jax.enable_x64(True), jax.threefry_partitionable(False):
+        wide = cg.generate(
+            tmp_path / "wide", pool=pool, num_objects=2, num_scenes=8, max_files=0, method="spread"
+        )
+    rows = [rows_of(bank) for bank in (ours, wide, read_bank(tmp_path / "command"))]
+    assert rows[0] == rows[1] == rows[2]
+
+
+def rows_of(bank):
+    """All that a bank's table says."""
+    return [row for table in bank.tables() for row in table.to_pylist()]

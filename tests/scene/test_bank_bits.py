@@ -1,0 +1,77 @@
+"""A bank of one recipe has scenes of one kind: what else decides their last bits stands in its record."""
+
+import json
+
+import pytest
+
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.numerics import bits_of_here
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.bank import INDEX
+from tests.helpers import banks
+
+HERE = {"jaxlib": "1", "instructions": "x86_64 avx avx2 fma", "xla_flags": ""}
+THERE = HERE | {"instructions": "x86_64 avx", "xla_flags": "--xla_backend_optimization_level=0"}
+
+
+def begun(path, bits, num_scenes=300):
+    """A bank of 300 scenes, the first 256 of them made."""
+    with banks.writer(path, num_scenes, bits=bits) as writer:
+        writer.write_block(0, banks.rows(0))
+    return path
+
+
+def test_bits_are_told(tmp_path):
+    with banks.writer(begun(tmp_path / "bank", HERE), 300, bits=HERE):
+        assert read_bank(tmp_path / "bank").record["bits"] == [HERE]
+
+
+def test_a_bank_is_not_continued_with_other_bits(tmp_path):
+    path = begun(tmp_path / "bank", HERE)
+    before = (path / INDEX).read_bytes()
+    with pytest.raises(BankError, match="allow_other_bits") as caught:
+        banks.writer(path, 600, bits=THERE)
+    assert "instructions (here nothing more, the bank avx2 fma)" in str(caught.value)
+    assert "xla_flags (here --xla_backend_optimization_level=0, the bank nothing more)" in str(caught.value)
+    assert (path / INDEX).read_bytes() == before
+
+
+def test_a_mixture_is_one_by_leave(tmp_path):
+    path = begun(tmp_path / "bank", HERE)
+    with banks.writer(path, 300, bits=THERE, allow_other_bits=True) as writer:
+        writer.write_block(1, banks.rows(1, 44))
+    assert read_bank(path).record["bits"] == [HERE, THERE]
+    # It is one now: either may go on with it.
+    for bits in (HERE, THERE):
+        banks.writer(path, 900, bits=bits).close()
+    assert read_bank(path).record["bits"] == [HERE, THERE]
+
+
+def test_where_nothing_is_missing_bits_do_not_matter(tmp_path):
+    path = begun(tmp_path / "bank", HERE)
+    banks.writer(path, 256, bits=THERE).close()
+    banks.writer(path, 300).close()
+    assert read_bank(path).record["bits"] == [HERE]
+
+
+def test_old_banks_are_continued_as_before(tmp_path):
+    path = begun(tmp_path / "bank", None)
+    assert "bits" not in json.loads((path / INDEX).read_text())
+    banks.writer(path, 600, bits=HERE).close()
+    assert "bits" not in read_bank(path).record
+
+
+def test_overwrite_begins_a_bank_of_other_bits_anew(tmp_path):
+    path = begun(tmp_path / "bank", HERE)
+    with banks.writer(path, 300, bits=THERE, overwrite=True) as writer:
+        assert not writer.has_block(0, 256)
+    assert read_bank(path).record["bits"] == [THERE]
+
+
+def test_flags_that_change_nothing_are_left_out(monkeypatch):
+    told = bits_of_here()
+    assert all(told[name] for name in ("jaxlib", "device", "instructions"))
+    # XLA has read its own by now, and refuses those it does not know.
+    ours = "--xla_a=1 --xla_dump_to=x --xla_force_host_platform_device_count=2 --xla_a=2"
+    monkeypatch.setenv("XLA_FLAGS", ours)
+    assert bits_of_here() == told | {"xla_flags": "--xla_a=2"}
