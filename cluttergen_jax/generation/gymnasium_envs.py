@@ -203,3 +203,11 @@ def _check_action(action: Any, space: spaces.Space, state: State | None) -> None
         raise gymnasium.error.ResetNeeded("reset() has to be called before the first step of an episode")
     if np.shape(action) != space.shape:
         raise ConfigError(f"an action of shape {np.shape(action)}", f"shape {space.shape}")
+    is_nan = np.isnan(np.asarray(action, np.float32)).reshape(-1, space.shape[-1]).any(1)
+    if is_nan.any():
+        where = "" if len(space.shape) == 1 else f" of environment {int(is_nan.argmax())}"
+        raise ConfigError(
+            f"an action{where} with NaN",
+            f"numbers from {space.low.min():g} to {space.high.max():g}; beyond they are clipped",
+            "a smaller learning rate, if a network gave it",
+        )

@@ -95,9 +95,13 @@ class PlacementEnv(Env):
 
     @with_own_settings
     def step(self, state: State, action: Array) -> State:
-        """One attempt with `action`, f32[4] in (0, 1)."""
+        """One attempt with `action`, f32[4] in (0, 1).
+
+        With a number in it that is not finite it fails (`non-finite`), and is told as zeros.
+        """
         before: Ongoing = state.pipeline_state
         after, transition = self.rules.attempt(before.episode, narrowed(action))
+        after = after.replace(history=jax.tree.map(_finite, after.history))
         ends = after.is_over & ~before.episode.is_over
         ongoing = before.replace(
             episode=after,
@@ -160,6 +164,11 @@ class PlacementEnv(Env):
     def backend(self) -> str:
         """The engine's class."""
         return type(self.rules.physics).__name__
+
+
+def _finite(array: Array) -> Array:
+    """Numbers as they are, and 0 for what is none."""
+    return jnp.where(jnp.isfinite(array), array, jnp.zeros_like(array))
 
 
 def _where(condition: Array, yes: Any, no: Any) -> Any:

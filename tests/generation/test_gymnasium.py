@@ -138,6 +138,8 @@ def test_what_cannot_be_is_said(envs):
     envs.reset()
     with pytest.raises(ConfigError, match=r"shape \(4,\).*\(3, 4\)"):
         envs.step(np.zeros(4))
+    with pytest.raises(ConfigError, match="action of environment 1 with NaN"):
+        envs.step(np.array([[0, 0, 0, 0], [0, np.nan, 0, 0], [0, 0, 0, 0]]))
     with pytest.raises(ConfigError, match=r"options = \{'region': 1\}"):
         envs.reset(options={"region": 1})
     with pytest.raises(ConfigError, match="num_envs = 0"):

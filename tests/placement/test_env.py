@@ -39,6 +39,32 @@ def test_resets_itself_with_fresh_keys_and_keeps_figures():
     assert float(state.info["truncation"]) == 0
 
 
+def test_an_action_that_is_no_number_is_told_as_zeros():
+    env = PlacementEnv(made_up_rules(max_attempts=2, history_stride=12))
+    asked = BAD.at[0].set(jnp.nan)
+    state = jax.jit(lambda key: env.step(env.reset(key), asked))(jax.random.key(0))
+    assert int(state.pipeline_state.episode.attempt) == 1
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((state.obs, state.reward)))
+    np.testing.assert_array_equal(state.obs["history"]["action"][0], BAD.at[0].set(0))
+
+
+@pytest.mark.slow
+def test_an_action_that_is_no_number_is_a_failed_attempt():
+    env = PlacementEnv(trio_problem(max_attempts=3, history_stride=12).rules, ObservationConfig(num_cells=4))
+    actions = (
+        jnp.tile(GOOD, (4, 1)).at[jnp.arange(4), jnp.arange(4)].set(jnp.array([jnp.nan] * 3 + [jnp.inf]))
+    )
+    step = jax.jit(jax.vmap(env.step))
+    state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 4))
+    for number in (1, 2):
+        state = step(state, actions)
+        episode = state.pipeline_state.episode
+        np.testing.assert_array_equal(episode.verdict, int(Verdict.NON_FINITE))
+        np.testing.assert_array_equal(episode.attempt, number)
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((state.obs, state.reward)))
+    assert not episode.is_placed.any()
+
+
 @pytest.mark.slow
 def test_regions_change_with_every_episode_and_orders_do_not():
     plain, changing = (PlacementEnv(trio_problem(change=name).rules) for name in ("none", "all"))
