@@ -21,6 +21,7 @@ from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.scenes import SceneBatch, scene_of
+from cluttergen_jax.placement.sharded import varying_alike
 from cluttergen_jax.placement.types import Episode, Start
 from cluttergen_jax.scene import Origin, Scene
 from cluttergen_jax.types import Array, Verdict
@@ -103,9 +104,9 @@ class Sampler:
             # The key of an episode that is over has not been used.
             fresh = begin(episode.key)
             episode = jax.tree.map(lambda new, old: jnp.where(again, new, old), fresh, episode)
-            return _Drawing(episode, num_draws + again)
+            return varying_alike(_Drawing(episode, num_draws + again))
 
-        first = _Drawing(begin(key), jnp.int32(1))
+        first = varying_alike(_Drawing(begin(key), jnp.int32(1)))
         last = jax.lax.while_loop(lambda drawing: ~drawing.episode.is_over, advance, first)
         scene, (cloud, mask) = scene_of(last.episode), self._cloud(last.episode)
         return scene.replace(

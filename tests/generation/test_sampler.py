@@ -12,6 +12,7 @@ import jaxlie
 import mujoco
 import numpy as np
 import pytest
+from jax.sharding import PartitionSpec
 
 import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import Pool, write_pool
@@ -86,6 +87,19 @@ def test_every_transformation_gives_the_same_scenes(sample, scenes, form):
     assert_same(result, scenes)
 
 
+def test_what_varies_over_a_mesh_is_said(pool):
+    # JAX checks it while it traces, however many devices there are.
+    sample = cg.make_sampler(pool=pool, num_objects=2, method="random", max_retries=3)
+    mesh = jax.make_mesh((1,), ("scene",), axis_types=(jax.sharding.AxisType.Auto,))
+    spec = PartitionSpec("scene")
+    mapped = jax.shard_map(jax.vmap(sample), mesh=mesh, in_specs=spec, out_specs=spec)
+    assert jax.eval_shape(mapped, KEYS).poses.shape == (6, 2, 7)
+    block = jax.shard_map(
+        sample.steps.sample, mesh=mesh, in_specs=(PartitionSpec(), spec, spec), out_specs=spec
+    )
+    assert jax.eval_shape(block, KEYS[0], jnp.arange(4), jnp.ones(4, bool)).poses.shape == (4, 2, 7)
+
+
 SHARDED = """
 import sys, jax, numpy as np, cluttergen_jax as cg
 from jax.sharding import NamedSharding, PartitionSpec as P
@@ -97,10 +111,11 @@ mesh = jax.make_mesh((2,), ("scene",), axis_types=(jax.sharding.AxisType.Auto,))
 spread = jax.device_put(keys, NamedSharding(mesh, P("scene")))
 by_jit = jax.jit(jax.vmap(sample))(spread)
 spec = P("scene")
+checked = jax.shard_map(jax.vmap(sample), mesh=mesh, in_specs=spec, out_specs=spec)
 mapped = jax.shard_map(jax.vmap(sample), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
-by_shard_map = jax.jit(mapped)(spread)
+by_shard_map, unchecked = jax.jit(checked)(spread), jax.jit(mapped)(spread)
 assert len(by_shard_map.is_success.sharding.device_set) == 2
-for other in (by_jit, by_shard_map):
+for other in (by_jit, by_shard_map, unchecked):
     jax.tree.map(np.testing.assert_array_equal, plain, other)
 print("equal", int(plain.is_success.sum()))
 """

@@ -9,6 +9,7 @@ from flax import struct
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.placement.scenes import SceneBatch, scene_of
+from cluttergen_jax.placement.sharded import varying_alike
 from cluttergen_jax.placement.types import Episode, Start, Transition
 from cluttergen_jax.types import Array
 
@@ -62,6 +63,8 @@ class BlockSampler(struct.PyTreeNode, eq=False):
 
     def sample(self, key: Array, indices: Array, is_wanted: Array) -> SceneBatch:
         """All three: a SceneBatch with leading axis N."""
-        episodes = self.begin(key, indices, is_wanted)
-        episodes = jax.lax.while_loop(lambda e: ~jnp.all(e.is_over), lambda e: self.step(e)[0], episodes)
+        episodes = varying_alike(self.begin(key, indices, is_wanted))
+        episodes = jax.lax.while_loop(
+            lambda e: ~jnp.all(e.is_over), lambda e: varying_alike(self.step(e)[0]), episodes
+        )
         return self.finish(episodes)
