@@ -28,7 +28,7 @@ _SHARE_OF_SIZE = 0.04
 `TOLERANCE`: small objects have small details."""
 _COLOUR_STEP, _SHARE_ALIKE = 0.12, 0.99
 """Colours are alike if red, green and blue, in [0, 1], differ by less; so many points have to be alike."""
-_SAME_AXIS = np.cos(np.radians(10))
+_SAME_AXIS, _SAME_FRAME = np.cos(np.radians(10)), np.cos(np.radians(0.1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +83,12 @@ def turn_matrix(angle: float) -> np.ndarray:
 def symmetries_of(pieces: Sequence[Piece]) -> Symmetries:
     """The symmetries of coloured surfaces: of bodies of revolution, boxes, prisms and balls.
 
-    Axes are sought along the object's own and along those of the smallest box around it, through the middle
-    of its surface. Colours count: a can is round, and its label is not.
+    Axes are sought along the object's own, the principal ones of its convex hull and those of the smallest box
+    around it, all through the hull's centre of mass. Colours count: a can is round, and its label is not.
     """
-    vertices = np.concatenate([piece.mesh.corners.reshape(-1, 3) for piece in pieces])
-    surface = trimesh.Trimesh(vertices, np.arange(len(vertices)).reshape(-1, 3))
-    middle = np.asarray(surface.centroid)
-    frames = [np.eye(3), trimesh.bounds.oriented_bounds(surface)[0][:3, :3]]
+    hull = trimesh.convex.convex_hull(np.concatenate([piece.mesh.vertices for piece in pieces]))
+    middle = np.asarray(hull.center_mass)
+    frames = _frames(hull)
     test = _Test(pieces, middle)
     axes = _distinct([axis for frame in frames for axis in frame if test.is_round(axis)])
     if len(axes) > 1:
@@ -101,6 +100,19 @@ def symmetries_of(pieces: Sequence[Piece]) -> Symmetries:
         groups = sorted((group for frame in frames for group in _groups(frame)), key=len, reverse=True)
         turns = next((group for group in groups if all(map(test.has, group))), [])
     return Symmetries(np.array(axes).reshape(-1, 3), middle, _motions(turns, middle))
+
+
+def _frames(hull: trimesh.Trimesh) -> list[np.ndarray]:
+    """f64[3, 3] each: orthogonal axes to try, as rows; those that are the same as earlier ones are left out."""
+    frames: list[np.ndarray] = []
+    for frame in (
+        np.eye(3),
+        np.asarray(hull.principal_inertia_vectors),
+        trimesh.bounds.oriented_bounds(hull)[0][:3, :3],
+    ):
+        if all(np.abs(frame @ other.T).max(1).min() < _SAME_FRAME for other in frames):
+            frames.append(frame)
+    return frames
 
 
 class _Test:

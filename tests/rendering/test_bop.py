@@ -7,12 +7,13 @@ import pytest
 import trimesh
 from PIL import Image
 from scipy.ndimage import maximum_filter
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.bop import SPLIT, BopDataset, model_ply
+from cluttergen_jax.rendering.bop_models import add_models
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.sensing.camera import Camera, free
 from tests.helpers.drawing import GREEN, RED, needs_gl
@@ -177,6 +178,78 @@ def test_a_hidden_object_has_a_visible_share_of_nothing(tmp_path):
     for index in range(2):
         _, columns = np.nonzero(pixels(tmp_path / SPLIT / "000000" / "mask" / f"000000_{index:06d}.png"))
         assert columns.mean() == pytest.approx(K[0, 2]) == 79.5
+
+
+# Where (0, 0) is in the first pixel, told apart by a rasteriser that shares nothing with the rays.
+
+
+def rasterised(corners, K, to_middle):
+    """bool[120, 160]: pixels whose middle lies in the outline of convex corners f[V, 3], camera frame."""
+    at = (corners @ K.T / corners[:, 2:])[:, :2]
+    edges = ConvexHull(at).equations
+    rows, columns = np.mgrid[: SIZE[1], : SIZE[0]]
+    middles = np.stack([columns, rows], -1) + to_middle
+    return (middles @ edges[:, :2].T + edges[:, 2] <= 0).all(-1)
+
+
+def overlap(one, other):
+    """Intersection over union."""
+    return (one & other).sum() / (one | other).sum()
+
+
+@pytest.mark.parametrize(("pixel_origin", "to_middle", "wrong"), [("center", 0.0, 0.5), ("corner", 0.5, 0.0)])
+def test_masks_are_where_a_rasteriser_of_that_origin_has_them(tmp_path, pixel_origin, to_middle, wrong):
+    rng, poses = np.random.default_rng(4), np.array([[0.0, 0, 0.75, 0.8, 0, 0, 0.6]])
+    cameras = [free(TABLE, rng, *SIZE) for _ in range(4)]
+    dataset = BopDataset(tmp_path, pixel_origin=pixel_origin)
+    images = dataset.add(0, [RED], poses, TABLE, cameras, PICTURE, is_drawn=False)
+    seen, gts = (load(images / f"scene_{name}.json") for name in ("camera", "gt"))
+    model = trimesh.load(tmp_path / "models" / "obj_000001.ply", process=False)
+    for view, camera in enumerate(cameras):
+        K, pose = np.reshape(seen[view]["cam_K"], (3, 3)), gts[view][0]
+        corners = model.vertices @ np.reshape(pose["cam_R_m2c"], (3, 3)).T + pose["cam_t_m2c"]
+        mask = pixels(images / "mask" / f"{view:06d}_000000.png") > 0
+        assert 300 < mask.sum() < 3000
+        assert overlap(mask, rasterised(corners, K, to_middle)) > 0.995
+        assert overlap(mask, rasterised(corners, K, wrong)) < 0.98
+        # The package's own camera reads it once its origin is the first pixel's corner.
+        shift = (0.5 - to_middle) * np.array([[0, 0, 1], [0, 0, 1], [0, 0, 0]])
+        ours = Camera(*SIZE, K + shift, camera.T_world_camera)
+        np.testing.assert_allclose(ours.K, camera.K, atol=1e-9)
+    sensor = json.loads((tmp_path / "camera.json").read_bytes())
+    assert (sensor["cx"], sensor["cy"]) == (80 - 0.5 + to_middle, 60 - 0.5 + to_middle)
+    told = (tmp_path / "dataset_info.md").read_text()
+    assert ("add 0.5" in told, "subtract 0.5" in told) == (to_middle == 0.0, to_middle == 0.5)
+
+
+def motions_of(info, num_steps=12):
+    """As bop_toolkit combines them: each discrete motion, then each turn about an axis; f64[4, 4] each."""
+    discrete = [np.eye(4), *(np.reshape(each, (4, 4)) for each in info.get("symmetries_discrete", []))]
+    turns = [
+        trimesh.transformations.rotation_matrix(angle, each["axis"], each["offset"])
+        for each in info.get("symmetries_continuous", [])
+        for angle in 2 * np.pi * np.arange(num_steps) / num_steps
+    ]
+    return [turn @ motion for motion in discrete for turn in turns or [np.eye(4)]]
+
+
+def test_symmetries_are_told_as_the_format_has_them(tmp_path):
+    dining = find_pool("dining")
+    add_models(tmp_path, [RED, dining["bowl"], dining["mug"], dining["soup_can"]])
+    infos = {each["name"]: (key, each) for key, each in load(tmp_path / "models" / "models_info.json").items()}
+    assert not {"symmetries_discrete", "symmetries_continuous"} & set(infos["mug"][1])
+    (axis,) = infos["bowl"][1]["symmetries_continuous"]
+    np.testing.assert_allclose(axis["axis"], [0, 0, 1], atol=1e-6)
+    assert np.shape(infos["red"][1]["symmetries_discrete"]) == (23, 16)
+    for name, count in (("red", 24), ("bowl", 12), ("soup_can", 12), ("mug", 1)):
+        number, info = infos[name]
+        model = trimesh.load(tmp_path / "models" / f"obj_{number:06d}.ply", process=False)
+        points = trimesh.sample.sample_surface(model, 20_000, seed=0)[0]
+        tree, motions = cKDTree(points), motions_of(info)
+        assert len(motions) == count
+        for motion in motions:
+            # Points of the same surface lie 3 mm apart or so.
+            assert tree.query(trimesh.transform_points(points[:500], motion))[0].max() < 6
 
 
 def test_models_are_in_millimetres_with_normals_and_colours():

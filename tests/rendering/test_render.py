@@ -10,18 +10,20 @@ import pytest
 from PIL import Image
 
 from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.assets import object_sheet, render_scene, scene_spec
 from cluttergen_jax.rendering.camera import axes, fitted_eye
 from cluttergen_jax.rendering.config import CameraView
+from cluttergen_jax.rendering.gl import RendererError, check_importable
 from cluttergen_jax.rendering.lighting import add_lighting
 from cluttergen_jax.rendering.picture import contact_sheet, render_model, save_png
 from tests.helpers.drawing import GREEN, RED, needs_gl
 
 
-def status_with(value):
+def status_with(value, **settings):
     code = "from cluttergen_jax.rendering.gl import renderer_status; print(*renderer_status(), sep='|')"
-    env = {**os.environ, "MUJOCO_GL": value}
+    env = {**os.environ, "MUJOCO_GL": value, **settings}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip().split("|", 1)
@@ -39,6 +41,46 @@ def test_switched_off_backend_is_reported_not_raised():
     is_ok, message = status_with("off")
     assert is_ok == "False"
     assert "MUJOCO_GL=off" in message
+
+
+def test_a_setting_of_pyopengl_that_rules_a_backend_out_is_named():
+    is_ok, message = status_with("egl", PYOPENGL_PLATFORM="osmesa")
+    assert is_ok == "False"
+    assert "egl: PYOPENGL_PLATFORM=osmesa rules it out" in message
+    assert "unsetting PYOPENGL_PLATFORM" in message
+
+
+@pytest.mark.parametrize("value", ["disable", "osmesa", "nonsense"])
+def test_no_internals_of_a_backend_are_told(value):
+    message = status_with(value, PYOPENGL_PLATFORM="osmesa")[1]
+    assert "attribute" not in message
+    assert "Traceback" not in message
+
+
+def test_settings_with_which_mujoco_cannot_be_imported_end_in_a_sentence(monkeypatch):
+    # This is what PyOpenGL raises where libOSMesa is missing.
+    def missing(name):
+        raise AttributeError("'NoneType' object has no attribute 'glGetError'")
+
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    monkeypatch.setattr("cluttergen_jax.rendering.gl.importlib.import_module", missing)
+    with pytest.raises(RendererError, match=r"MUJOCO_GL=osmesa: its library is not installed.*unsetting"):
+        check_importable()
+    assert main(["list"]) == 2
+
+
+@pytest.mark.parametrize(("asked", "hint"), [(["--depth"], "--no-picture, since depth can"), ([], "unsetting")])
+def test_what_has_to_be_drawn_is_refused_before_any_work(tmp_path, monkeypatch, capsys, asked, hint):
+    file = tmp_path / "ball.xml"
+    ball = '<body pos="0 0 1"><freejoint/><geom size="0.1" group="2"/></body>'
+    table = '<geom type="box" size="0.5 0.5 0.1" group="2"/>'
+    file.write_text(f"<mujoco><worldbody>{table}{ball}</worldbody></mujoco>")
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    assert main(["render", str(file), *asked, "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "MUJOCO_GL=disable switches pictures off" in said
+    assert hint in said
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -87,9 +87,9 @@ class Rendering:
         if self._makes("turntable", "replay"):
             check_format(self.film)
         sizes = {size: self._picture(size, _QUICK) for size in (_LARGE, _SMALL, _CELL)}
-        is_drawn, notes = self._can_draw()
         opened, own = open_source(source)
         numbers = chosen_numbers(opened, own, scenes, _SHEET if self._makes("sheet") else 1)
+        is_drawn, notes = self._can_draw()
         # Beside a sheet, single pictures are drawn of scenes that are named.
         singles = self._makes("picture") and (not self._makes("sheet") or bool(scenes))
         made: list[Path] = []

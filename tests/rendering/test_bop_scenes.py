@@ -1,0 +1,197 @@
+"""Scenes of banks in a BOP dataset: each once, whole, under a number of its own. All of it without OpenGL."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from cluttergen_jax.api.render import render
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.locks import FolderLock
+from cluttergen_jax.placement.rollout import BLOCK_SIZE
+from cluttergen_jax.rendering.bop import BopDataset
+from tests.helpers import banks
+from tests.helpers.drawing import needs_gl
+from tests.helpers.worlds import trio
+
+
+@pytest.fixture(autouse=True)
+def nothing_draws(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+
+
+def written(path, first):
+    """A bank whose scene 0 stands as scene `first` of another, and so on."""
+    rows = banks.rows(0).to_pydict() | {"poses": banks.rows(first // BLOCK_SIZE)["poses"].to_pylist()}
+    seen = {each.name: replace(each, pieces=(Piece(each.parts[0].hull()),)) for each in trio()}
+    with banks.writer(path, BLOCK_SIZE, objects=seen) as bank:
+        bank.write_block(0, pa.Table.from_pydict(rows, schema=banks.SCHEMA))
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("banks")
+
+
+@pytest.fixture(scope="module")
+def first(folder):
+    return written(folder / "first", 0)
+
+
+@pytest.fixture(scope="module")
+def second(folder):
+    return written(folder / "second", BLOCK_SIZE)
+
+
+def added(bank, out, scenes="0-2", **changes):
+    asked = {"bop": True, "picture": False, "views": 1, "size": "64x48", "samples": 1} | changes
+    return render(bank, out, scenes=scenes, **asked)
+
+
+def tree(folder):
+    """What each file of a dataset holds, and when it was written."""
+    files = [each for each in sorted(folder.rglob("*")) if each.is_file()]
+    return {each.relative_to(folder).as_posix(): (each.read_bytes(), each.stat().st_ino) for each in files}
+
+
+def numbers(out, split="train_synt"):
+    return sorted(int(each.name) for each in (out / "bop" / split).iterdir())
+
+
+def test_scenes_of_a_second_bank_are_added_and_nothing_is_made_twice(first, second, tmp_path):
+    added(first, tmp_path, "0,4,2")
+    assert numbers(tmp_path) == [0, 2, 4]
+    before = tree(tmp_path / "bop" / "train_synt")
+    report = added(second, tmp_path)
+    assert [each.name for each in report.paths] == ["000005", "000006", "000007"]
+    after = tree(tmp_path / "bop" / "train_synt")
+    assert {name: after[name] for name in before} == before
+    for number, (source, scene) in {4: ("first", 4), 5: ("second", 0), 7: ("second", 2)}.items():
+        record = json.loads((tmp_path / "bop" / "train_synt" / f"{number:06d}" / "origin.json").read_text())
+        assert (record["source"], record["scene"]) == (source, scene)
+    for bank, scenes in ((second, "0-2"), (first, "0,4,2")):
+        report = added(bank, tmp_path, scenes)
+        assert not report.paths
+        assert any("3 of 3 scenes are in" in note for note in report.notes)
+    assert tree(tmp_path / "bop" / "train_synt") == after
+    # The first bank's scenes keep their own numbers where these are free.
+    added(first, tmp_path, "1,6,9")
+    assert numbers(tmp_path) == [0, 1, 2, 4, 5, 6, 7, 8, 9]
+
+
+def test_a_copy_of_a_bank_is_the_same_scenes(first, tmp_path):
+    added(first, tmp_path)
+    shutil.copytree(first, tmp_path / "renamed")
+    assert not added(tmp_path / "renamed", tmp_path).paths
+
+
+def test_a_call_that_was_interrupted_goes_on_where_it_stopped(first, second, tmp_path, monkeypatch):
+    for bank in (first, second):
+        added(bank, tmp_path / "whole")
+    added(first, tmp_path / "cut")
+    honest, calls = BopDataset.add, []
+
+    def interrupted(self, number, *args):
+        calls.append(number)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return honest(self, number, *args)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(BopDataset, "add", interrupted)
+        added(second, tmp_path / "cut")
+    assert numbers(tmp_path / "cut") == [0, 1, 2, 3]
+    report = added(second, tmp_path / "cut")
+    assert [each.name for each in report.paths] == ["000004", "000005"]
+    whole, cut = (tree(tmp_path / name / "bop") for name in ("whole", "cut"))
+    assert {name: data for name, (data, _) in whole.items()} == {name: data for name, (data, _) in cut.items()}
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"views": 2}, "with views 1, and is asked for with views 2"),
+        ({"seed": 1}, "seed 0, and is asked for with seed 1"),
+        ({"hulls": True}, "hulls False, and is asked for with hulls True"),
+        ({"size": "80x60"}, "camera.json says .* one `size`"),
+        ({"pixel_origin": "corner"}, r"says cx 31.5, cy 23.5, and asked for is cx 32.0, cy 24.0"),
+    ],
+)
+def test_what_contradicts_a_split_is_refused_before_any_work(first, tmp_path, change, told):
+    added(first, tmp_path, "1")
+    before = tree(tmp_path)
+    with pytest.raises(ConfigError, match=told):
+        added(first, tmp_path, "0,1", **change)
+    assert tree(tmp_path) == before
+
+
+def test_splits_have_numbers_of_their_own(first, second, tmp_path):
+    added(first, tmp_path)
+    added(second, tmp_path, split="test", views=2)
+    assert numbers(tmp_path) == numbers(tmp_path, "test") == [0, 1, 2]
+    depth = tmp_path / "bop" / "test" / "000000" / "depth"
+    assert [each.name for each in sorted(depth.iterdir())] == ["000000.png", "000001.png"]
+    assert sorted(json.loads((tmp_path / "bop" / "models" / "models_info.json").read_text())) == ["1", "2", "3"]
+
+
+@pytest.mark.parametrize("split", ["models", "", "../train", "trainer", "train_", "val/x", "Test"])
+def test_names_of_no_split_are_refused(first, tmp_path, split):
+    with pytest.raises(ConfigError, match="train, val or test"):
+        added(first, tmp_path, split=split)
+    assert not list(tmp_path.iterdir())
+
+
+def test_scenes_of_unknown_origin_are_not_mixed_with_others(first, tmp_path):
+    added(first, tmp_path)
+    origin = tmp_path / "bop" / "train_synt" / "000001" / "origin.json"
+    for damage in (b"{", b"{}", origin.read_bytes().replace(b'"scene": 1', b'"scene": "1"')):
+        origin.write_bytes(damage)
+        with pytest.raises(ConfigError, match="000001 does not say which scene it is"):
+            added(first, tmp_path)
+    origin.unlink()
+    with pytest.raises(ConfigError, match="another `split`"):
+        added(first, tmp_path)
+
+
+def test_one_call_at_a_time_adds_to_a_dataset(first, tmp_path):
+    (tmp_path / "bop").mkdir()
+    with (
+        FolderLock(tmp_path / "bop" / ".lock", tmp_path / "bop"),
+        pytest.raises(BankError, match="is being written by"),
+    ):
+        added(first, tmp_path)
+    assert len(added(first, tmp_path).paths) == 3
+
+
+@needs_gl
+def test_colours_are_added_where_something_can_draw(first, tmp_path, monkeypatch):
+    report = added(first, tmp_path)
+    assert any("no colours were drawn" in note for note in report.notes)
+    scenes = tmp_path / "bop" / "train_synt"
+    assert not list(scenes.glob("*/rgb"))
+    monkeypatch.delenv("MUJOCO_GL")
+    before = {name: data for name, (data, _) in tree(scenes).items() if not name.endswith("origin.json")}
+    assert len(added(first, tmp_path).paths) == 3
+    after = {name: data for name, (data, _) in tree(scenes).items()}
+    assert {name: after[name] for name in before} == before
+    assert len(list(scenes.glob("*/rgb/000000.png"))) == 3
+    # They stay where nothing can draw.
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    assert not added(first, tmp_path).paths
+
+
+def test_depth_labels_and_points_need_no_opengl(first, tmp_path):
+    asked = {"depth": True, "segmentation": True, "points": True, "picture": False}
+    report = render(first, tmp_path, scenes="1", size="64x48", samples=1, **asked)
+    endings = ("-depth.png", "-segmentation.png", "-camera.json", "-sensors.npz", "-points.ply")
+    assert [each.name for each in report.paths] == [f"000001{ending}" for ending in endings]
+    assert any("no colours were drawn" in note for note in report.notes)
+    with np.load(tmp_path / "000001-sensors.npz") as arrays:
+        assert "rgb" not in arrays
+        assert set(np.unique(arrays["segmentation"])) >= {1, 2, 3, 4}
+        assert np.isfinite(arrays["depth"]).mean() > 0.5
