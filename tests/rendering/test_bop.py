@@ -236,7 +236,9 @@ def motions_of(info, num_steps=12):
 def test_symmetries_are_told_as_the_format_has_them(tmp_path):
     dining = find_pool("dining")
     add_models(tmp_path, [RED, dining["bowl"], dining["mug"], dining["soup_can"]])
-    infos = {each["name"]: (key, each) for key, each in load(tmp_path / "models" / "models_info.json").items()}
+    infos = {
+        each["name"]: (key, each) for key, each in load(tmp_path / "models" / "models_info.json").items()
+    }
     assert not {"symmetries_discrete", "symmetries_continuous"} & set(infos["mug"][1])
     (axis,) = infos["bowl"][1]["symmetries_continuous"]
     np.testing.assert_allclose(axis["axis"], [0, 0, 1], atol=1e-6)

@@ -69,7 +69,9 @@ def test_settings_with_which_mujoco_cannot_be_imported_end_in_a_sentence(monkeyp
     assert main(["list"]) == 2
 
 
-@pytest.mark.parametrize(("asked", "hint"), [(["--depth"], "--no-picture, since depth can"), ([], "unsetting")])
+@pytest.mark.parametrize(
+    ("asked", "hint"), [(["--depth"], "--no-picture, since depth can"), ([], "unsetting")]
+)
 def test_what_has_to_be_drawn_is_refused_before_any_work(tmp_path, monkeypatch, capsys, asked, hint):
     file = tmp_path / "ball.xml"
     ball = '<body pos="0 0 1"><freejoint/><geom size="0.1" group="2"/></body>'
