@@ -70,9 +70,10 @@ def evaluate(
       change: how the queried region is changed at random in every episode: "none", "translation",
         "rotation", "shrinkage", "expansion" or "all".
       exclude: names of objects to leave out of each pool; exclude=("mug",) is the same as pools="dining~mug".
-      checkpoint: the policy's folder, for learned methods; else the embedded ones are taken.
+      checkpoint: a policy's folder, for the rows of the method that it was trained as; other learned methods
+        have the embedded ones.
       checkpoints: a folder of training runs (POOL-VARIANT, with -attemptsA and -SEED behind it where those
-        differ), instead of the embedded ones.
+        differ), instead of the embedded ones of single pools.
       engine: "auto", "native", "warp" or "jax".
       num_threads: simulation threads; 0 takes every core.
       fresh: make rows again that are at hand.
@@ -85,9 +86,14 @@ def evaluate(
       workers: worker processes on the cluster, of `num_threads` cores each, one if that is 0; 0 takes as many
         as it has room for.
 
+    Returns:
+      The table and its rows. One that cannot be made (no policy, too few objects in a pool) has no figures
+      and says why in `missing`.
+
     Raises:
-      ConfigError: a setting is outside its range, or there is no such method.
-      PoolError: there is no such pool or support, or no policy for any of the rows.
+      ConfigError: a setting is outside its range, there is no such method, or no row asks the `checkpoint`.
+      PoolError: there is no such pool or support.
+      ClutterGenError: no row can be made.
     """
     from cluttergen_jax.assets.pool import composed
     from cluttergen_jax.cluster import cluster_of

@@ -49,20 +49,20 @@ HEAD = (*asked("pool", support="table"), *asked("method"))
 
 
 def table_of(title: str, columns: Sequence[Column], rows: Iterable[Row], notes: Iterable[str] = ()) -> Table:
-    """A line for each row; one whose figures are missing says why in the first column that it cannot fill."""
+    """A line for each row; where figures are missing it has dashes, and a note below says why."""
+    rows = list(rows)
+    why = dict.fromkeys(missing(row) for row in rows if "missing" in row)
     return Table(
         title,
         tuple(column.heading for column in columns),
         tuple(_line(columns, row) for row in rows),
-        tuple(notes),
+        (*notes, *why),
     )
 
 
 def _line(columns: Sequence[Column], row: Row) -> tuple[str, ...]:
-    if "missing" not in row:
-        return tuple(column.cell(row) for column in columns)
-    why = iter([missing(row)])
-    return tuple(column.cell(row) if column.is_asked else next(why, "-") for column in columns)
+    is_made = "missing" not in row
+    return tuple(column.cell(row) if is_made or column.is_asked else "-" for column in columns)
 
 
 def share(value: float | None) -> str:
@@ -126,9 +126,23 @@ EFFORT_NOTES = (
 
 
 def missing(row: Row) -> str:
-    """Why there is no figure, and what to do about it."""
-    hint = row.get("hint")
-    return f"{row['missing']}; train it: {hint}" if hint else row["missing"]
+    """Why there is no figure, and what to do about it.
+
+    What a trial lacks names itself; how few of its scenes succeed is said of which.
+    """
+    if hint := row.get("hint"):
+        return f"{row['missing']}; try: {hint}"
+    asked = row.get("trial", row)
+    named = [str(asked[name]) for name in ("pool", "support", "method") if name in asked]
+    return f"{', '.join(named)}: {row['missing']}" if named else row["missing"]
+
+
+def is_failed(row: Row) -> bool:
+    """Whether figures that were asked for could not be made.
+
+    Too few scenes that succeed are a finding, and what other training seeds lack is left out.
+    """
+    return "hint" in row and not row.get("trial", {}).get("training_seed")
 
 
 STRICT = "strict: every slot stable without disturbing anything, and the finished scene stands"

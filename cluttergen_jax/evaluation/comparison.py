@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.errors import PoolError
 from cluttergen_jax.evaluation.cells import SPEED, Column, Row, asked, number, share, share_of, table_of
 from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.runner import Runner
@@ -40,11 +39,16 @@ class Comparison:
     Attributes:
       rows: one flat dict each: `pool`, `support`, `objects`, `method`, `trials`, figures such as `success`,
         `low95` and `placed`, and `missing`, which says why there are none.
-      table: the same for people; speeds leave compilation out.
+      table: the same for people, with what is missing below it; speeds leave compilation out.
     """
 
     rows: list[dict[str, Any]]
     table: Table
+
+    @property
+    def num_missing(self) -> int:
+        """Rows that could not be made."""
+        return sum(row["missing"] is not None for row in self.rows)
 
     def write(self, folder: Path) -> None:
         """Writes table.md, table.csv (all digits), table.tex and results.json."""
@@ -62,11 +66,11 @@ def compare(runner: Runner, trials: Sequence[Trial], folder: Path | None) -> Com
     """The rows of trials and their table, written into the folder if there is one.
 
     Raises:
-      PoolError: there is no policy for any of the rows.
+      ClutterGenError: none of the rows can be made; why the first cannot.
     """
     rows = [runner.row(trial) for trial in trials]
     if all("figures" not in row for row in rows):
-        raise PoolError(rows[0]["missing"], hint=rows[0]["hint"])
+        raise runner.errors[0]
     found = Comparison([_flat(row) for row in rows], _table(rows))
     if folder is not None:
         found.write(folder)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
@@ -14,7 +14,7 @@ from typing import Any
 from cluttergen_jax.assets.pool import Pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.config import ROBUST_TILT, StabilityConfig, stability_record
+from cluttergen_jax.config import ROBUST_TILT, StabilityConfig, no_such, stability_record
 from cluttergen_jax.errors import ClutterGenError, ConfigError, PoolError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.trial import Trial, key_of
@@ -31,43 +31,89 @@ from cluttergen_jax.learning.training.suite import (
 from cluttergen_jax.placement.baselines import BASELINES
 
 
-class MissingCheckpointError(PoolError):
+class MissingRowError(PoolError):
+    """A row cannot be made: the figures of others do not depend on it."""
+
+
+class MissingCheckpointError(MissingRowError):
     """A row's policy has not been trained; `hint` is the command that does it."""
 
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """Finds policies.
+    """Finds policies: each row has the one of its own method.
 
     Attributes:
       folder: of training runs, POOL-VARIANT[-attemptsA][-SEED], each with its `policy`; None takes embedded
-        checkpoints.
-      path: the one checkpoint of all learned methods; goes before everything else. A row whose method it
-        was not trained as has none.
+        checkpoints. It hides those of single pools; a method for all pools that was not trained there is
+        taken from the package.
+      path: the checkpoint of the method that it was trained as; goes before everything else.
     """
 
     folder: Path | None = None
     path: Path | None = None
 
     def __post_init__(self) -> None:
-        if self.folder is not None and not self.folder.is_dir():
+        if self.folder is None:
+            return
+        if not self.folder.is_dir():
             raise ConfigError(
                 f"checkpoints = {str(self.folder)!r}",
                 "a folder of training runs, such as runs",
                 "cluttergen train, which makes runs/POOL-VARIANT-SEED",
             )
+        if (self.folder / "policy" / "record.json").is_file():
+            raise ConfigError(
+                f"checkpoints = {str(self.folder)!r}, which is a training run itself",
+                "the folder that it lies in, which holds the runs of several methods",
+                f"checkpoint={str(self.folder / 'policy')!r} for this one",
+            )
+
+    @cached_property
+    def given(self) -> Checkpoint | None:
+        """The checkpoint in `path`.
+
+        Raises:
+          PoolError: there is none.
+        """
+        return None if self.path is None else read_checkpoint(self.path)
+
+    def check_asked(self, trials: Iterable[Trial]) -> None:
+        """Refuses a given checkpoint that none of the rows asks.
+
+        Raises:
+          ConfigError: it names the method that the checkpoint was trained as.
+        """
+        methods = dict.fromkeys(trial.method for trial in trials)
+        if self.given is None or any(self._is_of(method) for method in methods):
+            return
+        variant = self.given.variant or "policy"
+        if variant in METHODS:
+            raise ConfigError(
+                f"`checkpoint` {self.path}, trained as {variant!r}, with rows of {', '.join(methods)}",
+                f"rows of {variant!r} among them",
+                f"methods=({variant!r},)",
+            )
+        raise no_such(f"{self.path}, a checkpoint of method", variant, METHODS)
+
+    def _is_of(self, method: str) -> bool:
+        """Whether the given checkpoint is the method's; a record that does not say fits any of poses."""
+        if self.given is None or method in BASELINES:
+            return False
+        return method == self.given.variant or (self.given.variant is None and method not in FOR_ANY_POOL)
 
     def find(self, trial: Trial) -> Checkpoint | None:
         """The trial's policy; None for a baseline.
 
         Raises:
           MissingCheckpointError: there is none, or its record is damaged.
-          ConfigError: there is no such method.
+          ConfigError: there is no such method. PoolError: `path` holds no checkpoint.
         """
         if trial.method not in METHODS or trial.method in BASELINES:
             checkpoint_of(trial.method, trial.pool)
             return None
-        found = self._given(trial) or self._in_folder(trial) or self._embedded(trial)
+        given = self.given if self._is_of(trial.method) else None
+        found = given or self._in_folder(trial) or self._embedded(trial)
         if found is None:
             raise MissingCheckpointError(
                 f"no checkpoint for method {trial.method!r} on pool {trial.pool!r}", hint=train_command(trial)
@@ -81,15 +127,6 @@ class Checkpoints:
                 return self.folder / name
         return None
 
-    def _given(self, trial: Trial) -> Checkpoint | None:
-        if self.path is None:
-            return None
-        try:
-            return checkpoint_of(trial.method, trial.pool, read_checkpoint(self.path))
-        except ConfigError as error:
-            given = _without_folder(error.given, self.path)
-            raise MissingCheckpointError(given, hint=train_command(trial)) from error
-
     def _in_folder(self, trial: Trial) -> Checkpoint | None:
         if self.folder is None:
             return None
@@ -99,8 +136,9 @@ class Checkpoints:
             return None if place is None else read_checkpoint(place)
 
     def _embedded(self, trial: Trial) -> Checkpoint | None:
-        """The embedded ones are of training seed 0; a given folder hides them."""
-        if self.folder is not None or trial.training_seed != 0:
+        """The embedded ones are of training seed 0; a given folder hides those of single pools."""
+        is_hidden = self.folder is not None and trial.method not in FOR_ANY_POOL
+        if is_hidden or trial.training_seed != 0:
             return None
         try:
             return checkpoint_of(trial.method, trial.pool)

@@ -12,12 +12,13 @@ import numpy as np
 
 from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ClutterGenError, ConfigError
 from cluttergen_jax.evaluation.episodes import Outcome, arrays_of, attempts_of, figures_of, run_episodes
 from cluttergen_jax.evaluation.machine import origin
 from cluttergen_jax.evaluation.resolved import (
     Checkpoints,
     MissingCheckpointError,
+    MissingRowError,
     ResolvedTrial,
     Resolver,
     usable,
@@ -49,6 +50,7 @@ class Runner:
       engine: "auto", "native", "warp" or "jax"; num_threads: of the native engine, 0 for every core.
       is_fresh: do not use rows that were kept.
       measured_at: when and where the findings that `measured` has returned were made (`machine.origin`).
+      errors: why rows could not be made, in the order in which they were asked for.
     """
 
     store: Store
@@ -67,13 +69,17 @@ class Runner:
         self._rows: dict[str, Row] = {}
         self._num_rows = self._num_done = 0
         self.measured_at: list[Row] = []
+        self.errors: list[ClutterGenError] = []
 
     def plan(self, trials: Iterable[Trial]) -> None:
         """Counts the rows that are to be made and says so; progress is shown from now on.
 
         Raises:
-          ClutterGenError: a trial names a pool, support or method that does not exist.
+          ClutterGenError: a trial names a pool, support or method that does not exist, or a checkpoint was
+            given that no trial asks.
         """
+        trials = list(trials)
+        self.checkpoints.check_asked(trials)
         stored = {trial: self.stored_row(trial) for trial in trials}
         rows = {trial: row for trial, row in stored.items() if "missing" not in (row or {})}
         kept = [trial for trial, row in rows.items() if row is not None]
@@ -96,7 +102,7 @@ class Runner:
         try:
             key = self.resolve(trial).key
         except MissingCheckpointError as error:
-            return _missing(trial, error)
+            return self._missing(trial, error)
         if key in self._rows:
             return self._rows[key]
         if self.is_fresh and key not in self._made:
@@ -109,7 +115,7 @@ class Runner:
         Returns:
           `trial`, `sources`, `policy`, `figures` (`episodes.figures_of`; `paper` among them is the looser
           count), and `date` and `machine` of its making, which rows of older versions lack; or `trial`,
-          `missing` and `hint` if its checkpoint is missing.
+          `missing` and `hint` if it cannot be made: its checkpoint is missing, its pool has too few objects.
         """
         known = self.stored_row(trial)
         if known is not None:
@@ -118,9 +124,8 @@ class Runner:
         self.begin(trial.title)
         try:
             row, arrays = self.made(resolved)
-        except MissingCheckpointError as error:
-            self._finish(trial, str(error))
-            return _missing(trial, error)
+        except ClutterGenError as error:
+            return self._fail(resolved, error)
         return self._keep(resolved, row, arrays)
 
     def made(self, resolved: ResolvedTrial) -> tuple[Row, dict[str, np.ndarray]]:
@@ -128,6 +133,7 @@ class Runner:
 
         Raises:
           MissingCheckpointError: its checkpoint cannot be used here.
+          ClutterGenError: its settings do not fit its pool or support.
         """
         strict = self.run(resolved)
         figures = figures_of(strict) | {"fill": self._fill(resolved)}
@@ -162,12 +168,22 @@ class Runner:
                         f"{trial.title}: a worker has another pool, support or checkpoint of that name",
                         "the same files under the same path on all machines",
                     )
-                if isinstance(found, MissingCheckpointError):
-                    self._finish(trial, str(found))
-                    self._rows[key] = _missing(trial, found)
+                if isinstance(found, ClutterGenError):
+                    self._fail(resolved, found)
                 else:
                     self.progress.update(trial.num_episodes)
                     self._rows[key] = self._keep(resolved, *found)
+
+    def _fail(self, resolved: ResolvedTrial, error: ClutterGenError) -> Row:
+        """A row that cannot be made; it is not tried again, and the others are."""
+        self._finish(resolved.trial, str(error))
+        self._rows[resolved.key] = self._missing(resolved.trial, error)
+        return self._rows[resolved.key]
+
+    def _missing(self, trial: Trial, error: ClutterGenError) -> Row:
+        self.errors.append(error)
+        allowed = f" (allowed: {error.allowed})" if error.allowed else ""
+        return {"trial": trial.shown(), "missing": error.given + allowed, "hint": error.hint}
 
     def _keep(self, resolved: ResolvedTrial, row: Row, arrays: dict[str, np.ndarray]) -> Row:
         trial, figures = resolved.trial, row["figures"]
@@ -187,10 +203,12 @@ class Runner:
         """The scenes and attempts of a trial (`episodes.arrays_of`), made now if they are not there.
 
         Raises:
-          MissingCheckpointError: its policy has not been trained.
+          MissingRowError: they cannot be made; most often its policy has not been trained.
         """
         key = self.resolve(trial).key
-        self.row(trial)
+        row = self.row(trial)
+        if "missing" in row:
+            raise MissingRowError(row["missing"], hint=row["hint"])
         arrays = self.store.read_arrays(trial.title, key)
         if arrays is None:
             self.store.remove(trial.title, key)
@@ -316,11 +334,7 @@ class RowMaker:
             resolved = runner.resolve(trial)
             try:
                 return resolved.key, runner.made(resolved)
-            except MissingCheckpointError as error:
+            except ClutterGenError as error:
                 return resolved.key, error
 
         return make
-
-
-def _missing(trial: Trial, error: MissingCheckpointError) -> Row:
-    return {"trial": trial.shown(), "missing": error.given, "hint": error.hint}

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import find_pool, list_pools
+from cluttergen_jax.evaluation.cells import is_failed
 from cluttergen_jax.evaluation.machine import origin, origins_of
 from cluttergen_jax.evaluation.report import document, write_report
 from cluttergen_jax.evaluation.resolved import MissingCheckpointError
@@ -115,6 +116,13 @@ def run_study(
         "measure": findings,
         "pictures": [*(findings["pictures"] if findings else []), *plots],
     }
+
+
+def num_failed(results: Sequence[Result]) -> int:
+    """Rows of studies that could not be made (`cells.is_failed`)."""
+    measured = (result["measure"]["rows"] for result in results if result.get("measure"))
+    rows = [row for each in (*(result["records"] for result in results), *measured) for row in each]
+    return sum(map(is_failed, rows))
 
 
 def _findings(

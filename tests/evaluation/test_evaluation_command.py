@@ -11,9 +11,10 @@ from cluttergen_jax.cli.main import run
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.running import command_of
+from cluttergen_jax.evaluation.running import command_of, num_failed
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.studies.study import Scale
+from cluttergen_jax.learning.policies.embedded import list_policies
 
 SUPPORTS = ("table", "round_table")
 
@@ -37,6 +38,31 @@ def test_command_takes_up_what_was_made_before(tmp_path, capsys):
     assert shown.startswith("| pool | support | objects | method | success [95 %] |")
     assert "2 rows, 1 kept from before, 1 to be made\n" in said
     assert "[2 of 2 rows, " in said
+    # A row that cannot be made is told below the table and by the status.
+    assert (
+        command(tmp_path, methods=("random", "policy"), supports=SUPPORTS[:1], checkpoints=str(tmp_path)) == 1
+    )
+    shown, said = capsys.readouterr()
+    assert (
+        "| policy | - | - | - | - | - |\n\n- no checkpoint for method 'policy' on pool 'dining'; try: "
+        in shown
+    )
+    assert "error: 1 row could not be made; why stands below the table" in said
+    assert json.loads((tmp_path / "results.json").read_text())[0] == first
+
+
+def test_suites_fail_where_a_first_seed_is_missing():
+    rows = [
+        {"trial": {"training_seed": seed}, "missing": "no checkpoint", "hint": "train"} for seed in (0, 1)
+    ]
+    few = {"missing": "2 of 512 scenes succeed"}
+    results = [
+        {"records": [*rows, {"trial": {}, "figures": {}}], "measure": {"rows": [few]}},
+        {"records": []},
+    ]
+    assert num_failed(results) == 1
+    timed = {"missing": "the timed process failed: x", "hint": "again"}
+    assert num_failed([{"records": [], "measure": {"rows": [timed]}}]) == 1
 
 
 def test_a_comparison_from_python_writes_nothing_unasked(tmp_path, monkeypatch):
@@ -84,6 +110,7 @@ def test_a_suite_from_python_hands_out_each_study_as_it_is_done(tmp_path, capsys
         ({"suite": "paper", "only": ("table3",)}, "table1"),
         ({"quick": True}, "--suite"),
         ({"checkpoints": "nowhere"}, "training runs"),
+        ({"checkpoint": str(list_policies()["dining-normal"])}, "--methods normal"),
         ({"methods": ("policy",), "pools": ("study",), "max_attempts": 9}, "cluttergen train"),
         ({"suite": "paper", "only": ("table1",), "methods": ("drop",)}, "short_memory"),
         ({"supports": ()}, "one name or more"),

@@ -2,13 +2,15 @@
 
 import dataclasses
 import json
+import shutil
 
 import jax
 import numpy as np
 import pytest
 
 from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.evaluation.resolved import Checkpoints, MissingCheckpointError
+from cluttergen_jax.evaluation.comparison import compare
+from cluttergen_jax.evaluation.resolved import Checkpoints, MissingCheckpointError, MissingRowError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial, key_of
@@ -133,13 +135,53 @@ def test_missing_checkpoints_are_rows_of_their_own(runner, tmp_path):
     # A folder of runs hides what is embedded.
     elsewhere = Runner(Store(tmp_path / "runs"), Checkpoints(folder=tmp_path))
     assert "--attempts 3 --out runs/study-policy-attempts3-0" in elsewhere.row(other)["hint"]
-    # A given checkpoint is no other method's.
-    given = Runner(Store(tmp_path / "given"), Checkpoints(path=list_policies()["dining-normal"]))
-    assert given.checkpoints.find(dataclasses.replace(SMALL, method="normal")) is not None
-    with pytest.raises(MissingCheckpointError, match="trained as 'normal'"):
-        given.checkpoints.find(dataclasses.replace(SMALL, method="policy"))
     with pytest.raises(ConfigError, match="folder of training runs"):
         Checkpoints(folder=tmp_path / "nowhere")
+
+
+def test_each_row_asks_the_checkpoint_of_its_own_method(tmp_path):
+    own = tmp_path / "runs" / "mine-normal-0" / "policy"
+    shutil.copytree(list_policies()["dining-normal"], own)
+    trials = {
+        name: dataclasses.replace(SMALL, method=name) for name in ("normal", "policy", "guided", "drop")
+    }
+    embedded = list_policies()
+    theirs = {"policy": embedded["dining-policy"], "guided": embedded["guided"], "drop": None}
+    # The folder of the run itself will do as well.
+    for place in (own, own.parent):
+        given = Checkpoints(path=place)
+        found = {name: given.find(trial) for name, trial in trials.items()}
+        assert {name: each and each.path for name, each in found.items()} == {"normal": own, **theirs}
+        given.check_asked(trials.values())
+        with pytest.raises(ConfigError, match="trained as 'normal', with rows of guided, drop") as refused:
+            given.check_asked([trials["guided"], trials["drop"]])
+        assert "methods=('normal',)" in str(refused.value)
+    # A folder of runs is of single pools' policies: what serves every pool comes with the package.
+    assert Checkpoints(folder=tmp_path / "runs").find(trials["guided"]).path == embedded["guided"]
+    with pytest.raises(ConfigError, match="a training run itself"):
+        Checkpoints(folder=own.parent)
+
+
+def test_a_row_that_fails_leaves_the_others(tmp_path, monkeypatch):
+    made = Runner.made
+
+    def fails_on_margin(self, resolved):
+        if resolved.trial.min_margin:
+            raise ConfigError("min_margin here", "none", "another")
+        return made(self, resolved)
+
+    monkeypatch.setattr(Runner, "made", fails_on_margin)
+    runner, bad = Runner(Store(tmp_path)), dataclasses.replace(SMALL, min_margin=0.003)
+    runner.plan([bad, SMALL])
+    found = compare(runner, [bad, SMALL], tmp_path)
+    assert [row["success"] is None for row in found.rows] == [True, False]
+    assert found.num_missing == 1
+    assert set(found.table.rows[0][4:]) == {"-"}
+    assert found.table.notes == ("min_margin here (allowed: none); try: another",)
+    with pytest.raises(MissingRowError, match="min_margin here"):
+        runner.arrays(bad)
+    with pytest.raises(ConfigError, match="min_margin here"):
+        compare(runner, [bad], None)
 
 
 def test_checkpoints_are_found_by_pool_variant_and_seed(tmp_path):

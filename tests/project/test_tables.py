@@ -57,9 +57,11 @@ def test_cells_may_be_anything_with_a_text():
     assert markdown_table(("n",), [(1,), (None,)]).splitlines()[2:] == ["| 1 |", "| None |"]
 
 
-def test_a_missing_row_keeps_what_it_asked_and_says_why():
+def test_a_missing_row_keeps_what_it_asked_and_a_note_says_why():
     columns = (*asked("pool", num_objects="objects"), Column("a", str), Column("b", str))
     made = {"trial": {"pool": "dining", "num_objects": 3}}
-    table = table_of("t", columns, [made | {"missing": "no policy", "hint": "train"}])
+    lacking = made | {"missing": "no policy", "hint": "train"}
+    table = table_of("t", columns, [lacking, lacking, made | {"missing": "2 scenes"}], ["a note"])
     assert table.columns == ("pool", "objects", "a", "b")
-    assert table.rows == (("dining", "3", "no policy; train it: train", "-"),)
+    assert table.rows == (("dining", "3", "-", "-"),) * 3
+    assert table.notes == ("a note", "no policy; try: train", "dining: 2 scenes")

@@ -9,7 +9,7 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.episodes import LEAST_ATTEMPTS, width_of
-from cluttergen_jax.evaluation.resolved import MissingCheckpointError
+from cluttergen_jax.evaluation.resolved import MissingRowError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.findings import Findings
 from cluttergen_jax.evaluation.studies.study import Scale, Study
@@ -32,7 +32,7 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
     for trial in trials:
         try:
             arrays = runner.arrays(trial)
-        except MissingCheckpointError as error:
+        except MissingRowError as error:
             notes.append(f"{trial.method}: {error}")
             continue
         runner.begin(f"closed loop of {trial.title}")

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from cluttergen_jax.evaluation.resolved import MissingCheckpointError
+from cluttergen_jax.evaluation.resolved import MissingRowError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.findings import Findings, Successes, successes_of
 from cluttergen_jax.evaluation.trial import Trial
@@ -45,7 +45,7 @@ def renders(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
         for trial in (*first[turned:], *first[:turned], *others):
             try:
                 scenes = successes_of(runner, trial)
-            except MissingCheckpointError:
+            except MissingRowError:
                 continue
             if len(scenes):
                 images.append(_outlined(runner, trial, scenes, 0))

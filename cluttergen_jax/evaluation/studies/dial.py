@@ -17,7 +17,7 @@ from cluttergen_jax.evaluation.cells import (
     share_of,
     table_of,
 )
-from cluttergen_jax.evaluation.resolved import MissingCheckpointError
+from cluttergen_jax.evaluation.resolved import MissingRowError
 from cluttergen_jax.evaluation.rivals import OURS, TWIN, success_notes
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.contact_sheets import sheet
@@ -95,7 +95,7 @@ def renders(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
         try:
             # Both methods follow the dial; the first one that is there is drawn.
             scenes = successes_of(runner, trial)
-        except MissingCheckpointError:
+        except MissingRowError:
             continue
         caption = f"asked {stack:g}"
         if not len(scenes) or any(each.startswith(f"{caption}:") for each in captions):

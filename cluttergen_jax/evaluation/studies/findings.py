@@ -11,7 +11,7 @@ import numpy as np
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.evaluation.cells import Row
 from cluttergen_jax.evaluation.measures.arrangement import by_object
-from cluttergen_jax.evaluation.resolved import MissingCheckpointError
+from cluttergen_jax.evaluation.resolved import MissingRowError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial, row_name
 from cluttergen_jax.placement.world import World
@@ -50,7 +50,7 @@ def successes_of(runner: Runner, trial: Trial) -> Successes:
     """The trial's successful scenes; it is run if need be.
 
     Raises:
-      MissingCheckpointError: its policy has not been trained.
+      MissingRowError: they cannot be made; most often its policy has not been trained.
     """
     arrays, resolved = runner.arrays(trial), runner.resolve(trial)
     world = runner.world(resolved)
@@ -88,7 +88,7 @@ def each_standing(
     for trial in trials:
         try:
             scenes = successes_of(runner, trial)
-        except MissingCheckpointError as error:
+        except MissingRowError as error:
             rows.append(row_of(trial, missing=error.given, hint=error.hint))
             continue
         count = f"{len(scenes)} of {trial.trials} scenes succeed"

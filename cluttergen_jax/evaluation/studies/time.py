@@ -51,7 +51,8 @@ def _timed(order: dict[str, Any]) -> dict[str, Any]:
     command = [sys.executable, "-m", "cluttergen_jax.evaluation.timing", json.dumps(order)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        return {"missing": f"the timed process failed: {done.stderr.strip().splitlines()[-1:]}"}
+        said = "".join(done.stderr.strip().splitlines()[-1:])
+        return {"missing": f"the timed process failed: {said}", "hint": "the same command again"}
     return json.loads(done.stdout.splitlines()[-1])
 
 

@@ -86,11 +86,13 @@ class Checkpoint:
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
-    """The policy in a folder.
+    """The policy in a folder, or in the folder `policy` of a training run.
 
     Raises:
       PoolError: there is none, or its record is damaged, of another format, or lacks what a policy needs.
     """
+    if not (path / "record.json").exists() and (path / "policy" / "record.json").is_file():
+        path = path / "policy"
     record = read_record(path)
     trained = record.get("placement")
     numbers = [trained.get(name) for name in _TRAINED] if isinstance(trained, dict) else [None]
