@@ -133,8 +133,8 @@ def robot_place(
 
     Raises:
       ConfigError: a setting is out of range, or contradicts the bank.
-      BankError: the bank cannot be read or holds no scene that stands, the folder holds other episodes, or an
-        episode that is filmed does not end as it did.
+      BankError: the bank cannot be read or holds no scene that stands, the folder holds episodes of other
+        settings, grasps or weights, or an episode that is filmed does not end as it did.
       PoolError: there is no such pool or support.
       MissingExtraError: the extra `robot` is not installed.
       RendererError: films are asked for, and nothing here can draw.
@@ -152,6 +152,7 @@ def robot_place(
     from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.downstream.robot.places import SearchPlaces
     from cluttergen_jax.downstream.robot.trials import own_place, run_trials
+    from cluttergen_jax.learning.methods import checkpoint_of
     from cluttergen_jax.learning.ppo.checkpoint import folder_hash
     from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
@@ -196,6 +197,8 @@ def robot_place(
         rows |= {"noise": factor, "weights": trained and folder_hash(trained)}
     elif task == "place" and placer != "none":
         places = SearchPlaces(found, str(placer), seed, threads)
+        checkpoint = checkpoint_of(str(placer), str(recipe.get("pool")))
+        rows |= {"weights": checkpoint and checkpoint.hash}
     return run_trials(
         scenes,
         task,

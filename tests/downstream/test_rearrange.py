@@ -347,17 +347,25 @@ GOOD = RearrangeResult(
 )
 
 
+DIGEST = ["of these grasps"]
+
+
 @pytest.fixture
 def made_rows(monkeypatch):
     """How many episodes were run; every third fails."""
     numbers = []
 
-    def episode(seed, options, observer, ask=None):
-        numbers.append(seed)
+    def episode(task, options, observer, ask=None):
+        numbers.append(task.seed)
         bad = replace(GOOD, outcome="slip", right=[True, False], error=np.nan)
         return bad if len(numbers) % 3 == 0 else GOOD
 
-    monkeypatch.setattr(rearrange_trials, "Starts", lambda setting, pool, threads: lambda seed: seed)
+    def starts(setting, pool, threads):
+        return lambda seed: SimpleNamespace(
+            seed=seed, grasps=(SimpleNamespace(name="mug", digest=DIGEST[0]),)
+        )
+
+    monkeypatch.setattr(rearrange_trials, "Starts", starts)
     monkeypatch.setattr(rearrange_trials, "rearrange_episode", episode)
     return numbers
 
@@ -378,9 +386,30 @@ def test_interrupted_trials_go_on_and_rows_of_other_settings_are_refused(made_ro
         run(SETTINGS["paper"], RearrangeOptions(), 4, 0, tmp_path, observer=other)
     with pytest.raises(BankError, match="made otherwise"):
         run(SETTINGS["paper"], RearrangeOptions(), 4, 0, tmp_path, ask=lambda *told: 0)
+    for name in ("registration", "weights"):
+        other = TrueObserver()
+        setattr(other, name, "of another kind")
+        with pytest.raises(BankError, match=f"another {name}"):
+            run(SETTINGS["paper"], RearrangeOptions(), 4, 0, tmp_path, observer=other)
     (tmp_path / EPISODES).write_text("{}\n[1, 2")
     with pytest.raises(BankError, match="damaged"):
         run(SETTINGS["paper"], RearrangeOptions(), 4, 0, tmp_path)
+
+
+def test_rearrangements_are_not_continued_with_other_grasps_or_objects(made_rows, tmp_path, monkeypatch):
+    def run(number, pool="household"):
+        return run_rearrangements(SETTINGS["paper"], RearrangeOptions(), number, 0, tmp_path, pool=pool).rows
+
+    monkeypatch.setattr(rearrange_trials, "find_pool", lambda pool: SimpleNamespace(hash=pool))
+    run(2)
+    monkeypatch.setattr(f"{__name__}.DIGEST", ["of others"])
+    with pytest.raises(BankError, match="another grasps of mug"):
+        run(3)
+    # What is there can be looked at.
+    assert len(run(2)) == 2
+    monkeypatch.setattr(rearrange_trials, "find_pool", lambda pool: SimpleNamespace(hash="changed"))
+    with pytest.raises(BankError, match="another objects"):
+        run(2)
 
 
 def test_the_table_names_the_observer_counts_causes_and_objects():

@@ -21,8 +21,11 @@ import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.robot import trials as robot_trials
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
+from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
+from cluttergen_jax.downstream.robot.motion import plan
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.places import SearchPlaces
+from cluttergen_jax.downstream.robot.planner_hash import planner_hash
 from cluttergen_jax.downstream.robot.rows import RowFile
 from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials, episode_seed, run_trials
 from cluttergen_jax.errors import BankError, ConfigError
@@ -44,6 +47,9 @@ def failed(outcome, name="mug"):
     )
 
 
+GRASPS = Grasps("mug", "content", np.zeros((1, 7)), *np.zeros((5, 1)), np.ones(1, bool), 1, np.zeros((1, 7)))
+
+
 @pytest.fixture(scope="module")
 def bank(tmp_path_factory):
     return write_bank(tmp_path_factory.mktemp("robot") / "bank")
@@ -63,7 +69,7 @@ def made(monkeypatch):
         )
 
     monkeypatch.setattr(robot_trials, "_episode", episode)
-    monkeypatch.setattr(robot_trials, "grasps_of", lambda objects, num_threads: [None for _ in objects])
+    monkeypatch.setattr(robot_trials, "grasps_of", lambda objects, num_threads: [GRASPS for _ in objects])
     return numbers
 
 
@@ -87,7 +93,37 @@ def test_interrupted_trials_go_on_where_they_stopped(bank, made, tmp_path):
 def test_strange_rows_are_damaged(content, tmp_path):
     (tmp_path / EPISODES).write_bytes(content)
     with pytest.raises(BankError, match="damaged"):
-        RowFile(tmp_path / EPISODES, {}, EpisodeResult, "robot place").read()
+        RowFile(tmp_path / EPISODES, {}, EpisodeResult, "robot place").read(1)
+
+
+def test_rows_are_not_continued_with_other_grasps_or_another_planner(bank, made, tmp_path, monkeypatch):
+    scenes = list(read_scenes(bank))
+    run_trials(scenes, "lift", 2, 0, tmp_path, {})
+    with monkeypatch.context() as other:
+        of_others = replace(GRASPS, margin=GRASPS.margin + 1)
+        other.setattr(robot_trials, "grasps_of", lambda objects, num_threads: [of_others for _ in objects])
+        with pytest.raises(BankError, match="another grasps of "):
+            run_trials(scenes, "lift", 3, 0, tmp_path, {})
+    with monkeypatch.context() as other:
+        other.setattr(plan, "MOST_CHECKS", plan.MOST_CHECKS + 1)
+        planner_hash.cache_clear()
+        with pytest.raises(BankError, match="another planner"):
+            run_trials(scenes, "lift", 3, 0, tmp_path, {})
+    planner_hash.cache_clear()
+    assert len(run_trials(scenes, "lift", 3, 0, tmp_path, {}).rows) == 3
+
+
+def test_rows_of_an_older_version_are_shown_and_not_continued(bank, made, tmp_path, capsys):
+    scenes = list(read_scenes(bank))
+    first = run_trials(scenes, "lift", 2, 0, tmp_path, {"seed": 0})
+    old = '{"seed": 0}\n' + (tmp_path / EPISODES).read_text().partition("\n")[2]
+    (tmp_path / EPISODES).write_text(old)
+    again = run_trials(scenes, "lift", 2, 0, tmp_path, {"seed": 0})
+    assert list(map(repr, again.rows)) == list(map(repr, first.rows))
+    assert "older version, which did not note their grasps, planner, versions" in capsys.readouterr().err
+    with pytest.raises(BankError, match="an older version, which did not note their grasps"):
+        run_trials(scenes, "lift", 3, 0, tmp_path, {"seed": 0})
+    assert (tmp_path / EPISODES).read_text() == old
 
 
 def test_rows_of_other_scenes_are_not_taken_up(bank, made, tmp_path):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 
 import numpy as np
 
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.downstream.constants import constants_hash
 from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder
+from cluttergen_jax.downstream.perception.finder_hash import finder_hash
 from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.views.cameras import above, wrist_camera
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, SceneEstimate
@@ -21,6 +24,11 @@ UNSURE = 0.5
 """Certainty below which another look is taken."""
 MOST_LOOKS = 2
 _MILLISECONDS = 1000
+
+
+def registration_hash(noise: NoiseConfig) -> str:
+    """Hex digest of how often is looked, with which noise, and how poses are found in what was seen."""
+    return constants_hash(sys.modules[__name__], finder=finder_hash(), noise=noise)
 
 
 class PerceptionObserver:
@@ -55,6 +63,7 @@ class PerceptionObserver:
         self._glances: list[Look] = []
         self._num_before = 0
         self.weights = weights
+        self.registration = registration_hash(noise)
 
     def glance(self, world: EpisodeView) -> None:
         """See `observe.Observer`."""

@@ -12,8 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.config import FilmFormat
+from cluttergen_jax.downstream.constants import constants_hash
 from cluttergen_jax.downstream.perception.symmetry import turn_symmetry
+from cluttergen_jax.downstream.rearrange import episode, judge, layouts, moves, observe, order, settings
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
 from cluttergen_jax.downstream.rearrange.layouts import Reach, SceneDraw
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
@@ -24,6 +27,7 @@ from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeResult, R
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
 from cluttergen_jax.downstream.robot.motion.execute import Trace
+from cluttergen_jax.downstream.robot.planner_hash import planner_hash
 from cluttergen_jax.downstream.robot.rows import RowFile, share_of
 from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed
 from cluttergen_jax.errors import ConfigError
@@ -33,6 +37,8 @@ from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
 _MOST_DRAWS = 16
+_ADDED = ("grasps", "objects", "planner", "registration")
+"""Of recipes: what files of older versions lack."""
 
 
 class Starts:
@@ -187,6 +193,12 @@ def _object_row(rows: Sequence[RearrangeResult], name: str) -> tuple[str, str]:
     return str(len(right)), str(sum(right))
 
 
+@cache
+def rearrange_hash() -> str:
+    """Hex digest of how rearrangements are planned, done and judged, but for what an observer does."""
+    return constants_hash(episode, judge, layouts, moves, observe, order, settings, arm=planner_hash())
+
+
 def run_rearrangements(
     setting: RearrangeSetting,
     options: RearrangeOptions,
@@ -212,23 +224,27 @@ def run_rearrangements(
       sheets: draw the layouts of each episode as `out`/layouts-NUMBER.png (`layout_sheet`).
 
     Raises:
-      BankError: the folder holds rows of other settings, a damaged file, or a film shows another end.
+      BankError: the folder holds rows of other settings, grasps or weights, a damaged file, or a film shows
+        another end.
       ConfigError: the pool has too few objects.
       RendererError: pictures are asked for, and nothing here can draw.
     """
     observer = observer or TrueObserver()
     told = getattr(observer, "name", type(observer).__name__)
     recipe = {"setting": setting.name, "pool": pool, "seed": seed, "observer": told, **asdict(options)}
-    recipe |= {"weights": getattr(observer, "weights", ""), "versions": versions()}
+    recipe |= {name: getattr(observer, name, "") for name in ("weights", "registration")}
+    recipe |= {"objects": find_pool(pool).hash, "planner": rearrange_hash(), "versions": versions()}
     if ask is not None:
         recipe["choose"] = "person"
-    file = RowFile(None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange")
-    rows = file.read()[:number]
+    file = RowFile(None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange", _ADDED)
+    rows = file.read(number)
     # Where nothing is left to be done it is not made.
     starts = cache(lambda: Starts(setting, pool, num_threads))
 
     def task_of(index: int) -> RearrangeTask:
-        return starts()(episode_seed(seed, index))
+        task = starts()(episode_seed(seed, index))
+        file.note_grasps({each.name: each.digest for each in task.grasps})
+        return task
 
     def again(index: int, trace: Trace) -> RearrangeResult:
         # What a person chose is not asked for again.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -15,6 +16,8 @@ from cluttergen_jax.proportions import finite, wilson
 
 Row = TypeVar("Row")
 _NONE = object()
+GRASPS = "grasps"
+"""Of a recipe: the digest of each object's grasps. Objects are added as episodes have them."""
 
 
 class RowFile(Generic[Row]):
@@ -25,23 +28,34 @@ class RowFile(Generic[Row]):
       recipe: what makes rows comparable; those of another recipe are not taken up again.
       kind: the data class of a row; numbers that are not finite are kept as null.
       command: that writes such files, for messages.
+      added: names of the recipe that files of older versions do not have. Such rows are shown, not continued:
+        with what they were made is not known.
     """
 
-    def __init__(self, path: Path | None, recipe: dict[str, Any], kind: type[Row], command: str) -> None:
-        self._path, self._kind, self._command = path, kind, command
+    def __init__(
+        self,
+        path: Path | None,
+        recipe: dict[str, Any],
+        kind: type[Row],
+        command: str,
+        added: Sequence[str] = (),
+    ) -> None:
+        self._path, self._kind, self._command, self._added = path, kind, command, added
         self._recipe = json.loads(json.dumps(recipe))
 
-    def read(self) -> list[Row]:
-        """The rows that are kept.
+    def read(self, number: int) -> list[Row]:
+        """The rows that are kept, `number` at most.
 
         Raises:
-          BankError: the file is damaged, or its rows were made by another recipe.
+          BankError: the file is damaged, its rows were made by another recipe, or there are fewer than
+            `number` and an older version made them.
         """
         if self._path is None or not self._path.is_file():
             return []
         try:
             first, *lines = self._path.read_text(encoding="utf-8").splitlines() or [""]
             known: dict[str, Any] = dict(json.loads(first))
+            dict(known.get(GRASPS, {}))
             rows = [self._row(line) for line in lines]
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise BankError(
@@ -49,14 +63,45 @@ class RowFile(Generic[Row]):
                 f"a file of `{self._command}`",
                 "another `out`, or removing that file",
             ) from error
-        names = sorted({*self._recipe, *known})
-        if changed := [name for name in names if known.get(name, _NONE) != self._recipe.get(name, _NONE)]:
+        self._check_recipe(known, len(rows) < number)
+        return rows[:number]
+
+    def note_grasps(self, found: Mapping[str, str]) -> None:
+        """Adds the digests of objects' grasps to the recipe.
+
+        Raises:
+          BankError: the rows were made with others.
+        """
+        known = self._recipe.setdefault(GRASPS, {})
+        self._refuse(
+            [f"{GRASPS} of {name}" for name in sorted(found) if known.get(name, found[name]) != found[name]]
+        )
+        known.update(found)
+
+    def _check_recipe(self, known: dict[str, Any], is_continued: bool) -> None:
+        lacking = [name for name in self._added if name in {*self._recipe, GRASPS}.difference(known)]
+        names = sorted({*self._recipe, *known}.difference(lacking, [GRASPS]))
+        self._refuse([name for name in names if known.get(name, _NONE) != self._recipe.get(name, _NONE)])
+        if GRASPS in known:
+            self._recipe[GRASPS] = dict(known[GRASPS])
+        if not lacking:
+            return
+        told = f"of an older version, which did not note their {', '.join(lacking)}"
+        if is_continued:
+            raise BankError(
+                f"{self._path} holds episodes {told}",
+                "as many episodes as it holds, which shows them",
+                "another `out`",
+            )
+        print(f"note: the episodes in {self._path} are {told}: shown as they are", file=sys.stderr)
+
+    def _refuse(self, changed: Sequence[str]) -> None:
+        if changed:
             raise BankError(
                 f"{self._path} holds episodes made otherwise, with another {', '.join(changed)}",
                 "the same settings, which continue them",
                 "another `out`",
             )
-        return rows
 
     def write(self, rows: Sequence[Row]) -> None:
         """Keeps these rows, all or none of them."""

@@ -23,13 +23,17 @@ from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Outcome
+from cluttergen_jax.downstream.robot.planner_hash import planner_hash
 from cluttergen_jax.downstream.robot.rows import RowFile, share_of
 from cluttergen_jax.errors import BankError
+from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
 EPISODES = "episodes.jsonl"
+_ADDED = ("grasps", "planner", "versions", "weights")
+"""Of recipes: what files of older versions lack."""
 Places = Callable[[int, Scene], np.ndarray]
 """Where the last object of a scene may stand: f64[M, 7], T_world_object, best first."""
 
@@ -110,7 +114,8 @@ def run_trials(
     Args:
       scenes: those that stand; taken again, with other seeds, where there are fewer than `number`.
       out: the folder in which rows are kept, each as soon as it is made; None keeps none.
-      recipe: what makes rows comparable; rows of another recipe are not taken up again.
+      recipe: what makes rows comparable; rows of another recipe are not taken up again, nor such as were made
+        with other grasps or another planner, which are added here.
       num_threads: of the tests of grasps.
       places: where the object may go, for an arm that is told where everything is; or a placer, for one that
         looks.
@@ -123,8 +128,9 @@ def run_trials(
     """
     if not scenes:
         raise BankError("no scene stands", "one or more", "more scenes")
-    file = RowFile(None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place")
-    rows = file.read()[:number]
+    recipe = {**recipe, "planner": planner_hash(), "versions": versions()}
+    file = RowFile(None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place", _ADDED)
+    rows = file.read(number)
     for index, row in enumerate(rows):
         if row.scene not in (-1, number_now := _number_of(scenes, index)):
             raise BankError(
@@ -135,6 +141,7 @@ def run_trials(
     assets = {scene.objects[-1].name: scene.objects[-1] for scene in islice(cycle(scenes), number)}
     found = grasps_of(list(assets.values()), num_threads=num_threads)
     grasps: dict[str, Grasps] = dict(zip(assets, found, strict=True))
+    file.note_grasps({name: each.digest for name, each in grasps.items()})
 
     def run(index: int, trace: Trace | None = None) -> EpisodeResult:
         scene = scenes[index % len(scenes)]

@@ -27,6 +27,7 @@ from cluttergen_jax.downstream.perception.evaluation.judged import (
     mask_figures,
 )
 from cluttergen_jax.downstream.perception.finder import SceneFinder
+from cluttergen_jax.downstream.perception.finder_hash import finder_hash
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
 from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation, Segmenter
 from cluttergen_jax.downstream.perception.segment.trained import (
@@ -209,6 +210,7 @@ def evaluate_perception(
         "views": views.digest(split),
         "segmenter": TRUE_MASKS if folder is None else network_hash(folder),
         "certainty": list(certainty.weights),
+        "registration": finder_hash(),
         "seed": seed,
         "versions": versions(),
     }
@@ -242,7 +244,7 @@ def _judge_all(
     total = (num_views or int(views.split(split)["num_views"])) // cameras
     if not total:
         raise ConfigError(f"{num_views} views for {cameras} cameras", "one moment or more")
-    rows = file.read()[:total]
+    rows = file.read(total)
     if len(rows) == total:
         return rows
     estimator = finder.estimator

@@ -6,8 +6,10 @@ and an object that is changed is looked at anew. Files lie in `grasps` beside th
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +71,13 @@ class Grasps:
 
     def __len__(self) -> int:
         return len(self.width)
+
+    @cached_property
+    def digest(self) -> str:
+        """Equal for equal grasps of equal objects."""
+        arrays = (getattr(self, name) for name in (*_POSES, *_COLUMNS, "is_low"))
+        parts = [self.hash.encode(), *(np.ascontiguousarray(array).tobytes() for array in arrays)]
+        return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
 
 
 def make_grasps(asset: ObjectAsset, number: int, seed: int, pool: Rollout) -> Grasps:

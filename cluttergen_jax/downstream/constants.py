@@ -1,0 +1,47 @@
+"""A digest of the constants that modules fix: what decides an episode beside what it is given."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import re
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+_CONSTANT = re.compile(r"_?[A-Z][A-Z0-9_]*")
+_SKIPPED = object()
+
+
+def constants_hash(*modules: ModuleType, **others: Any) -> str:
+    """Hex digest of the numbers and texts that modules name in capitals, and of others by name.
+
+    Other machines compute the last digits of a cosine otherwise: twelve count.
+    """
+    values = {
+        f"{module.__name__}.{name}": _plain(value)
+        for module in modules
+        for name, value in vars(module).items()
+        if _CONSTANT.fullmatch(name)
+    }
+    values |= {name: _plain(value) for name, value in others.items()}
+    known = {name: value for name, value in values.items() if value is not _SKIPPED}
+    return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """As JSON has it; types, functions and what holds any are no constants."""
+    if value is None or isinstance(value, str | bool):
+        return value
+    if isinstance(value, int | float | np.number):
+        return f"{float(value):.12g}"
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return _plain([getattr(value, field.name) for field in dataclasses.fields(value)])
+    if isinstance(value, tuple | list):
+        parts = [_plain(each) for each in value]
+        return _SKIPPED if any(part is _SKIPPED for part in parts) else parts
+    return _SKIPPED
