@@ -118,6 +118,8 @@ def check_workers(argument: str, number: int) -> None:
         )
 
 
+MAX_PAIRS, MAX_VIEWS = 10_000_000, 1_000_000
+"""Of a split of a data set: what a larger number means is a slip of the hand."""
 MAX_NOISE = 10.0
 """Times the noise of a usual depth camera."""
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cluttergen_jax.api.places import check_folder
-from cluttergen_jax.config import SegmenterInput, Split, check_noise, check_workers
+from cluttergen_jax.config import MAX_VIEWS, SegmenterInput, Split, check_noise, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.numerics import with_own_settings
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.perception.evaluation.evaluate import PerceptionResult
     from cluttergen_jax.downstream.perception.views.stored import ViewSet
 
-_MOST_VIEWS = 1_000_000
 _MOST_SEED = 999_999
 _METHODS = {"random": 5, "clear": 8, "drop": 8}
 """How scenes of views are made, and objects in each: rejection sampling fills few tables with more."""
@@ -76,7 +75,7 @@ def perception_data(
     check_folder(out)
     check_workers("num_threads", num_threads)
     check_range("seed", seed, 0, _MOST_SEED, 0)
-    check_range("num_views", num_views, 1, _MOST_VIEWS, 6000)
+    check_range("num_views", num_views, 1, MAX_VIEWS, 6000)
     if split not in SPLITS:
         raise ConfigError(f"split = {split!r}", ", ".join(SPLITS))
     config = ViewConfig(seed=SPLITS[split] + seed, arm=arm)
@@ -153,6 +152,8 @@ def perception_train(
     from cluttergen_jax.placement.setup import check_range
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
+    if num_views is not None:
+        check_range("num_views", num_views, 1, MAX_VIEWS, 6000)
     if reads not in get_args(SegmenterInput):
         raise ConfigError(f"reads = {reads!r}", ", ".join(get_args(SegmenterInput)))
     given: dict[str, Any] = {
@@ -217,7 +218,7 @@ def perception_eval(
         raise ConfigError(f"cameras = {cameras!r}", "1, 2 or both", "cameras=(1, 2)")
     check_noise(noise)
     if num_views is not None:
-        check_range("num_views", num_views, 1, _MOST_VIEWS, 200)
+        check_range("num_views", num_views, 1, MAX_VIEWS, 200)
     views = read_views(data)
     chosen = str(segmenter) if segmenter is not None else views.pool
     folder = None if out is None else Path(out)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cluttergen_jax.api.places import check_folder
-from cluttergen_jax.config import Method, SensedFrom, Split, check_noise, check_workers
+from cluttergen_jax.config import MAX_PAIRS, Method, SensedFrom, Split, check_noise, check_workers
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.numerics import with_own_settings
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
     from cluttergen_jax.downstream.placer.pairs.stored import PairSet
 
-_MOST_PAIRS = 10_000_000
 _MOST_SEED = 999_999
 
 
@@ -74,7 +73,7 @@ def placer_data(
     check_workers("num_threads", num_threads)
     check_range("seed", seed, 0, _MOST_SEED, 0)
     if num_pairs is not None:
-        check_range("num_pairs", num_pairs, 1, _MOST_PAIRS, 5000)
+        check_range("num_pairs", num_pairs, 1, MAX_PAIRS, 5000)
     if split is not None and split not in SPLITS:
         raise ConfigError(f"split = {split!r}", ", ".join(SPLITS))
     asked = {
@@ -154,12 +153,12 @@ def placer_eval(
     check_workers("num_threads", num_threads)
     check_range("seed", seed, 0, _MOST_SEED, 0)
     if num_pairs is not None:
-        check_range("num_pairs", num_pairs, 1, _MOST_PAIRS, 1000)
+        check_range("num_pairs", num_pairs, 1, MAX_PAIRS, 1000)
     if isinstance(placers, str) or not placers:
         raise ConfigError(f"placers = {placers!r}", "a sequence of names", "placers=('geometry',)")
     check_noise(noise)
-    if not 0 <= chains <= _MOST_PAIRS:
-        raise ConfigError(f"chains = {chains}", f"0 to {_MOST_PAIRS}", "chains=100")
+    if not 0 <= chains <= MAX_PAIRS:
+        raise ConfigError(f"chains = {chains}", f"0 to {MAX_PAIRS}", "chains=100")
     folder = None if out is None else Path(out)
     store = Store(folder and folder / "results")
     trials = Trials(read_pairs(data), split, num_pairs, seed, store, fresh, num_threads, cameras)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from cluttergen_jax.config import PlacerHead, PlacerLoss, PlacerNoise, PlacerPreset
+from cluttergen_jax.config import MAX_PAIRS, PlacerHead, PlacerLoss, PlacerNoise, PlacerPreset
 from cluttergen_jax.numerics import with_own_settings
 
 
@@ -60,6 +60,8 @@ def placer_train(
     from cluttergen_jax.placement.setup import check_range
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
+    if num_pairs is not None:
+        check_range("num_pairs", num_pairs, 1, MAX_PAIRS, 5000)
     folders = (data,) if isinstance(data, str | Path) else tuple(data)
     weights = None if encoder_weights is None else Path(encoder_weights)
     found, config = preset_of(

@@ -33,6 +33,7 @@ from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError, PoolError
 from cluttergen_jax.files import inside, write_atomically
+from cluttergen_jax.schema import Numbers, SchemaError, check_numbers, parsed
 
 FORMAT = 1
 NAME_PATTERN = re.compile(r"[a-z0-9_-]+")
@@ -124,7 +125,7 @@ def read_object(folder: Path, images: Path | None = None) -> ObjectAsset:
         raise PoolError(f"{folder / _RECORD} is damaged: its list of files is none", hint=_REWRITE)
     for name, digest in digests.items():
         path = inside(images if images is not None and name.endswith(".png") else folder, name)
-        blobs[name] = _read_bytes(path)
+        blobs[name] = read_bytes(path)
         if _digest(blobs[name]) != digest:
             raise PoolError(f"{path} does not match its digest in {_RECORD}", hint=_REWRITE)
     try:
@@ -187,8 +188,7 @@ def _asset(record: dict[str, Any], blobs: dict[str, bytes]) -> ObjectAsset:
         r, g, b, a = map(float, rgba)
         pieces.append(Piece(mesh, (r, g, b, a), uv, None if name is None else textures[name]))
     cloud = np.load(io.BytesIO(blobs[_CLOUD]), allow_pickle=False)
-    if cloud.shape != (CLOUD_SIZE, 3):
-        raise ValueError(f"a cloud of shape {cloud.shape}")
+    check_numbers({"cloud": cloud}, {"cloud": Numbers("f4", (CLOUD_SIZE, 3))})
     resting = tuple(
         RestingPose(tuple(pose["quaternion"]), pose["height"], pose["likelihood"])
         for pose in record["resting"]
@@ -221,23 +221,19 @@ def _friction(value: Any) -> float | None:
     return float(value)
 
 
-def _read_bytes(path: Path, hint: str = _REWRITE) -> bytes:
+def read_bytes(path: Path, hint: str = _REWRITE) -> bytes:
+    """What a file holds; PoolError if it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
         raise PoolError(f"{path} cannot be read ({error.strerror})", hint=hint) from error
 
 
-def read_json(path: Path, hint: str = _REWRITE) -> Any:
-    """What a JSON file holds; PoolError if it cannot be read or is none."""
-    try:
-        return json.loads(_read_bytes(path, hint))
-    except (ValueError, RecursionError) as error:
-        raise PoolError(f"{path} is not JSON: {error}", hint=hint) from error
-
-
 def _read_record(path: Path) -> dict[str, Any]:
-    record = read_json(path)
+    try:
+        record = parsed(read_bytes(path))
+    except SchemaError as error:
+        raise PoolError(f"{path} is {error}", hint=_REWRITE) from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PoolError(f"{path} is not an object of format {FORMAT}", hint=_REWRITE)
     digest = record.pop("hash", None)

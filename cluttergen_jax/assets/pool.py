@@ -17,12 +17,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest
 from cluttergen_jax.files import folder_whole, inside
+from cluttergen_jax.schema import SchemaError, checked_record, signed, typed
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
 ALL = "all"
@@ -100,7 +103,7 @@ def write_pool(path: str | Path, pool: Pool, *, overwrite: bool = False) -> Path
         fresh.mkdir()
         for asset in pool.objects:
             write_object(fresh / asset.name, asset)
-        (fresh / _INDEX).write_text(json.dumps(_index(pool), indent=1) + "\n", encoding="utf-8")
+        (fresh / _INDEX).write_text(json.dumps(signed(_index(pool)), indent=1) + "\n", encoding="utf-8")
     return path
 
 
@@ -124,28 +127,31 @@ def read_pool(path: str | Path) -> Pool:
     """
     index_path = Path(path) / _INDEX
     try:
-        index = json.loads(index_path.read_text(encoding="utf-8"))
+        record = checked_record(index_path.read_bytes())
+        if record.get("format") != FORMAT:
+            raise SchemaError(f"not a pool of format {FORMAT}")
+        index = typed(record, _Index)
     except OSError as error:
         raise PoolError(f"{path} is not a pool: {index_path} cannot be read ({error.strerror})") from error
-    except (ValueError, RecursionError) as error:
-        raise PoolError(f"{index_path} is not JSON: {error}") from error
-    if not isinstance(index, dict) or index.get("format") != FORMAT:
-        raise PoolError(f"{index_path} is not a pool of format {FORMAT}")
-    try:
-        name, names, tier, licence = index["name"], index["objects"], index["tier"], index["licence"]
-    except KeyError as error:
-        raise PoolError(f"{index_path} lacks {error}") from error
-    is_text = all(isinstance(each, str) for each in (name, tier, licence))
-    is_named = isinstance(names, list) and all(
-        isinstance(each, str) and NAME_PATTERN.fullmatch(each) for each in names
-    )
-    if not (is_text and is_named):
-        raise PoolError(f"{index_path} is damaged: a name, tier, licence or list of objects is none")
-    objects = tuple(read_object(inside(path, each)) for each in names)
-    for each, asset in zip(names, objects, strict=True):
+    except SchemaError as error:
+        raise PoolError(f"{index_path} is damaged: {error}", hint=_AGAIN) from error
+    objects = tuple(read_object(inside(path, each)) for each in index.objects)
+    for each, asset in zip(index.objects, objects, strict=True):
         if asset.name != each:
             raise PoolError(f"{Path(path) / each} holds an object called {asset.name!r}", "one of that name")
-    return Pool(name, objects, tier, licence)
+    return Pool(index.name, objects, index.tier, index.licence)
+
+
+_AGAIN = "importing or building the pool again"
+
+
+class _Index(msgspec.Struct):
+    """What `pool.json` holds."""
+
+    name: str
+    objects: list[Annotated[str, msgspec.Meta(pattern=f"^{NAME_PATTERN.pattern}$")]]
+    tier: str
+    licence: str
 
 
 def embedded_root() -> Path:

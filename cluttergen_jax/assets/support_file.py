@@ -11,18 +11,19 @@ import json
 import re
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-import numpy as np
+import msgspec
 
 from cluttergen_jax.assets.obj import parse_surface, surface_text
-from cluttergen_jax.assets.object_files import NAME_PATTERN, read_json
+from cluttergen_jax.assets.object_files import NAME_PATTERN, read_bytes
 from cluttergen_jax.assets.pool import embedded_root, folders_with, user_root
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
 from cluttergen_jax.assets.texture import Texture, texture_name
 from cluttergen_jax.errors import PoolError, closest
 from cluttergen_jax.files import folder_whole, inside
+from cluttergen_jax.schema import SchemaError, checked_record, digest_of, refuse, signed, typed
 
 FORMAT = 1
 _RECORD = "support.json"
@@ -44,11 +45,15 @@ def write_support(folder: str | Path, support: SupportAsset, *, overwrite: bool 
         raise PoolError(f"{folder} exists", "a support's folder" if overwrite else "a new folder")
     with folder_whole(folder) as fresh:
         fresh.mkdir()
+        files = {}
         for index, piece in enumerate(support.pieces):
-            (fresh / f"visual-{index}.obj").write_text(surface_text(piece, _DIGITS), encoding="ascii")
+            files[f"visual-{index}.obj"] = surface_text(piece, _DIGITS).encode("ascii")
             if piece.texture is not None:
-                (fresh / piece.texture.file_name).write_bytes(piece.texture.data)
-        (fresh / _RECORD).write_text(json.dumps(_record(support), indent=1) + "\n", encoding="utf-8")
+                files[piece.texture.file_name] = piece.texture.data
+        for name, data in files.items():
+            (fresh / name).write_bytes(data)
+        record = _record(support) | {"files": {name: digest_of(data) for name, data in files.items()}}
+        (fresh / _RECORD).write_text(json.dumps(signed(record), indent=1) + "\n", encoding="utf-8")
     return folder
 
 
@@ -61,13 +66,19 @@ def read_support(folder: str | Path) -> SupportAsset:
       UnsafePathError: it names a file outside of its folder.
     """
     path = Path(folder) / _RECORD
-    record = read_json(path, _REWRITE)
-    if not isinstance(record, dict) or record.get("format") != FORMAT:
+    try:
+        record = checked_record(read_bytes(path, _REWRITE))
+    except SchemaError as error:
+        raise PoolError(f"{path} is damaged: {error}", hint=_REWRITE) from error
+    if record.get("format") != FORMAT:
         raise PoolError(f"{path} is not a support of format {FORMAT}", hint=_REWRITE)
     if not (isinstance(record.get("name"), str) and NAME_PATTERN.fullmatch(record["name"])):
         raise PoolError(f"{path}: a support called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'")
     try:
-        return _support(record, Path(folder))
+        for name, digest in typed(record.get("files", {}), dict[str, str]).items():
+            if digest_of(inside(folder, name).read_bytes()) != digest:
+                raise SchemaError(f"{name} is not what it was")
+        return _support(typed(record, _Stored), Path(folder))
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise PoolError(f"{path} cannot be understood: {error!r}", hint=_REWRITE) from error
     except OSError as error:
@@ -159,47 +170,55 @@ def _record(support: SupportAsset) -> dict[str, Any]:
     }
 
 
-def _floats(values: Any, count: int) -> tuple[Any, ...]:
-    numbers = tuple(float(value) for value in values)
-    if len(numbers) != count or not np.all(np.isfinite(numbers)):
-        raise ValueError(f"{values!r} where {count} numbers belong")
-    return numbers
+_Rgba = tuple[float, float, float, float]
+_FAR = 1000.0
+"""Metres beyond which nothing of a support is."""
 
 
-def _support(record: dict[str, Any], folder: Path) -> SupportAsset:
-    region = record["region"]
-    boxes = tuple(
-        Box(
-            _floats(box["center"], 3),
-            _floats(box["half_extents"], 3),
-            float(box["yaw"]),
-            _floats(box["rgba"], 4),
-        )
-        for box in record["boxes"]
-    )
-    if not boxes:
-        raise ValueError("a support without boxes")
-    pieces = tuple(_piece(piece, folder) for piece in record["pieces"])
+class _StoredPiece(msgspec.Struct):
+    """What `support.json` says of a coloured piece."""
+
+    file: str
+    rgba: _Rgba
+    texture: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")] | None = None
+
+
+class _Stored(msgspec.Struct):
+    """What `support.json` holds."""
+
+    name: str
+    label: str
+    boxes: Annotated[list[Box], msgspec.Meta(min_length=1)]
+    top: Annotated[float, msgspec.Meta(ge=-_FAR, le=_FAR)]
+    region: Rectangle
+    pieces: list[_StoredPiece]
+    provenance: Provenance
+
+
+def _support(record: _Stored, folder: Path) -> SupportAsset:
+    flat = [number for number, box in enumerate(record.boxes) if min(box.half_extents) <= 0]
+    faults = [f"box {number} has a side of 0 or less" for number in flat]
+    numbers = [each for box in record.boxes for each in (*box.center, *box.half_extents)]
+    if max(map(abs, (*numbers, *record.region.center, *record.region.half_extents))) > _FAR:
+        faults.append(f"something is farther away than {_FAR:g} m")
+    refuse(faults)
     return SupportAsset(
-        name=record["name"],
-        label=record["label"],
-        boxes=boxes,
-        top=float(record["top"]),
-        region=Rectangle(
-            _floats(region["center"], 2), _floats(region["half_extents"], 2), float(region["yaw"])
-        ),
-        provenance=Provenance(**record["provenance"]),
-        pieces=pieces,
+        name=record.name,
+        label=record.label,
+        boxes=tuple(record.boxes),
+        top=float(record.top),
+        region=record.region,
+        provenance=record.provenance,
+        pieces=tuple(_piece(piece, folder) for piece in record.pieces),
     )
 
 
-def _piece(record: dict[str, Any], folder: Path) -> Piece:
-    mesh, uv = parse_surface(inside(folder, record["file"]).read_text(encoding="ascii"))
+def _piece(record: _StoredPiece, folder: Path) -> Piece:
+    mesh, uv = parse_surface(inside(folder, record.file).read_text(encoding="ascii"))
     texture = None
-    if digest := record.get("texture"):
-        if not re.fullmatch(r"[0-9a-f]{64}", digest):
-            raise ValueError(f"{digest!r} where the digest of an image belongs")
-        texture = Texture(inside(folder, texture_name(digest)).read_bytes())
-        if texture.digest != digest:
-            raise ValueError(f"{texture_name(digest)} is not the image that it was")
-    return Piece(mesh, _floats(record["rgba"], 4), uv, texture)
+    if record.texture:
+        name = texture_name(record.texture)
+        texture = Texture(inside(folder, name).read_bytes())
+        if texture.digest != record.texture:
+            raise SchemaError(f"{name} is not the image that it was")
+    return Piece(mesh, record.rgba, uv, texture)

@@ -4,7 +4,7 @@
     assets/                 the objects and the support, as a bank has them
     train-000000.parquet    block 0 of a split, a row for each of its first samples
 
-A block is written as a whole or not at all.
+A block is written as a whole or not at all. Record and blocks carry checksums (`schema`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from cluttergen_jax.errors import BankError, ConfigError, closest
 from cluttergen_jax.files import PARTIAL, folder_whole, write_atomically, writing
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.lock import LOCK
+from cluttergen_jax.schema import SEAL, SchemaError, check_seal, checked_record, sealed, signed, typed
 
 FORMAT = 1
 SPLITS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
@@ -39,6 +40,8 @@ class SplitFormat:
       kind: its plural, "views" or "pairs"; column: that numbers the rows of a split.
       command: that makes it, for messages.
       schema: of its rows; block_size: rows of a block.
+      record: the class of its record (`schema.typed`).
+      check_rows: raises a SchemaError where the rows of a block are none.
     """
 
     kind: str
@@ -46,6 +49,8 @@ class SplitFormat:
     command: str
     schema: pa.Schema
     block_size: int
+    record: type
+    check_rows: Callable[[pa.Table], None]
 
     @property
     def index(self) -> str:
@@ -87,21 +92,27 @@ class SplitFormat:
         """
         file = path / self.index
         try:
-            record = json.loads(file.read_bytes())
+            data = file.read_bytes()
         except (FileNotFoundError, NotADirectoryError) as error:
             raise BankError(
                 f"{path} holds no {self.kind}: it has no {self.index}",
                 f"a folder that `cluttergen {self.command}` made",
             ) from error
-        except (OSError, ValueError, RecursionError) as error:
+        except OSError as error:
             raise BankError(f"{file} cannot be read ({error})", hint=self.again) from error
-        if not isinstance(record, dict) or (record.get("kind"), record.get("format")) != (self.kind, FORMAT):
-            raise BankError(f"{file} is not the record of {self.kind} of format {FORMAT}", hint=self.again)
+        try:
+            record = checked_record(data)
+            if (record.get("kind"), record.get("format")) != (self.kind, FORMAT):
+                raise SchemaError(f"not the record of {self.kind} of format {FORMAT}")
+            typed(record, self.record)
+        except SchemaError as error:
+            hint = f"a fresh copy of the folder, or `cluttergen {self.command}` into another"
+            raise BankError(f"{file} cannot be read ({error})", hint=hint) from error
         return record
 
     def write_record(self, path: Path, record: dict[str, Any]) -> None:
         """Stores it."""
-        text = json.dumps(record, indent=1) + "\n"
+        text = json.dumps(signed(record), indent=1) + "\n"
         write_atomically(path / self.index, text.encode(), is_durable=True)
 
     def split(self, path: Path, record: dict[str, Any], name: str) -> dict[str, Any]:
@@ -175,27 +186,47 @@ class SplitFormat:
         size = self.block_size
         return {block: min(size, number - block * size) for block in range(-(-number // size))}
 
-    def read_block(self, path: Path, split: str, block: int, num_rows: int) -> pa.Table | None:
-        """The first rows of a block; None if it is missing, damaged or shorter."""
+    def is_kept(self, path: Path, split: str, block: int, num_rows: int) -> bool:
+        """Whether a block is there, sound, and holds so many rows."""
+        try:
+            self.read_block(path, split, block, num_rows)
+        except BankError:
+            return False
+        return True
+
+    def read_block(self, path: Path, split: str, block: int, num_rows: int) -> pa.Table:
+        """The first rows of a block.
+
+        Raises:
+          BankError: it is missing, damaged or shorter, or a number in it is none.
+        """
         file = self.block_path(path, split, block)
         try:
+            data = file.read_bytes()
+            check_seal(data)
             table = pq.read_table(
-                file.absolute(), schema=self.schema, page_checksum_verification=True, partitioning=None
+                pa.BufferReader(data), schema=self.schema, page_checksum_verification=True, partitioning=None
             )
             table.validate(full=True)
-        except (FileNotFoundError, pa.ArrowException, OSError, ValueError):
-            return None
-        first = block * self.block_size
-        numbers = np.arange(first, first + table.num_rows)
-        if table.num_rows < num_rows or not np.array_equal(table[self.column], numbers):
-            return None
-        return table.slice(0, num_rows)
+            first = block * self.block_size
+            numbers = np.arange(first, first + table.num_rows)
+            if table.num_rows < num_rows or not np.array_equal(table[self.column], numbers):
+                raise SchemaError(f"{table.num_rows} rows where {num_rows} belong, or others")
+            table = table.slice(0, num_rows)
+            self.check_rows(table)
+        except FileNotFoundError as error:
+            raise BankError(f"{file} is missing or damaged", hint=self.again) from error
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise BankError(f"{file} is missing or damaged ({error})", hint=self.again) from error
+        return table
 
     def write_block(self, path: Path, split: str, block: int, table: pa.Table) -> None:
         """Stores a block."""
         buffer = io.BytesIO()
-        pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
-        write_atomically(self.block_path(path, split, block), buffer.getvalue(), is_durable=True)
+        with pq.ParquetWriter(buffer, table.schema, compression="zstd", write_page_checksum=True) as writer:
+            writer.write_table(table)
+            writer.add_key_value_metadata(SEAL)
+        write_atomically(self.block_path(path, split, block), sealed(buffer.getvalue()), is_durable=True)
 
     def tables(self, path: Path, split: str, number: int) -> Iterator[pa.Table]:
         """The first rows of a split, block by block.
@@ -204,12 +235,7 @@ class SplitFormat:
           BankError: a block is missing or damaged.
         """
         for block, rows in self.sizes(number).items():
-            table = self.read_block(path, split, block, rows)
-            if table is None:
-                raise BankError(
-                    f"{self.block_path(path, split, block)} is missing or damaged", hint=self.again
-                )
-            yield table
+            yield self.read_block(path, split, block, rows)
 
 
 def store_assets(path: Path, bank: Bank) -> None:

@@ -7,7 +7,6 @@ import json
 import os
 import re
 import sys
-import zipfile
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.schema import checked_record, signed
 
 FORMAT = 1
 
@@ -46,13 +46,13 @@ class Store:
             return None
         path = self.path(title, key)
         try:
-            record = json.loads(path.read_text(encoding="utf-8"))
+            record = checked_record(path.read_bytes())
             if record["format"] == FORMAT and record["key"] == key and "figures" in record:
                 return record
             problem = "it is not the result that its name says"
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError) as error:
             problem = f"{type(error).__name__}: {error}"
         self._set_aside(path, problem)
         return None
@@ -67,7 +67,7 @@ class Store:
                 return {name: stored[name] for name in stored.files}
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        except Exception as error:  # A damaged archive makes zipfile and NumPy raise whatever they like.
             self._set_aside(path, f"{type(error).__name__}: {error}")
             return None
 
@@ -81,7 +81,7 @@ class Store:
             np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
             path = self.path(title, key)
             write_atomically(path.with_suffix(".npz"), buffer.getvalue())
-            write_atomically(path, json_bytes(stored))
+            write_atomically(path, json_bytes(signed(stored)))
         return stored
 
     def keep(self, title: str, key: str, figures: Any, made: Mapping[str, Any] | None = None) -> Any:
@@ -92,7 +92,7 @@ class Store:
         """
         if self.root is not None:
             stored = {"format": FORMAT, "key": key, **(made or {}), "figures": figures}
-            write_atomically(self.path(title, key), json_bytes(stored))
+            write_atomically(self.path(title, key), json_bytes(signed(stored)))
         return json.loads(json.dumps(figures))
 
     def remove(self, title: str, key: str) -> None:

@@ -28,6 +28,7 @@ from cluttergen_jax.errors import BankError, ConfigError
 from tests.helpers.drawing import IS_DRAWING, STATUS, needs_gl
 from tests.helpers.perception import POSES, overhead, view_of
 from tests.helpers.placing import seen_trio, write_bank
+from tests.helpers.records import unsigned
 
 CONFIG = ViewConfig(seed=5, arm=0.0)
 
@@ -136,7 +137,7 @@ def test_the_same_settings_make_the_same_views_and_more_goes_on(views, bank, tmp
     with pytest.raises(BankError, match="another seed"):
         write_views(more.path, {"made": bank}, "train", 6, ViewConfig(seed=6, arm=0.0))
     record = json.loads((more.path / VIEWS.index).read_text())
-    (more.path / VIEWS.index).write_text(json.dumps(record | {"names": ["a"]}))
+    (more.path / VIEWS.index).write_text(json.dumps(unsigned(record) | {"names": ["a"]}))
     with pytest.raises(BankError, match="other objects"):
         write_views(more.path, {"made": bank}, "train", 6, CONFIG)
 

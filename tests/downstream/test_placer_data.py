@@ -36,6 +36,7 @@ from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
 from cluttergen_jax.types import Verdict
 from tests.helpers import banks
 from tests.helpers.placing import write_bank
+from tests.helpers.records import unsigned
 
 WIDTH = 8
 """Pairs of a block here."""
@@ -132,7 +133,7 @@ def test_splits_share_neither_cameras_nor_noise(bank, tmp_path, monkeypatch):
     # As an earlier version made them: with the draws of the training split.
     record = json.loads((both.path / "pairs.json").read_text())
     record["splits"]["test"]["seed"] = 0
-    (both.path / "pairs.json").write_text(json.dumps(record))
+    (both.path / "pairs.json").write_text(json.dumps(unsigned(record)))
     with pytest.raises(BankError, match=r"made with another seed.*overwrite"):
         cg.placer_data(both.path, bank.path, num_pairs=4)
 

@@ -65,7 +65,7 @@ def made(monkeypatch):
         return (
             failed(Outcome.NO_PATH, scene.objects[-1].name)
             if index % 3 == 2
-            else replace(GOOD, displaced=index)
+            else replace(GOOD, displaced=float(index))
         )
 
     monkeypatch.setattr(robot_trials, "_episode", episode)

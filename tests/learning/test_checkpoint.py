@@ -1,5 +1,6 @@
 """Stored weights: every array of the network is there, finite, of its shape and type, or its name is told."""
 
+import json
 import zipfile
 
 import jax
@@ -11,6 +12,7 @@ from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.agents import ENCODER
 from cluttergen_jax.learning.ppo.checkpoint import check_folder, read_policy, save_policy
 from cluttergen_jax.learning.training.run import with_encoder
+from tests.helpers.records import unsigned
 
 KERNEL, BIAS = "params/actor/kernel", "params/actor/bias"
 LIKE = {
@@ -56,6 +58,10 @@ def test_equal_arrays_are_stored_once(tmp_path):
 
 def test_weights_of_earlier_versions_are_read(folder):
     change(folder, **{KERNEL: np.full((4, 3), 0.25, np.float16)})
+    with pytest.raises(PoolError, match="not the weights that record"):
+        read_policy(folder, LIKE)
+    record = folder / "record.json"
+    record.write_text(json.dumps(unsigned(json.loads(record.read_text()))))
     assert (read_policy(folder, LIKE)["params"]["actor"]["kernel"] == 0.25).all()
 
 

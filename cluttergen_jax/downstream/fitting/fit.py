@@ -18,6 +18,8 @@ from cluttergen_jax.numerics import new_key
 from cluttergen_jax.types import Array
 
 _WARM_UP = 0.02
+_MOST = 1_000_000
+"""Of epochs, and of examples in a batch."""
 
 
 class Learner(Protocol):
@@ -65,8 +67,8 @@ class FitConfig:
     def __post_init__(self) -> None:
         check_positive(self, "num_epochs", "batch_size", "learning_rate")
         for name in ("num_epochs", "batch_size"):
-            if not isinstance(value := getattr(self, name), Integral):
-                raise ConfigError(f"FitConfig.{name} = {value!r}", "a whole number")
+            if not isinstance(value := getattr(self, name), Integral) or int(value) > _MOST:
+                raise ConfigError(f"FitConfig.{name} = {value!r}", f"1 to {_MOST}, a whole number")
 
     def optimizer(self, num_steps: int) -> optax.GradientTransformation:
         """For a run of so many steps."""

@@ -72,13 +72,14 @@ class FitRun(ABC):
         """The checkpoint's folder, after the last step; at once if it is there already.
 
         Raises:
+          ConfigError: there are too few examples, some are not finite, or the loss is not.
           KeyboardInterrupt: on Ctrl-C, once everything is saved.
         """
         if self._is_done():
             return self.folder / self.kind
         started = time.monotonic()
-        held_out = self.examples("val")
-        examples = self.examples("train")
+        held_out = self._sound("val")
+        examples = self._sound("train")
         batches = num_examples(examples) // self.config.batch_size
         if not batches:
             raise ConfigError(
@@ -96,6 +97,25 @@ class FitRun(ABC):
         folder = self.save(state, held_out)
         self._show(f"time       {time_text(time.monotonic() - started)}; {self.kind} in {folder}")
         return folder
+
+    def _sound(self, split: str) -> Any:
+        """`examples`, all of whose numbers are finite: what learns from others learns nothing.
+
+        Raises:
+          ConfigError: some are not.
+        """
+        examples = self.examples(split)
+        for place, leaf in jax.tree_util.tree_leaves_with_path(examples):
+            values = np.asarray(leaf)
+            # Infinite is what a picture has where nothing is, and what a map has where nothing was seen.
+            if values.dtype.kind == "f" and np.isnan(values).any():
+                name = jax.tree_util.keystr(place)
+                raise ConfigError(
+                    f"{self.unit}s of {split!r} with numbers that are none (NaN in {name})",
+                    f"{self.unit}s of finite numbers",
+                    f"making the {self.unit}s again",
+                )
+        return examples
 
     def _is_done(self) -> bool:
         """Whether the folder holds this run's checkpoint, which is written last."""
@@ -152,6 +172,13 @@ class FitRun(ABC):
         weights = [num_examples(part) for part in parts]
         found = float(np.average([float(_loss(fit, state.params, part)) for part in parts], weights=weights))
         log.add({"update": epoch, **row, "val_loss": found})
+        if not np.isfinite([found, row["loss"]]).all():
+            told = f"loss {row['loss']:g}, validation {found:g}"
+            raise ConfigError(
+                f"learning came to nothing in epoch {epoch}: {told}",
+                "finite numbers",
+                "a lower `learning_rate`, in a new folder",
+            )
         if found < float(state.best_loss):
             best = jax.tree.map(jnp.array, state.params)
             state = state.replace(best=best, best_loss=jnp.float32(found))

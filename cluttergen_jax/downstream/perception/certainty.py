@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
 from cluttergen_jax.downstream.perception.pose.estimator import PoseEstimate
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.schema import checked_record, signed, typed
 
 FILE = "certainty.json"
 FEATURES = ("bias", "score", "gap", "lead", "visible", "pixels", "steady")
@@ -51,6 +53,13 @@ class Certainty:
         return Certainty(tuple(weights.tolist()), len(features))
 
 
+class _Stored(msgspec.Struct):
+    """What the file holds."""
+
+    weights: dict[str, float]
+    number: Annotated[int, msgspec.Meta(ge=0)]
+
+
 def features_of(estimate: PoseEstimate, is_steady: bool) -> np.ndarray:
     """f64[7], in the order of `FEATURES`."""
     pixels, told = np.log10(max(estimate.num_pixels, 1)) - 2, (estimate.score, estimate.gap, estimate.lead)
@@ -67,12 +76,9 @@ def read_certainty(folder: Path) -> Certainty:
     if not path.is_file():
         return Certainty()
     try:
-        stored = json.loads(path.read_bytes())
-        weights: Sequence[float] = [float(stored["weights"][name]) for name in FEATURES]
-        if not np.isfinite(weights).all():
-            raise ValueError("a weight that is not finite")
-        return Certainty(tuple(weights), int(stored["number"]))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        stored = typed(checked_record(path.read_bytes()), _Stored)
+        return Certainty(tuple(stored.weights[name] for name in FEATURES), stored.number)
+    except (OSError, ValueError, KeyError) as error:
         raise PoolError(
             f"{path} is damaged ({error})", hint="cluttergen perception eval --calibrate"
         ) from error
@@ -81,7 +87,7 @@ def read_certainty(folder: Path) -> Certainty:
 def write_certainty(folder: Path, certainty: Certainty) -> None:
     """Stores the rule beside a segmenter."""
     weights = dict(zip(FEATURES, certainty.weights, strict=True))
-    stored = {"weights": weights, "number": certainty.number}
+    stored = signed({"weights": weights, "number": certainty.number})
     write_atomically(folder / FILE, (json.dumps(stored, indent=1) + "\n").encode())
 
 

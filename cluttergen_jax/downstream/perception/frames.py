@@ -10,14 +10,16 @@ from __future__ import annotations
 import io
 import json
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 from PIL import Image
 
 from cluttergen_jax.downstream.perception.segment.segmenter import checked_images
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.schema import checked_record, digest_of, refuse, signed, typed
 from cluttergen_jax.sensing.camera import Camera
 
 _NAMES = ("rgb.png", "depth.npy", "camera.json")
@@ -48,9 +50,28 @@ def write_frame(folder: str | Path, frame: Frame) -> None:
         "K": camera.K.tolist(),
         "T_world_camera": camera.T_world_camera.tolist(),
     }
-    told = (json.dumps(record, indent=1) + "\n").encode()
+    files = {"rgb.png": digest_of(picture.getvalue()), "depth.npy": digest_of(array.getvalue())}
+    told = (json.dumps(signed({**record, "checksums": files}), indent=1) + "\n").encode()
     for name, data in zip(_NAMES, (picture.getvalue(), array.getvalue(), told), strict=True):
         write_atomically(Path(folder) / name, data)
+
+
+_Side = Annotated[int, msgspec.Meta(ge=1, le=16_384)]
+_Row3 = tuple[float, float, float]
+_Row4 = tuple[float, float, float, float]
+
+
+class _Camera(msgspec.Struct):
+    """What `camera.json` holds."""
+
+    width: _Side
+    height: _Side
+    K: tuple[_Row3, _Row3, _Row3]
+    T_world_camera: tuple[_Row4, _Row4, _Row4, _Row4]
+
+
+def _bytes(folder: str | Path, name: str) -> bytes:
+    return (Path(folder) / name).read_bytes()
 
 
 def read_frame(folder: str | Path) -> Frame:
@@ -64,10 +85,13 @@ def read_frame(folder: str | Path) -> Frame:
         with Image.open(paths[0]) as image:
             rgb = np.asarray(image.convert("RGB"))
         depth = np.load(paths[1], allow_pickle=False)
-        told = json.loads(paths[2].read_bytes())
-        size = int(told["width"]), int(told["height"])
-        camera = Camera(*size, np.array(told["K"], float), np.array(told["T_world_camera"], float))
-    except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
+        told = checked_record(paths[2].read_bytes())
+        files = typed(told.get("checksums", {}), dict[Literal["rgb.png", "depth.npy"], str])
+        changed = [name for name, digest in files.items() if digest_of(_bytes(folder, name)) != digest]
+        refuse([f"{name} is not what it was" for name in changed])
+        found = typed(told, _Camera)
+        camera = Camera(found.width, found.height, np.array(found.K), np.array(found.T_world_camera))
+    except (OSError, ValueError, EOFError, SyntaxError, Image.DecompressionBombError) as error:
         raise BankError(
             f"{folder} holds no frame that can be read ({type(error).__name__}: {error})",
             ", ".join(_NAMES),

@@ -13,11 +13,14 @@ from typing import Any, Generic, TypeVar
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.proportions import finite, wilson
+from cluttergen_jax.schema import SchemaError, checked_record, digest_of, parsed, signed, typed
 
 Row = TypeVar("Row")
 _NONE = object()
 GRASPS = "grasps"
 """Of a recipe: the digest of each object's grasps. Objects are added as episodes have them."""
+_ROWS = "rows"
+"""In the first line: the checksum of the others."""
 
 
 class RowFile(Generic[Row]):
@@ -53,11 +56,13 @@ class RowFile(Generic[Row]):
         if self._path is None or not self._path.is_file():
             return []
         try:
-            first, *lines = self._path.read_text(encoding="utf-8").splitlines() or [""]
-            known: dict[str, Any] = dict(json.loads(first))
-            dict(known.get(GRASPS, {}))
-            rows = [self._row(line) for line in lines]
-        except (ValueError, TypeError, AttributeError, RecursionError) as error:
+            first, _, text = self._path.read_bytes().partition(b"\n")
+            known = checked_record(first)
+            typed(known.get(GRASPS, {}), dict[str, str])
+            if known.pop(_ROWS, digest_of(text)) != digest_of(text):
+                raise SchemaError("its rows do not match their checksum")
+            rows = [self._row(line) for line in text.splitlines()]
+        except (OSError, SchemaError) as error:
             raise BankError(
                 f"{self._path}: damaged ({error})",
                 f"a file of `{self._command}`",
@@ -106,12 +111,13 @@ class RowFile(Generic[Row]):
     def write(self, rows: Sequence[Row]) -> None:
         """Keeps these rows, all or none of them."""
         if self._path is not None:
-            lines = [json.dumps(self._recipe, sort_keys=True), *(json.dumps(_plain(row)) for row in rows)]
-            write_atomically(self._path, ("\n".join(lines) + "\n").encode())
+            text = "".join(json.dumps(_plain(row)) + "\n" for row in rows).encode()
+            first = json.dumps(signed({**self._recipe, _ROWS: digest_of(text)}), sort_keys=True)
+            write_atomically(self._path, f"{first}\n".encode() + text)
 
-    def _row(self, line: str) -> Row:
-        known: Any = {key: math.nan if value is None else value for key, value in json.loads(line).items()}
-        return self._kind(**known)
+    def _row(self, line: bytes) -> Row:
+        found = typed(parsed(line), dict[str, Any])
+        return typed({key: math.nan if value is None else value for key, value in found.items()}, self._kind)
 
 
 def _plain(row: Any) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
-from cluttergen_jax.config import PlacerHead, PlacerNoise, SensedFrom
+from cluttergen_jax.config import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom
 from cluttergen_jax.downstream.perception.evaluation.evaluate import PerceptionResult
 from cluttergen_jax.downstream.perception.views.stored import ViewSet
 from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials
@@ -20,6 +20,7 @@ from cluttergen_jax.downstream.rearrange.trials import Rearrangements
 from cluttergen_jax.downstream.robot.trials import RobotTrials
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.store import Store
+from cluttergen_jax.evaluation.trial import MAX_TRIALS
 from cluttergen_jax.placement.setup import check_range
 from cluttergen_jax.tables import Table
 
@@ -96,11 +97,10 @@ class Scale:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("num_scenes", "num_pairs"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                told = "trials" if name == "num_scenes" else name
-                raise ConfigError(f"{told} = {value}", "1 or more")
+        if self.num_scenes is not None:
+            check_range("trials", self.num_scenes, 1, MAX_TRIALS, 1000)
+        if self.num_pairs is not None:
+            check_range("num_pairs", self.num_pairs, 1, MAX_PAIRS, 5000)
         check_range("seed", self.seed, 0, MOST_SEED, 0)
         for head in self.heads:
             if head not in get_args(PlacerHead):

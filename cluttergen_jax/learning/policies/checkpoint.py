@@ -6,13 +6,15 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.learning.networks.config import KIND, NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record
+from cluttergen_jax.schema import SchemaError, typed
 
-_TRAINED = ("max_attempts", "history_stride")
 _HINT = "a policy that `cluttergen train` of this version left"
 
 
@@ -94,10 +96,29 @@ def read_checkpoint(path: Path) -> Checkpoint:
     if not (path / "record.json").exists() and (path / "policy" / "record.json").is_file():
         path = path / "policy"
     record = read_record(path)
-    trained = record.get("placement")
-    numbers = [trained.get(name) for name in _TRAINED] if isinstance(trained, dict) else [None]
-    if not isinstance(record.get("network"), dict) or not all(type(number) is int for number in numbers):
-        raise PoolError(
-            f"{path / 'record.json'} does not say what network it holds, and how that was trained", hint=_HINT
-        )
+    try:
+        typed(record, _Trained)
+    except SchemaError as error:
+        told = f"does not say what network it holds, and how that was trained ({error})"
+        raise PoolError(f"{path / 'record.json'} {told}", hint=_HINT) from error
     return Checkpoint(path, record)
+
+
+_Count = Annotated[int, msgspec.Meta(ge=0, le=1_000_000)]
+
+
+class _Placement(msgspec.Struct):
+    """Of the settings of the episodes in which a policy was trained, what acting needs."""
+
+    max_attempts: _Count
+    history_stride: _Count
+
+
+class _Trained(msgspec.Struct):
+    """What the record of a policy says."""
+
+    network: dict[str, Any]
+    placement: _Placement
+    kind: str = KIND
+    variant: str | None = None
+    stability: dict[str, Any] = {}

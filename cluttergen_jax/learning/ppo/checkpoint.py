@@ -18,6 +18,7 @@ import numpy as np
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import folder_whole, put_back, write_atomically
 from cluttergen_jax.learning.ppo.sharding import with_keys, without_keys
+from cluttergen_jax.schema import SchemaError, checked_record, digest_of, signed
 
 FORMAT = 1
 _CRITIC = ("params/critic/", "params/value/")
@@ -27,6 +28,8 @@ _MOST_BYTES, _HEADER = 8, 4096
 _OF_A_RUN = (".csv", ".png", ".log", ".txt", ".out")
 """Endings of files in a run's folder before its state is stored first, what users keep there among them."""
 _SHOWN = 3
+_WEIGHTS = "weights_sha256"
+"""In the record of a policy: the checksum of its weights."""
 _FRESH = "a fresh copy of that folder, or training again"
 
 
@@ -63,7 +66,7 @@ def save_state(path: Path, state: Any, record: dict[str, Any]) -> None:
     with folder_whole(path.absolute(), is_only_writer=True) as fresh:
         with _checkpointer() as checkpointer:
             checkpointer.save(fresh / "state", _stored(state))
-        (fresh / "record.json").write_text(json.dumps({"format": FORMAT, **record}, indent=1) + "\n")
+        (fresh / "record.json").write_bytes(_record_bytes(record))
 
 
 def has_state(path: Path) -> bool:
@@ -79,13 +82,13 @@ def read_record(path: Path) -> dict[str, Any]:
       PoolError: there is no checkpoint, or it is damaged or of another format.
     """
     try:
-        record = json.loads((path / "record.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        record = checked_record((path / "record.json").read_bytes(), allow_nan=True)
+    except (OSError, SchemaError) as error:
         reason = f"record.json: {getattr(error, 'strerror', None) or error}"
         raise PoolError(
             f"{path} is not a checkpoint ({reason})", hint="cluttergen train makes one"
         ) from error
-    if not isinstance(record, dict) or record.get("format") != FORMAT:
+    if record.get("format") != FORMAT:
         raise PoolError(f"{path} is not a checkpoint of format {FORMAT}")
     return record
 
@@ -161,9 +164,11 @@ def save_policy(path: Path, params: Any, record: dict[str, Any]) -> None:
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **weights)  # type: ignore[arg-type]
     write_atomically(path / "weights.npz", buffer.getvalue())
-    write_atomically(
-        path / "record.json", (json.dumps({"format": FORMAT, **record}, indent=1) + "\n").encode()
-    )
+    write_atomically(path / "record.json", _record_bytes({**record, _WEIGHTS: digest_of(buffer.getvalue())}))
+
+
+def _record_bytes(record: dict[str, Any]) -> bytes:
+    return (json.dumps(signed({"format": FORMAT, **record}, allow_nan=True), indent=1) + "\n").encode()
 
 
 def _in_bytes(array: np.ndarray) -> np.ndarray:
@@ -189,8 +194,17 @@ def read_policy(path: Path, like: Any) -> Any:
     """
     flat = flax.traverse_util.flatten_dict(like, sep="/")
     weights = _stored_weights(path / "weights.npz", flat)
+    _check_weights(path)
     merged = {name: jnp.asarray(weights.get(name, value), jnp.float32) for name, value in flat.items()}
     return flax.traverse_util.unflatten_dict(merged, sep="/")
+
+
+def _check_weights(path: Path) -> None:
+    """Refuses weights that are not those of the record beside them, where that says which they are."""
+    stated = read_record(path).get(_WEIGHTS) if (path / "record.json").exists() else None
+    file = path / "weights.npz"
+    if stated is not None and digest_of(file.read_bytes()) != stated:
+        raise PoolError(f"{file}: damaged, or not the weights that record.json beside it is of", hint=_FRESH)
 
 
 def _stored_weights(file: Path, flat: dict[str, Any]) -> dict[str, np.ndarray]:

@@ -17,6 +17,7 @@ from cluttergen_jax.learning.ppo.sharding import each, spread
 from cluttergen_jax.placement.brax_env import Env, State
 from cluttergen_jax.types import Array
 
+_MOST = 10**10
 _MAY_BE_ZERO = ("entropy_cost", "value_cost", "discount", "gae_lambda", "value_clip")
 
 
@@ -65,8 +66,8 @@ class PPOConfig:
         for field in fields(self):
             value = getattr(self, field.name)
             least = 0 if field.name in _MAY_BE_ZERO else 1e-12
-            if value is not None and not value >= least and field.name != "anneals":
-                raise ConfigError(f"ppo.{field.name} = {value}", "a positive number")
+            if value is not None and not least <= value <= _MOST and field.name != "anneals":
+                raise ConfigError(f"ppo.{field.name} = {value}", f"a positive number, {_MOST:,} at most")
         if self.minibatch_size is None and self.batch_size % self.num_minibatches:
             raise ConfigError(
                 f"{self.num_envs} x {self.num_steps} steps in {self.num_minibatches} minibatches",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import io
 import time
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -19,7 +18,7 @@ import numpy as np
 from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.learning.networks.stability import StabilityNetConfig
+from cluttergen_jax.learning.networks.stability import NUM_FEATURES, StabilityNetConfig
 from cluttergen_jax.learning.policies.guided import KIND, blank_params
 from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.learning.training.attempts import Examples, Explorer, begin, collect_step
@@ -46,6 +45,7 @@ from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig, placement_record
 from cluttergen_jax.placement.setup import check_range
 from cluttergen_jax.progress import Progress
+from cluttergen_jax.schema import Numbers, check_numbers
 
 PLACEMENT = PlacementConfig(order="weighted", ruin_after=3, min_margin=MIN_MARGIN, history_stride=0)
 """What is asked of the episodes: as of `generate`, but scenes are taken apart sooner, to see more of them."""
@@ -283,6 +283,18 @@ def _write(file: Path, examples: Examples) -> None:
     write_atomically(file, buffer.getvalue())
 
 
+_NUMBERS = {
+    "features": Numbers("f4", ("attempts", NUM_FEATURES)),
+    "shift": Numbers("f4", ("attempts",), 0.0, 0.11),
+    "margin": Numbers("f4", ("attempts",), -0.11, 0.11),
+    **{
+        name: Numbers("bool", ("attempts",))
+        for name in ("stands", "is_robust", "knows_robust", "disturbs", "is_on")
+    },
+}
+"""What a file of attempts holds."""
+
+
 def _read(file: Path) -> Examples:
     """The attempts in a file.
 
@@ -291,6 +303,8 @@ def _read(file: Path) -> Examples:
     """
     try:
         with np.load(file, allow_pickle=False) as stored:
-            return Examples(**{each.name: stored[each.name] for each in dataclasses.fields(Examples)})
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            found = {each.name: stored[each.name] for each in dataclasses.fields(Examples)}
+        check_numbers(found, _NUMBERS)
+        return Examples(**found)
+    except Exception as error:  # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
         raise PoolError(f"{file} cannot be read ({error})", hint="deleting it: it is made again") from error

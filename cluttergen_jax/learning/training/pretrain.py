@@ -26,6 +26,8 @@ from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.progress import Progress
 
+_MOST = 1_000_000
+
 
 @dataclass(frozen=True)
 class PretrainConfig:
@@ -52,8 +54,8 @@ class PretrainConfig:
 
     def __post_init__(self) -> None:
         for name in ("num_shapes", "num_held_out", "num_epochs", "batch_size", "learning_rate"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} = {getattr(self, name)}", "a positive number")
+            if not 0 < getattr(self, name) <= _MOST:
+                raise ConfigError(f"{name} = {getattr(self, name)}", f"a positive number, {_MOST} at most")
         if self.num_steps == 0:
             raise ConfigError(
                 f"batches of {self.batch_size} from {self.num_shapes} x {len(self.families)} shapes",

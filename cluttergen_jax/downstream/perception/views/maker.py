@@ -205,7 +205,7 @@ def _write_blocks(
 ) -> None:
     """Renders every block that is missing, damaged or shorter."""
     sizes = VIEWS.sizes(num_views)
-    missing = [block for block in sizes if VIEWS.read_block(views.path, split, block, sizes[block]) is None]
+    missing = [block for block in sizes if not VIEWS.is_kept(views.path, split, block, sizes[block])]
     kept = num_views - sum(sizes[block] for block in missing)
     if not missing:
         return

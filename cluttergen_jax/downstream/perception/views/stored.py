@@ -20,9 +20,11 @@ import pyarrow as pa
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.downstream.perception.classes import num_classes
+from cluttergen_jax.downstream.perception.views.checks import ViewRecord, check_rows
 from cluttergen_jax.downstream.perception.views.stage import View
 from cluttergen_jax.downstream.splits import SplitFormat
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.sensing.camera import Camera
 
@@ -49,7 +51,7 @@ SCHEMA = pa.schema(
 """`objects` are those that stand, by their number in the pool, at `poses`, T_world_object, metres and wxyz.
 Depth is u16 in tenths of a millimetre along the optical axis, little-endian, row by row, 0 where nothing is
 or beyond 6.5 m; labels are u8 (`classes`); rgb is u8. Neither exposure nor noise is in them."""
-VIEWS = SplitFormat("views", "view", "perception data", SCHEMA, 64)
+VIEWS = SplitFormat("views", "view", "perception data", SCHEMA, 64, ViewRecord, check_rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +135,15 @@ class ViewSet:
         total = number or total
         for table in VIEWS.tables(self.path, split, total):
             for row in table.to_pylist():
-                yield _stored(row)
+                yield self._known(_stored(row))
+
+    def _known(self, view: StoredView) -> StoredView:
+        """The view, where it is of this folder's objects alone."""
+        number = len(self.names)
+        if max(view.objects, default=0) >= number or view.view.label.max() >= num_classes(number):
+            told = f"view {view.number} shows objects beyond the {number} of its record"
+            raise BankError(f"{self.path} is damaged: {told}", hint=VIEWS.again)
+        return view
 
 
 def read_views(path: str | Path) -> ViewSet:

@@ -201,7 +201,7 @@ def write_pairs(
 def _write_blocks(path: Path, maker: PairMaker, split: str, num_pairs: int) -> None:
     """Makes every block that is missing, damaged or shorter."""
     rows = PAIRS.sizes(num_pairs)
-    missing = [block for block in rows if PAIRS.read_block(path, split, block, rows[block]) is None]
+    missing = [block for block in rows if not PAIRS.is_kept(path, split, block, rows[block])]
     kept = num_pairs - sum(rows[block] for block in missing)
     with Progress(f"pairs of {split}", num_pairs, "pair", kept) as progress:
         if missing:

@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from cluttergen_jax.config import check_workers
+from cluttergen_jax.downstream.placer.pairs.checks import PairRecord, check_rows
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, View, check_cameras, depth_of
 from cluttergen_jax.downstream.placer.sight import QueryMaker, SceneMaps
@@ -57,7 +58,7 @@ SCHEMA = pa.schema(
 """Poses are T_region_object, position in metres and quaternion wxyz; candidates x, y, z in metres and yaw in
 radians. Matrices stand row by row. Depth is u16 in millimetres along the optical axis, little-endian, row by
 row, 0 where nothing is; labels are u8: 0 the floor, 1 the support, 2 + k the k-th standing object."""
-PAIRS = SplitFormat("pairs", "pair", "placer data", SCHEMA, 256)
+PAIRS = SplitFormat("pairs", "pair", "placer data", SCHEMA, 256, PairRecord, check_rows)
 
 
 class PairLabels(NamedTuple):

@@ -7,6 +7,7 @@ and an object that is changed is looked at anew. Files lie in `grasps` beside th
 from __future__ import annotations
 
 import hashlib
+import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,10 +23,12 @@ from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.downstream.robot.frames import pose_of
 from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, candidates_of, spread
-from cluttergen_jax.downstream.robot.grasping.grip_test import GripTest, grip_test
+from cluttergen_jax.downstream.robot.grasping.grip_test import MAX_LOAD, GripTest, grip_test
+from cluttergen_jax.downstream.robot.model import MAX_OPENING
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.files import file_whole
+from cluttergen_jax.files import write_atomically
 from cluttergen_jax.progress import Progress
+from cluttergen_jax.schema import SEAL, Numbers, SchemaError, check_numbers, check_seal, sealed
 
 MIN_GRASPS = 8
 """As many an object needs; one with fewer is named."""
@@ -175,9 +178,27 @@ def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
             "tested": " ".join(f"{each.name}={each.num_tested}" for each in sets),
         },
     )
-    with file_whole(path) as fresh:
-        pq.write_table(pa.table(rows, schema=schema), fresh)
+    buffer = io.BytesIO()
+    with pq.ParquetWriter(buffer, schema, write_page_checksum=True) as writer:
+        writer.write_table(pa.table(rows, schema=schema))
+        writer.add_key_value_metadata(SEAL)
+    write_atomically(path, sealed(buffer.getvalue()))
     return path
+
+
+_NUMBERS = {
+    "pose": Numbers("f8", ("grasps", 7), -10, 10),
+    "width": Numbers("f8", ("grasps",), 0, 2 * MAX_OPENING),
+    "shift": Numbers("f8", ("grasps",), 0),
+    "slip": Numbers("f8", ("grasps",), 0),
+    "turn": Numbers("f8", ("grasps",), 0, 2 * np.pi),
+    "margin": Numbers("f8", ("grasps",), 0, MAX_LOAD),
+    "is_low": Numbers("bool", ("grasps",)),
+    "held": Numbers("f8", ("grasps", 7), -10, 10),
+}
+"""What is read of a file's columns."""
+_UNIT = 1e-3
+"""By which the length of a quaternion may differ from 1."""
 
 
 def read_grasps(path: Path, asset: ObjectAsset) -> Grasps | None:
@@ -189,7 +210,10 @@ def read_grasps(path: Path, asset: ObjectAsset) -> Grasps | None:
     if not path.is_file():
         return None
     try:
-        table = pq.read_table(path.absolute())
+        data = path.read_bytes()
+        check_seal(data)
+        table = pq.read_table(pa.BufferReader(data), page_checksum_verification=True)
+        table.validate(full=True)
         metadata = {key.decode(): text.decode() for key, text in (table.schema.metadata or {}).items()}
         if metadata.get("cluttergen_grasps") != str(_VERSION):
             return None
@@ -197,6 +221,11 @@ def read_grasps(path: Path, asset: ObjectAsset) -> Grasps | None:
         rows = table.filter(pa.compute.equal(table["hash"], object_hash(asset)))
         columns = {name: rows[name].to_numpy() for name in (*_COLUMNS, "is_low")}
         poses = {name: np.array(rows[name].to_pylist(), np.float64).reshape(-1, 7) for name in _POSES}
-        return Grasps(asset.name, object_hash(asset), num_tested=int(tested[asset.name]), **poses, **columns)
-    except (pa.ArrowException, KeyError, ValueError) as error:
+        check_numbers({**poses, **columns}, _NUMBERS)
+        turns = [np.linalg.norm(each[:, 3:], axis=1) for each in poses.values()]
+        num_tested = int(tested[asset.name])
+        if np.abs(np.concatenate(turns) - 1).max(initial=0) > _UNIT or num_tested < len(rows):
+            raise SchemaError("a turn is none, or more grasps than were tested")
+        return Grasps(asset.name, object_hash(asset), num_tested=num_tested, **poses, **columns)
+    except (pa.ArrowException, OSError, KeyError, ValueError, TypeError) as error:
         raise PoolError(f"{path}: damaged ({error})", "a file of `robot grasps`", "removing it") from error

@@ -1,0 +1,181 @@
+"""What files say, checked: records typed by classes, arrays by what they must be, bytes by a checksum.
+
+A reader declares what it expects, and gets that or a `SchemaError`, which it turns into its own error with
+the file's name and what to try. Files of older versions have no checksum; the other checks hold for them too.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+
+T = TypeVar("T")
+CHECKSUM = "sha256"
+"""Of a record: the digest of all else in it."""
+_SEAL = b"cluttergen_sha256"
+_BLANK = b"0" * 64
+_SEALED = re.compile(re.escape(_SEAL) + rb"..(.{64})", re.DOTALL)
+"""As Parquet stores a key and its value: the value's length stands between."""
+_SHOWN = 3
+
+
+class SchemaError(ValueError):
+    """A file does not say what its reader expects; the text says where and what."""
+
+
+def parsed(data: bytes) -> Any:
+    """What JSON says; numbers that are none (NaN, Infinity), and text behind it, are not JSON.
+
+    Raises:
+      SchemaError: it is none.
+    """
+    try:
+        return msgspec.json.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise SchemaError(f"not JSON: {error or 'nested too deeply'}") from error
+
+
+def _lenient(data: bytes) -> Any:
+    """`parsed`, with NaN and Infinity."""
+    try:
+        return json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise SchemaError(f"not JSON: {error}") from error
+
+
+def typed(value: Any, kind: type[T]) -> T:
+    """A value of JSON as a class that declares its fields: a `msgspec.Struct` or a data class.
+
+    Fields that the class does not name are passed over; nothing is converted but whole numbers to floats.
+
+    Raises:
+      SchemaError: a field is missing, of another type or out of its range; the text names it.
+    """
+    try:
+        return msgspec.convert(value, kind)
+    except (msgspec.ValidationError, RecursionError) as error:
+        raise SchemaError(str(error)) from error
+
+
+def digest_of(data: bytes) -> str:
+    """Hex digest of bytes."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def signed(record: Mapping[str, Any], allow_nan: bool = False) -> dict[str, Any]:
+    """A record of JSON values with its checksum."""
+    plain = json.loads(json.dumps(record, allow_nan=allow_nan))
+    return {**plain, CHECKSUM: _digest(plain)}
+
+
+def checked_record(data: bytes, allow_nan: bool = False) -> dict[str, Any]:
+    """The record in a file, without its checksum.
+
+    Args:
+      allow_nan: it may hold figures that are none, as measures of nothing.
+
+    Raises:
+      SchemaError: it is no record, or not the one whose checksum it has.
+    """
+    record = _lenient(data) if allow_nan else parsed(data)
+    if not isinstance(record, dict):
+        raise SchemaError(f"not a record but {type(record).__name__}")
+    if CHECKSUM in record and record.pop(CHECKSUM) != _digest(record):
+        raise SchemaError(f"it does not match its checksum (its entry {CHECKSUM!r}; without one it is read)")
+    return record
+
+
+def _digest(record: Mapping[str, Any]) -> str:
+    return digest_of(json.dumps(record, sort_keys=True, separators=(",", ":")).encode())
+
+
+SEAL = {_SEAL.decode(): _BLANK.decode()}
+"""What a Parquet file that is to be sealed has among its metadata, once."""
+
+
+def sealed(data: bytes) -> bytes:
+    """A file that has `SEAL`, with its checksum in it."""
+    start = _blank_at(data)
+    return data[:start] + digest_of(data).encode() + data[start + len(_BLANK) :]
+
+
+def check_seal(data: bytes) -> None:
+    """Refuses a file that is not the one whose checksum it has; files without one pass.
+
+    Raises:
+      SchemaError: it is not.
+    """
+    found = _SEALED.search(data)
+    if found is None:
+        return
+    start, end = found.span(1)
+    if digest_of(data[:start] + _BLANK + data[end:]).encode() != found[1]:
+        raise SchemaError("its content does not match its checksum")
+
+
+def _blank_at(data: bytes) -> int:
+    found = _SEALED.search(data)
+    assert found is not None, "a file without a place for its checksum"
+    return found.start(1)
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """What an array must be.
+
+    Attributes:
+      dtype: its type, "f4" and so on; shape: its lengths, None for any; a name stands for the same length
+        wherever it occurs.
+      low, high: the range of its numbers, which are finite in any case.
+    """
+
+    dtype: str
+    shape: tuple[int | str | None, ...]
+    low: float = -math.inf
+    high: float = math.inf
+
+    def fault(self, value: Any, lengths: dict[str, int]) -> str:
+        """What is wrong with an array, in words; "" if it is sound. Named lengths are added to `lengths`."""
+        if not isinstance(value, np.ndarray) or value.dtype != np.dtype(self.dtype):
+            return f"is of type {getattr(value, 'dtype', type(value).__name__)}, not {np.dtype(self.dtype)}"
+        asked = [lengths.get(each) if isinstance(each, str) else each for each in self.shape]
+        if value.ndim != len(asked) or any(each not in (None, n) for each, n in zip(asked, value.shape)):  # noqa: B905
+            told = ", ".join("any" if each is None else str(each) for each in asked)
+            return f"is of shape {value.shape}, not ({told})"
+        lengths |= {each: n for each, n in zip(self.shape, value.shape, strict=True) if isinstance(each, str)}
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
+            return "holds numbers that are not finite"
+        if value.size and not (self.low <= value.min() and value.max() <= self.high):
+            span, asked_span = f"{value.min():g} to {value.max():g}", f"{self.low:g} to {self.high:g}"
+            return f"holds numbers from {span}, not within {asked_span}"
+        return ""
+
+
+def check_numbers(arrays: Mapping[str, Any], asked: Mapping[str, Numbers]) -> None:
+    """Refuses arrays that are not what was asked for.
+
+    Raises:
+      SchemaError: one is missing, unknown, of another type or shape, or holds a number that is not finite or
+        out of its range; the text names it.
+    """
+    lengths: dict[str, int] = {}
+    faults = [f"{name!r} is missing" for name in asked if name not in arrays]
+    faults += [f"{name!r} is unknown" for name in arrays if name not in asked]
+    known = [name for name in asked if name in arrays]
+    faults += [f"{name!r} {told}" for name in known if (told := asked[name].fault(arrays[name], lengths))]
+    refuse(faults)
+
+
+def refuse(faults: list[str]) -> None:
+    """Raises a SchemaError of faults, if there are any: the first few of them."""
+    if faults:
+        more = f"; and {len(faults) - _SHOWN} more" if len(faults) > _SHOWN else ""
+        raise SchemaError("; ".join(faults[:_SHOWN]) + more)
