@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.schema import checked_record, signed
+from cluttergen_jax.schema import SchemaError, checked_record, digest_of, signed
 
 FORMAT = 1
+_SCENES = "scenes"
+"""In a row's file: the checksum of its scenes' file."""
 
 
 class Store:
@@ -47,6 +49,7 @@ class Store:
         path = self.path(title, key)
         try:
             record = checked_record(path.read_bytes())
+            record.pop(_SCENES, None)
             if record["format"] == FORMAT and record["key"] == key and "figures" in record:
                 return record
             problem = "it is not the result that its name says"
@@ -63,6 +66,7 @@ class Store:
             return None
         path = self.path(title, key).with_suffix(".npz")
         try:
+            self._check_scenes(path)
             with np.load(path, allow_pickle=False) as stored:
                 return {name: stored[name] for name in stored.files}
         except FileNotFoundError:
@@ -70,6 +74,14 @@ class Store:
         except Exception as error:  # A damaged archive makes zipfile and NumPy raise whatever they like.
             self._set_aside(path, f"{type(error).__name__}: {error}")
             return None
+
+    @staticmethod
+    def _check_scenes(path: Path) -> None:
+        """SchemaError for scenes that are not those that the row beside them says."""
+        row = path.with_suffix(".json")
+        stated = checked_record(row.read_bytes()).get(_SCENES) if row.is_file() else None
+        if stated is not None and digest_of(path.read_bytes()) != stated:
+            raise SchemaError(f"not the scenes of {row.name}")
 
     def write(
         self, title: str, key: str, record: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
@@ -81,7 +93,7 @@ class Store:
             np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
             path = self.path(title, key)
             write_atomically(path.with_suffix(".npz"), buffer.getvalue())
-            write_atomically(path, json_bytes(signed(stored)))
+            write_atomically(path, json_bytes(signed({**stored, _SCENES: digest_of(buffer.getvalue())})))
         return stored
 
     def keep(self, title: str, key: str, figures: Any, made: Mapping[str, Any] | None = None) -> Any:

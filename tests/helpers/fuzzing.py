@@ -31,7 +31,8 @@ from cluttergen_jax.assets.support_file import read_support, write_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.importing.readers import find_sources, read_shape
-from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_record, save_policy
+from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
+from cluttergen_jax.learning.ppo.checkpoint import read_policy, save_policy
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.scene.bank.stats import stats_of
@@ -39,6 +40,7 @@ from cluttergen_jax.scene.bank.verify import verify_scene
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 from cluttergen_jax.scene.xml import scene_xml
 from tests.helpers import banks
+from tests.helpers.fuzzed_files import OWN, plain, without_seal
 from tests.helpers.gltf import skinned
 from tests.helpers.worlds import trio
 
@@ -47,7 +49,20 @@ LIKE = {"params": {"actor": {"kernel": np.zeros((4, 3), np.float32)}}}
 _NUMBER = re.compile(rb"-?\d+\.?\d*(?:[eE][-+]?\d+)?")
 _WORD = re.compile(rb"[A-Za-z_]{2,}")
 _NASTY = (b"nan", b"inf", b"-inf", b"-1", b"0", b"1e999", b"1e-320", b"99999999999999999999", b"4294967295")
-_NASTY += (b"null", b'""', b"[]", b"{}", b"true", b"2147483648", b"x", b"", b"1 2", b"\xff\xfe", b"\x00")
+_NASTY += (
+    b"1000000000000",
+    b"null",
+    b'""',
+    b"[]",
+    b"{}",
+    b"true",
+    b"2147483648",
+    b"x",
+    b"",
+    b"1 2",
+    b"\xff\xfe",
+    b"\x00",
+)
 
 
 @dataclass(frozen=True)
@@ -57,12 +72,16 @@ class Reader:
     Attributes:
       make: writes a sound folder. file: the file in it that is mutated. read: reads the folder.
       signed: signs a mutated JSON record anew, so that more than its digest is tried.
+      mark: bytes that tell of a checksum, by which a mutant that still has them is known to be another: it is
+        refused, or read as the very same value. None for readers of other programs' files; empty where
+        whatever is changed is noticed.
     """
 
     make: Callable[[Path], object]
     file: str
     read: Callable[[Path], object]
     signed: Callable[[bytes], bytes] | None = None
+    mark: bytes | None = None
 
 
 def mutated(data: bytes, draw: random.Random) -> bytes:
@@ -144,8 +163,25 @@ def _sign(separators: tuple[str, str] | None) -> Callable[[bytes], bytes]:
     return sign
 
 
+def _own(name: str) -> Reader:
+    """A reader of a file of our own, with its checksum."""
+    make, file, read = OWN[name]
+    marks = {".json": b'"sha256"', ".jsonl": b'"sha256"', ".parquet": b"cluttergen_sha256"}
+    return Reader(make, file, read, mark=marks.get(Path(file).suffix, b""))
+
+
+def _old(name: str) -> Reader:
+    """The same of an older version, without one."""
+    make, file, read = OWN[name]
+    return Reader(without_seal(make, file), file, read)
+
+
 def _policy(folder: Path) -> None:
-    save_policy(folder, LIKE, {"placement": {"max_attempts": 5}, "network": {}})
+    save_policy(folder, LIKE, {"placement": {"max_attempts": 5, "history_stride": 0}, "network": {}})
+
+
+def _read_placement(folder: Path) -> object:
+    return plain(read_checkpoint(folder).record["placement"])
 
 
 def _mesh(suffix: str, kind: str = "", **kwargs: object) -> Reader:
@@ -210,15 +246,36 @@ READERS = {
         "assets/objects/box/part-00.obj",
         lambda f: verify_scene(f / "scenes" / "000000.xml", VerifyConfig(0.05)),
     ),
-    "object": Reader(lambda f: write_object(f, trio()[1]), "object.json", read_object),
+    "object": Reader(
+        lambda f: write_object(f, trio()[1]), "object.json", lambda f: plain(read_object(f)), mark=b""
+    ),
     "object_signed": Reader(
         lambda f: write_object(f, trio()[1]), "object.json", read_object, _sign((",", ":"))
     ),
-    "object_cloud": Reader(lambda f: write_object(f, trio()[1]), "cloud.npy", read_object),
-    "pool": Reader(lambda f: write_pool(f, Pool("trio", tuple(trio()))), "pool.json", read_pool),
-    "support": Reader(lambda f: write_support(f, cuboid_table()), "support.json", read_support),
-    "checkpoint_record": Reader(_policy, "record.json", read_record),
-    "checkpoint_weights": Reader(_policy, "weights.npz", lambda f: read_policy(f, LIKE)),
+    "object_cloud": Reader(
+        lambda f: write_object(f, trio()[1]), "cloud.npy", lambda f: plain(read_object(f)), mark=b""
+    ),
+    "pool": Reader(
+        lambda f: write_pool(f, Pool("trio", tuple(trio()))),
+        "pool.json",
+        lambda f: plain(read_pool(f)),
+        mark=b'"sha256"',
+    ),
+    "support": Reader(
+        lambda f: write_support(f, cuboid_table()),
+        "support.json",
+        lambda f: plain(read_support(f)),
+        mark=b'"sha256"',
+    ),
+    "support_old": Reader(
+        without_seal(lambda f: write_support(f, cuboid_table()), "support.json"), "support.json", read_support
+    ),
+    "checkpoint_record": Reader(_policy, "record.json", _read_placement, mark=b'"sha256"'),
+    "checkpoint_record_old": Reader(without_seal(_policy, "record.json"), "record.json", read_checkpoint),
+    "checkpoint_weights": Reader(_policy, "weights.npz", lambda f: plain(read_policy(f, LIKE)), mark=b""),
+    **{name: _own(name) for name in OWN},
+    **{f"{name}_old": _old(name) for name in ("pairs_record", "pairs_block", "views_record", "views_block")},
+    **{f"{name}_old": _old(name) for name in ("grasps", "store_row", "certainty", "frame_camera")},
     "urdf": Reader(_text("thing.urdf", URDF), "thing.urdf", _read_shapes),
     "urdf_label": Reader(_text("thing.urdf", URDF), "label.json", _read_shapes),
     "urdf_mesh": Reader(_text("thing.urdf", URDF), "part.obj", _read_shapes),
@@ -240,7 +297,7 @@ class Bench:
         self.reader.make(self.folder)
         self.file = self.folder / self.reader.file
         self.sound = self.file.read_bytes()
-        self.reader.read(self.folder)
+        self.value = self.reader.read(self.folder)
 
     def mutant(self, seed: int) -> bytes:
         """The file after some accidents."""
@@ -248,15 +305,21 @@ class Bench:
         return data if self.reader.signed is None else self.reader.signed(data)
 
     def try_out(self, data: bytes) -> bool:
-        """Whether the mutant could be read; any error but ours comes through."""
+        """Whether the mutant could be read; any error but ours, and any other value, comes through."""
         self.file.write_bytes(data)
         try:
-            self.reader.read(self.folder)
+            value = self.reader.read(self.folder)
         except ClutterGenError:
             return False
         finally:
             self.file.write_bytes(self.sound)
+        mark = self.reader.mark
+        assert mark is None or mark not in data or value == self.value, "another value, in silence"
         return True
+
+    def flipped(self, seed: int) -> bytes:
+        """The file with one bit changed."""
+        return _flip(self.sound, random.Random(seed))
 
 
 def _hunt(name: str, seconds: float, first: int) -> None:

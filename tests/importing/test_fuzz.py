@@ -48,6 +48,39 @@ def test_mutants_are_refused_or_read(benches, name, seed):
     bench.try_out(bench.mutant(seed))
 
 
+SEALED = [name for name, reader in READERS.items() if reader.mark is not None]
+
+
+def flip_bits(bench, number):
+    """Any one bit: a file with a checksum is refused, or read as the very same value."""
+    for seed in range(number):
+        data = bench.flipped(seed)
+        bench.file.write_bytes(data)
+        try:
+            assert bench.reader.read(bench.folder) == bench.value, seed
+        except ClutterGenError:
+            continue
+        finally:
+            bench.file.write_bytes(bench.sound)
+
+
+@QUIET
+@pytest.mark.parametrize("name", SEALED)
+def test_no_flipped_bit_gives_another_value(benches, name):
+    flip_bits(benches(name), 60)
+
+
+@QUIET
+@pytest.mark.slow
+@pytest.mark.parametrize("name", READERS)
+def test_many_mutants_and_flipped_bits(benches, name):
+    bench = benches(name)
+    for seed in range(1000):
+        bench.try_out(bench.mutant(seed))
+    if name in SEALED:
+        flip_bits(bench, 5000)
+
+
 @QUIET
 @pytest.mark.parametrize("path", sorted(CORPUS.glob("*/*")), ids=lambda p: f"{p.parent.name}/{p.name}")
 def test_what_once_crashed_a_reader_does_not_any_more(benches, path):
