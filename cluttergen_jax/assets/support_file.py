@@ -23,7 +23,7 @@ from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_t
 from cluttergen_jax.assets.texture import Texture, texture_name
 from cluttergen_jax.errors import PoolError, closest
 from cluttergen_jax.files import folder_whole, inside
-from cluttergen_jax.schema import SchemaError, checked_record, digest_of, refuse, signed, typed
+from cluttergen_jax.schema import SchemaError, checked_record, digest_of, parsed, refuse, signed, typed
 
 FORMAT = 1
 _RECORD = "support.json"
@@ -66,19 +66,23 @@ def read_support(folder: str | Path) -> SupportAsset:
       UnsafePathError: it names a file outside of its folder.
     """
     path = Path(folder) / _RECORD
+    data = read_bytes(path, _REWRITE)
     try:
-        record = checked_record(read_bytes(path, _REWRITE))
+        record = parsed(data)
     except SchemaError as error:
-        raise PoolError(f"{path} is damaged: {error}", hint=_REWRITE) from error
-    if record.get("format") != FORMAT:
+        raise PoolError(f"{path} is {error}", hint=_REWRITE) from error
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PoolError(f"{path} is not a support of format {FORMAT}", hint=_REWRITE)
     if not (isinstance(record.get("name"), str) and NAME_PATTERN.fullmatch(record["name"])):
         raise PoolError(f"{path}: a support called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'")
     try:
+        # What leads out of the folder is told as that, whatever the checksums say.
+        support = _support(typed(record, _Stored), Path(folder))
+        checked_record(data)
         for name, digest in typed(record.get("files", {}), dict[str, str]).items():
             if digest_of(inside(folder, name).read_bytes()) != digest:
                 raise SchemaError(f"{name} is not what it was")
-        return _support(typed(record, _Stored), Path(folder))
+        return support
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise PoolError(f"{path} cannot be understood: {error!r}", hint=_REWRITE) from error
     except OSError as error:

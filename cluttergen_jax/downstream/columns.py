@@ -9,7 +9,7 @@ from cluttergen_jax.schema import SchemaError
 
 
 def numbers_of(table: pa.Table, name: str, *lengths: int) -> np.ndarray:
-    """A column as an array, its rows along the first axis; lists of lists are flattened down to `lengths`.
+    """A column, of numbers or texts, as an array; lists of lists are flattened down to `lengths`.
 
     Args:
       lengths: of the inner axes, of which the first may be -1.

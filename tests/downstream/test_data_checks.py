@@ -31,7 +31,7 @@ from tests.helpers.records import unsigned
         ("width", 1_000_000, "width"),
         ("depth", b"12", "depth.*as long"),
         ("labels", bytes([77] * 12), "labels"),
-        ("object", None, "damaged|lacks"),
+        ("object", None, "object.*lacks"),
     ],
 )
 def test_pairs_that_nobody_makes_are_refused(tmp_path, name, value, told):
@@ -39,7 +39,7 @@ def test_pairs_that_nobody_makes_are_refused(tmp_path, name, value, told):
     rows = pairs_of()
     rows[2][name] = value
     write_pairs(tmp_path, rows)
-    with pytest.raises(BankError, match=f"missing or damaged.*{told}" if name != "object" else told):
+    with pytest.raises(BankError, match=f"missing or damaged.*{told}"):
         load_pairs(tmp_path)
 
 
@@ -72,7 +72,7 @@ HUGE = 10**12
         (lambda folder: Scale(num_pairs=HUGE), "num_pairs.*10000000"),
         (lambda folder: Scale(num_scenes=HUGE), "trials.*1000000"),
         (lambda folder: PPOConfig(num_attempts=HUGE), "num_attempts.*10,000,000,000"),
-        (lambda folder: cg.pretrain(folder, num_shapes=HUGE), "num_shapes.*1000000"),
+        (lambda folder: cg.pretrain(out=folder, num_shapes=HUGE), "num_shapes.*1000000"),
     ],
 )
 def test_counts_that_nobody_means_are_refused_at_once(tmp_path, call, told):

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
+import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -173,8 +175,10 @@ def store(folder: Path) -> None:
 
 def load_store(folder: Path) -> Any:
     """The row's figures and scenes; a damaged file is set aside there, and counts as refused here."""
-    kept = Store(folder, show=lambda text: None)
-    row, arrays = kept.read("a row", "key"), kept.read_arrays("a row", "key")
+    with tempfile.TemporaryDirectory() as copy:
+        shutil.copytree(folder, copy, dirs_exist_ok=True)
+        kept = Store(Path(copy), show=lambda text: None)
+        row, arrays = kept.read("a row", "key"), kept.read_arrays("a row", "key")
     if row is None or arrays is None:
         raise PoolError("a file that was set aside")
     return plain([row["figures"], arrays])

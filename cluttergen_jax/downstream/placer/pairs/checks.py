@@ -60,6 +60,8 @@ def check_rows(table: pa.Table) -> None:
     inner = {"camera_K": 9, "T_region_camera": 16, "standing_poses": 7, "target_pose": 7, "candidate": 4}
     found = {name: numbers_of(table, name, *([inner[name]] if name in inner else [])) for name in _NUMBERS}
     check_numbers(found, _NUMBERS)
+    for name in ("scene", "slot", "object", "standing"):
+        numbers_of(table, name)
     standing, pixels = numbers_of(table, "num_standing"), found["width"].astype(np.int64) * found["height"]
     candidates = lengths_of(table, "candidate")
     expected = {
