@@ -62,7 +62,7 @@ def place_by_hand(
       repeat: let objects stand there more than once.
       seed: draws each scene's objects, 0 to 4294967295.
       overwrite: begin anew if the folder holds another bank.
-      host: the address to listen on; 0.0.0.0 lets other machines in.
+      host: the address to listen on; 0.0.0.0 lets other machines in, if they have the token.
       port: 0 takes any free one.
       browser: open a browser.
       show: is given the lines that tell where the panel is, and what was kept.

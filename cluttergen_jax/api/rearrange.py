@@ -91,7 +91,7 @@ def rearrange(
       film: "gif", or "mp4" (extra video).
       seed: of all that is drawn.
       num_threads: 0 takes every core.
-      host: with `pick`, the address to listen on; 0.0.0.0 lets other machines in.
+      host: with `pick`, the address to listen on; 0.0.0.0 lets other machines in, if they have the token.
       port: of it; 0 takes any free one.
       browser: open a browser for it.
       show: is given the line that tells where it is.
@@ -177,7 +177,7 @@ def _person(
     server = open_server(host, port, "cluttergen: which layout")
     try:
         panel = LayoutPanel(server, rule)
-        announce(server, host, browser, show)
+        announce(server, browser, show)
         try:
             yield panel
         finally:

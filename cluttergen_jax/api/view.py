@@ -34,7 +34,7 @@ def view(
       num_objects: all of the pool's (40 at most) if not given.
       support: a support's name or folder; a checkpoint's own, else the paper's table.
       native: open MuJoCo's own viewer instead (needs a screen).
-      host: the address to listen on; 0.0.0.0 lets other machines look.
+      host: the address to listen on; 0.0.0.0 lets other machines look, if they have the token.
       port: 0 takes any free one.
       browser: open a browser.
       screenshots: the folder for screenshots.

@@ -99,7 +99,7 @@ def test_between_two_scenes_nothing_can_be_taken(panel):
 def test_a_person_takes_a_layout_in_a_browser(panel, tmp_path):
     with browsers(lambda: tmp_path / "profile", "900,620") as start, ThreadPoolExecutor(1) as other:
         browser = start()
-        browser.get(f"http://127.0.0.1:{panel.server.get_port()}")
+        browser.get(panel.server.url)
         page = Page(browser)
         page.until(lambda: "The first scene is made" in page.text())
         answer = other.submit(panel, TASK, SCENE.poses, LAYOUTS)

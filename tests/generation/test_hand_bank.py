@@ -1,5 +1,6 @@
 """Banks of scenes made by hand: any bank's readers read them, and they grow scene by scene."""
 
+import re
 import shutil
 import signal
 import subprocess
@@ -339,7 +340,7 @@ def test_a_session_ends_with_the_scenes_that_were_saved_and_the_next_adds_to_the
             show=told.append,
         )
         assert f"which holds {number - 1} scenes" in told[0]
-        assert told[1].startswith("viewer     http://localhost:")
+        assert re.match(r"viewer     http://localhost:\d+/[\w-]{32}/ ", told[1])
         assert f"scenes     {number}, of which {number} succeed" in str(bank)
         assert bank.table["is_success"].to_pylist() == [True] * number
     assert cg.verify(tmp_path / "bank").is_sound

@@ -64,7 +64,7 @@ def page(bank, tmp_path):
     panel = PlacingPanel(bank, server)
     with browsers(lambda: tmp_path / "profile", "900,620") as start:
         browser = start()
-        browser.get(f"http://127.0.0.1:{server.get_port()}")
+        browser.get(server.url)
         yield PlacingPage(browser, panel)
     panel.close()
     server.stop()

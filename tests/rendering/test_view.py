@@ -235,6 +235,7 @@ def test_port_in_use_is_refused_and_zero_takes_a_free_one():
 
 def test_missing_viser_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
+    monkeypatch.delitem(sys.modules, "cluttergen_jax.rendering.viewer.guard", raising=False)
     with pytest.raises(MissingExtraError, match="cluttergen_jax\\[viewer\\]"):
         open_server("127.0.0.1", 0, "none")
 

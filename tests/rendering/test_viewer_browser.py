@@ -61,7 +61,7 @@ def open_page(viewer, tmp_path_factory):
         def open_one(waits_for="objects placed"):
             browser = start()
             known = set(viewer.sessions)
-            browser.get(f"http://127.0.0.1:{viewer.server.get_port()}")
+            browser.get(viewer.server.url)
             return ViewerPage(browser, viewer, known, waits_for)
 
         yield open_one

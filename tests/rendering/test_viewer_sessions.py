@@ -75,7 +75,7 @@ def browser(viewer):
     from websockets.sync.client import connect
 
     known = set(viewer.sessions)
-    address = f"ws://127.0.0.1:{viewer.server.get_port()}"
+    address = viewer.server.url.replace("http://", "ws://")
     with connect(address, subprotocols=[f"viser-v{viser.__version__}"], max_size=None) as line:
         line.send(msgspec.msgpack.encode(CAMERA))
         # What the server sends is taken and thrown away.

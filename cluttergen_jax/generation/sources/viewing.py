@@ -25,7 +25,7 @@ from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.rendering.viewer.viewer import Viewer, announce, free_port, open_server
 
 if TYPE_CHECKING:
-    import viser
+    from cluttergen_jax.rendering.viewer.guard import GuardedServer
 
 
 def view_native(source: str | None, live: LiveConfig, show: Callable[[str], None]) -> None:
@@ -55,7 +55,7 @@ def view_web(
     server = open_server(host, port, f"cluttergen: {scenes.name}")
     viewer = Viewer(scenes, server, first, screenshots)
     try:
-        _serve(server, host, browser, show, scenes.notice())
+        _serve(server, browser, show, scenes.notice())
     finally:
         viewer.close()
 
@@ -75,7 +75,7 @@ def place_web(
             bank.rehearse()
             panel = PlacingPanel(bank, server)
             try:
-                _serve(server, host, browser, show)
+                _serve(server, browser, show)
             finally:
                 panel.close()
             return bank.summary()
@@ -83,13 +83,11 @@ def place_web(
         server.stop()
 
 
-def _serve(
-    server: viser.ViserServer, host: str, browser: bool, show: Callable[[str], None], notice: str = ""
-) -> None:
+def _serve(server: GuardedServer, browser: bool, show: Callable[[str], None], notice: str = "") -> None:
     """Says where the server is, opens a browser if wanted, and returns at Ctrl-C."""
     # As soon as the address is known, Ctrl-C may come.
     with suppress(KeyboardInterrupt):
-        announce(server, host, browser, show, notice)
+        announce(server, browser, show, notice)
         threading.Event().wait()
     show("\nviewer     ended")
 

@@ -20,6 +20,8 @@ from cluttergen_jax.rendering.viewer.source import SceneSource
 if TYPE_CHECKING:
     import viser
 
+    from cluttergen_jax.rendering.viewer.guard import GuardedServer
+
 
 def free_port(host: str, port: int) -> int:
     """`port` itself if nobody listens there, or any free one for 0.
@@ -49,35 +51,35 @@ def free_port(host: str, port: int) -> int:
         ) from error
 
 
-def open_server(host: str, port: int, title: str) -> viser.ViserServer:
-    """Starts a server; `server.get_port()` says where.
+def open_server(host: str, port: int, title: str) -> GuardedServer:
+    """Starts a server that answers whoever has its address, `server.url`, and nobody else.
 
     Raises:
       MissingExtraError: the extra `viewer` is not installed.
       ConfigError: the port cannot be had.
+      ClutterGenError: this version of viser cannot be guarded.
     """
     try:
-        import viser
+        from cluttergen_jax.rendering.viewer.guard import GuardedServer
     except ImportError as error:
         raise MissingExtraError("viewer", "the web viewer") from error
     # viser would take the next port without asking, and greets at length.
     port = free_port(host, port)
     with contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
+        server = GuardedServer(host, port, title)
     server.gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
     return server
 
 
-def announce(
-    server: viser.ViserServer, host: str, browser: bool, show: Callable[[str], None], notice: str = ""
-) -> None:
+def announce(server: GuardedServer, browser: bool, show: Callable[[str], None], notice: str = "") -> None:
     """Says where a server is, and opens a browser if wanted."""
-    url = f"http://{'localhost' if host == '0.0.0.0' else host}:{server.get_port()}"
-    show(f"viewer     {url} (Ctrl-C ends it)")
+    show(f"viewer     {server.url} (Ctrl-C ends it)")
+    if elsewhere := server.url_elsewhere:
+        show(f"elsewhere  {elsewhere}")
     if notice:
         show(f"first      {notice}")
     if browser:
-        webbrowser.open(url)
+        webbrowser.open(server.url)
 
 
 class Viewer:
