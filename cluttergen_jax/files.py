@@ -7,17 +7,29 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
 import re
+import secrets
 import shutil
-import tempfile
+import stat
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 
 from cluttergen_jax.errors import BankError, ConfigError, UnsafePathError
 
 PARTIAL = ".partial"
-"""Ending of what is being written, in names that begin with a dot."""
+"""Ending of folders in which something is being written; their names begin with a dot."""
+_BEGUN = ".begun"
+_OLD = ".old"
+_TEMPORARY = re.compile(
+    r"\..*\.(?P<machine>[0-9a-f]{8})-(?P<process>\d+)-[0-9a-f]+\.(partial|begun|old)", re.DOTALL
+)
+_LONGEST = 40
+_in_use: set[str] = set()
+"""Temporary names of this process; its number alone may be that of one before it."""
 _ADVICE = {
     errno.EEXIST: "removing the file that stands where a folder has to be, or another place",
     errno.ENOTDIR: "removing the file that stands where a folder has to be, or another place",
@@ -88,14 +100,14 @@ _STRANGER = "not using it if you do not know where it is from; a copy without li
 
 @contextmanager
 def file_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A path beside `path`, with the same ending, to be written in the block; then it takes `path`'s place.
+    """A path of the same name, to be written in the block; then it takes `path`'s place.
 
     Folders are made as needed; if the block fails, nothing is left behind.
     """
     path = Path(path)
-    # Two commands may write the same file of a cache at once.
-    with _replacing(path, path.with_name(f".{path.name}.{os.getpid()}{PARTIAL}{path.suffix}")) as fresh:
-        yield fresh
+    with own_folder(path) as scratch, _naming(path):
+        yield scratch / path.name
+        os.replace(scratch / path.name, path)
 
 
 def write_atomically(path: Path, data: bytes, is_durable: bool = False) -> None:
@@ -104,26 +116,11 @@ def write_atomically(path: Path, data: bytes, is_durable: bool = False) -> None:
     Args:
       is_durable: wait until the disk has it, so that even a power failure leaves the old or the new file.
     """
-    with _replacing(path, path.with_name(f".{path.name}{PARTIAL}")) as fresh, fresh.open("wb") as file:
+    with file_whole(path) as fresh, fresh.open("wb") as file:
         file.write(data)
         if is_durable:
             file.flush()
             os.fsync(file.fileno())
-
-
-@contextmanager
-def _replacing(path: Path, fresh: Path) -> Iterator[Path]:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        # Whatever lies there would be written through if it were a link.
-        fresh.unlink(missing_ok=True)
-        with _naming(path):
-            yield fresh
-        os.replace(fresh, path)
-    except BaseException:
-        with suppress(OSError):
-            fresh.unlink(missing_ok=True)
-        raise
 
 
 @contextmanager
@@ -133,21 +130,168 @@ def folder_whole(folder: Path, is_only_writer: bool = False) -> Iterator[Path]:
     If the block fails, `folder` is what it was, and nothing else is left behind.
 
     Args:
-      is_only_writer: nobody else writes this folder now, so what a killed writer left is removed.
+      is_only_writer: nobody else writes this folder now, so what any killed writer left is removed.
     """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    if is_only_writer:
-        scratch = folder.with_name(f".{folder.name}{PARTIAL}")
-        shutil.rmtree(scratch, ignore_errors=True)
-        scratch.mkdir()
-    else:
-        scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=PARTIAL, dir=folder.parent))
-    try:
+    with own_folder(folder, is_only_writer) as scratch:
         with _naming(folder):
             yield scratch / folder.name
         swap_in(scratch / folder.name, folder)
+
+
+@contextmanager
+def own_folder(path: Path, is_only_writer: bool = False) -> Iterator[Path]:
+    """A new, empty folder beside `path`, in which what is to take its place is made; removed after the block.
+
+    Every temporary name beside something that is kept is made by `_new_folder`: nobody can have laid a link
+    or a file there, nobody else gets the same, and it says which process uses it. What processes of this
+    machine left that are no more is removed on the way.
+
+    Args:
+      path: its folder is made if need be.
+      is_only_writer: remove also what processes of other machines, and older versions, left of `path`.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _remove_left(path.parent.absolute())
+    if is_only_writer:
+        _remove_stale(path.parent, _beginning(path), is_only_writer)
+    scratch = _new_folder(path, PARTIAL)
+    try:
+        yield scratch
     finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+        remove(scratch)
+        _in_use.discard(scratch.name)
+
+
+@contextmanager
+def begun_folder(path: Path) -> Iterator[Path]:
+    """As `own_folder`, but it is kept if the block fails, and has then what was made of `path` before."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch = _new_folder(path, _BEGUN)
+    for left in _stale(path.parent, _beginning(path), (_BEGUN,)):
+        if not _is_plain(left):
+            remove(left)
+            continue
+        with suppress(OSError):
+            # Only one process can take it up.
+            os.rename(left, scratch)
+    try:
+        yield scratch
+        remove(scratch)
+    finally:
+        with suppress(OSError):
+            scratch.rmdir()
+        _in_use.discard(scratch.name)
+
+
+def remove(path: Path) -> None:
+    """Removes a file, a folder or a link, not what a link leads to; as much of it as can be."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            path.unlink()
+
+
+def is_partial(name: str) -> bool:
+    """Whether a name is that of something which is being written, by this or an older version."""
+    return _TEMPORARY.fullmatch(name) is not None or (name.startswith(".") and PARTIAL in name)
+
+
+def _new_folder(path: Path, ending: str) -> Path:
+    """A folder beside `path` that was not there, of a name that nobody can guess, for this user alone."""
+    while True:
+        name = f"{_beginning(path)}{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{ending}"
+        # Known before it is there: other threads look for what was left.
+        _in_use.add(name)
+        scratch = path.parent.absolute() / name
+        try:
+            scratch.mkdir(mode=0o700)
+            return scratch
+        except FileExistsError:
+            _in_use.discard(name)
+        except OSError as error:
+            _in_use.discard(name)
+            error.filename = str(path)
+            raise
+
+
+def _beginning(path: Path) -> str:
+    name = path.name
+    if len(name) > _LONGEST:
+        name = f"{name[:_LONGEST]}~{zlib.crc32(os.fsencode(name)):08x}"
+    return f".{name}."
+
+
+@cache
+def _machine() -> str:
+    """Within which numbers of processes mean something: containers number their own."""
+    try:
+        numbering = os.readlink("/proc/self/ns/pid")
+    except OSError:
+        numbering = ""
+    return f"{zlib.crc32(os.fsencode(platform.node() + numbering)):08x}"
+
+
+def _stale(
+    folder: Path, beginning: str, endings: tuple[str, ...], is_only_writer: bool = False
+) -> Iterator[Path]:
+    """What was being written in a folder by processes that are no more.
+
+    Args:
+      beginning: of its name.
+      is_only_writer: what other machines and older versions were writing counts, too.
+    """
+    for path in list(folder.absolute().iterdir()):
+        name = path.name
+        is_meant = name.startswith(beginning) and any(ending in name for ending in endings)
+        if is_meant and is_partial(name) and _is_left(name, is_only_writer):
+            yield path
+
+
+def _is_left(name: str, is_only_writer: bool) -> bool:
+    known = _TEMPORARY.fullmatch(name)
+    if known is None or known["machine"] != _machine():
+        return is_only_writer
+    process = int(known["process"])
+    return name not in _in_use if process == os.getpid() else not _is_running(process)
+
+
+def _is_running(process: int) -> bool:
+    if os.name == "nt":
+        # There, asking would end it.
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
+
+
+def _is_plain(folder: Path) -> bool:
+    """Whether a folder is one of the user's own, and holds files and folders, no links."""
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or (os.name != "nt" and found.st_uid != os.geteuid()):
+        return False
+    return not any(
+        os.path.islink(os.path.join(place, name))
+        for place, folders, names in os.walk(folder)
+        for name in (*folders, *names)
+    )
+
+
+@cache
+def _remove_left(folder: Path) -> None:
+    """Once in a process for a folder, which may have many files."""
+    with suppress(OSError):
+        _remove_stale(folder, ".")
+
+
+def _remove_stale(folder: Path, beginning: str, is_only_writer: bool = False) -> None:
+    for path in _stale(folder, beginning, (PARTIAL, _OLD), is_only_writer):
+        _put_back_from(path)
+        remove(path)
 
 
 @contextmanager
@@ -163,26 +307,41 @@ def _naming(path: Path) -> Iterator[None]:
 
 def swap_in(fresh: Path, folder: Path) -> None:
     """Puts `fresh` where `folder` is; the old one is put back if that fails, and removed if not."""
-    aside = _aside(folder)
-    if folder.exists():
-        shutil.rmtree(aside, ignore_errors=True)
-        os.rename(folder, aside)
+    aside = _new_folder(folder, _OLD)
     try:
-        os.rename(fresh, folder)
+        while True:
+            with suppress(FileNotFoundError):
+                os.rename(folder, aside / folder.name)
+            try:
+                os.rename(fresh, folder)
+                return
+            except OSError as error:
+                # Somebody else may have put in theirs since.
+                if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                    raise
+                remove(aside / folder.name)
     except BaseException:
-        put_back(folder)
+        _put_back_from(aside)
         raise
-    shutil.rmtree(aside, ignore_errors=True)
+    finally:
+        remove(aside)
+        _in_use.discard(aside.name)
 
 
 def put_back(folder: Path) -> None:
     """The old folder again, where a writer was stopped between taking it away and putting in the new one."""
-    if not folder.exists() and _aside(folder).exists():
-        os.rename(_aside(folder), folder)
+    if not folder.exists() and folder.parent.is_dir():
+        for aside in _stale(folder.parent, _beginning(folder), (_OLD,), is_only_writer=True):
+            _put_back_from(aside)
 
 
-def _aside(folder: Path) -> Path:
-    return folder.with_name(f".{folder.name}.old")
+def _put_back_from(aside: Path) -> None:
+    """What a writer had taken away, if nothing has come into its place."""
+    if aside.name.endswith(_OLD) and not aside.is_symlink() and aside.is_dir():
+        for each in aside.iterdir():
+            if not os.path.lexists(aside.parent / each.name):
+                with suppress(OSError):
+                    os.rename(each, aside.parent / each.name)
 
 
 def advice_on(error: OSError) -> str:
@@ -191,12 +350,8 @@ def advice_on(error: OSError) -> str:
 
 
 def remove_partial(folder: Path) -> None:
-    """Removes what a writer that was killed left half written in `folder`."""
-    for path in folder.glob(f".*{PARTIAL}"):
-        if path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink(missing_ok=True)
+    """Removes what writers that were killed left half written in `folder`; for who alone may write in it."""
+    _remove_stale(folder, ".", is_only_writer=True)
 
 
 @contextmanager

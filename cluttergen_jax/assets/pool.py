@@ -12,7 +12,6 @@ import hashlib
 import importlib.resources
 import json
 import os
-import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,7 +23,7 @@ import msgspec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest
-from cluttergen_jax.files import folder_whole, inside
+from cluttergen_jax.files import folder_whole, inside, own_folder
 from cluttergen_jax.schema import SchemaError, checked_record, signed, typed
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
@@ -243,10 +242,8 @@ def remove_pool(name: str) -> Pool | None:
     except ClutterGenError:
         pool = None
     # Out of sight first: a removal that is stopped halfway leaves no pool of which half is missing.
-    aside = folder.with_name(f".{name}.removed")
-    shutil.rmtree(aside, ignore_errors=True)
-    os.rename(folder, aside)
-    shutil.rmtree(aside)
+    with own_folder(folder) as aside:
+        os.rename(folder, aside / folder.name)
     return pool
 
 

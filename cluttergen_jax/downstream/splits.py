@@ -22,7 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cluttergen_jax.errors import BankError, ConfigError, closest
-from cluttergen_jax.files import PARTIAL, folder_whole, write_atomically, writing
+from cluttergen_jax.files import folder_whole, is_partial, write_atomically, writing
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.lock import LOCK
 from cluttergen_jax.schema import SEAL, SchemaError, check_seal, checked_record, sealed, signed, typed
@@ -75,11 +75,11 @@ class SplitFormat:
         """
         if not path.exists() or (path / self.index).exists():
             return
-        begun = (LOCK, f".{self.index}{PARTIAL}", "assets", f".assets{PARTIAL}")
+        begun = (LOCK, "assets")
         banks = tuple(f"bank-{split}" for split in SPLITS)
         with writing(path):
             names = [each.name for each in path.iterdir()] if path.is_dir() else [""]
-        if any(name not in begun and not name.startswith(banks) for name in names):
+        if any(name not in begun and not name.startswith(banks) and not is_partial(name) for name in names):
             raise BankError(
                 f"{path} exists and holds no {self.kind}", "a new or empty folder", "another `out`"
             )

@@ -5,8 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
-import tempfile
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -15,7 +13,7 @@ from typing import Any
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.files import cache_home
+from cluttergen_jax.files import cache_home, own_folder, remove
 from cluttergen_jax.importing.readers import ObjectFile
 from cluttergen_jax.importing.readers.companions import companions
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
@@ -90,26 +88,23 @@ def load(key: str, name: str) -> ObjectAsset | None:
     try:
         return replace(read_object(folder), name=name)
     except ClutterGenError:
-        shutil.rmtree(folder, ignore_errors=True)
+        remove(folder)
         return None
 
 
 def store(key: str, asset: ObjectAsset) -> None:
     """Puts a body into the cache: whole or not at all, whoever else is writing the same."""
     root = cache_root()
-    root.mkdir(parents=True, exist_ok=True)
-    fresh = Path(tempfile.mkdtemp(prefix=".", dir=root))
-    try:
-        write_object(fresh, asset)
-        os.rename(fresh, root / key)
-    except OSError:
-        # Another run was first with the same body.
-        if not (root / key).is_dir():
-            raise
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
+    with own_folder(root / key) as scratch:
+        write_object(scratch / key, asset)
+        try:
+            os.rename(scratch / key, root / key)
+        except OSError:
+            # Another run was first with the same body.
+            if not (root / key).is_dir():
+                raise
 
 
 def drop(key: str) -> None:
     """Forgets a body."""
-    shutil.rmtree(cache_root() / key, ignore_errors=True)
+    remove(cache_root() / key)

@@ -4,7 +4,10 @@ import os
 import shutil
 import socket
 import subprocess
+import sys
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pyarrow.fs as pafs
@@ -105,6 +108,37 @@ def test_a_mirror_follows_what_was_made_anew_there(url, home):
     kept.write_bytes(before + b" ")
     assert read_bank(url).path == mirrored(url)
     assert kept.read_bytes() == before == remote.open(name).read()
+
+
+def test_many_read_a_bank_at_once_that_nobody_has_read_before(home, tmp_path):
+    # Files that are open twice in fsspec's memory share their place.
+    url = f"file://{tmp_path / 'there'}"
+    write(url)
+    for _ in range(5):
+        shutil.rmtree(home)
+        together = threading.Barrier(8)
+
+        def read(_, together=together):
+            together.wait()
+            return read_bank(mirrored(url)).num_scenes
+
+        with ThreadPoolExecutor(8) as readers:
+            assert set(readers.map(read, range(8))) == {NUM_BLOCKS * BLOCK_SIZE}
+        assert not list(home.rglob(".*.partial"))
+
+
+@pytest.mark.slow
+def test_many_processes_read_a_bank_at_once_that_nobody_has_read_before(home, tmp_path):
+    place = f"file://{tmp_path / 'there'}"
+    write(place)
+    shutil.rmtree(home)
+    code = f"import cluttergen_jax as cg; print(cg.read_bank({place!r}).num_scenes)"
+    readers = [
+        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(8)
+    ]
+    assert [each.communicate(timeout=300)[0].strip() for each in readers] == [
+        str(NUM_BLOCKS * BLOCK_SIZE)
+    ] * 8
 
 
 def test_other_things_there_are_left_alone(url):

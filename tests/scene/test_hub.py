@@ -6,6 +6,8 @@ The Hugging Face library is the real one; the server that it speaks to is `tests
 import json
 import shutil
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -115,6 +117,32 @@ def test_an_interrupted_pull_goes_on(bank, tmp_path, server):
     cg.pull_bank(NAME, tmp_path / "here", hub=server.url)
     assert contents(tmp_path / "here") == contents(bank)
     assert set(server.served.values()) == {1}
+
+
+def test_a_link_where_a_pull_would_work_is_not_followed(bank, tmp_path, folder):
+    cg.push_bank(bank, NAME, hub=str(folder))
+    precious = tmp_path / "precious"
+    (precious / "deep").mkdir(parents=True)
+    (precious / "deep" / "letter").write_text("mine")
+    for name in (".pulled.partial", ".pulled.old", ".pulled.00000000-1-00000000.begun"):
+        (tmp_path / name).symlink_to(precious)
+    pulled = cg.pull_bank(NAME, tmp_path / "pulled", hub=str(folder))
+    assert read_bank(pulled).table.num_rows == read_bank(bank).table.num_rows
+    assert contents(precious) == {"deep/letter": b"mine"}
+
+
+def test_many_pull_a_bank_at_once_on_first_use(bank, folder):
+    cg.push_bank(bank, NAME, hub=str(folder))
+    together = threading.Barrier(6)
+
+    def read(_):
+        together.wait()
+        return read_bank(find_bank(NAME, hub=str(folder))).table.num_rows
+
+    with ThreadPoolExecutor(6) as readers:
+        assert set(readers.map(read, range(6))) == {read_bank(bank).table.num_rows}
+    place = pulled_path(NAME, str(folder))
+    assert [each.name for each in place.parent.iterdir()] == [place.name]
 
 
 def test_large_files_that_are_there_are_not_sent_again_and_a_push_is_one_commit(bank, server):

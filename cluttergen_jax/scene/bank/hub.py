@@ -5,14 +5,13 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import shutil
 from pathlib import Path
 
 import pyarrow.compute as pc
 
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.errors import BankError, ClutterGenError, UnsafePathError
-from cluttergen_jax.files import PARTIAL, inside, swap_in, writing
+from cluttergen_jax.files import begun_folder, inside, remove, swap_in, writing
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import INDEX, Bank, NewerBankError, read_bank
 from cluttergen_jax.scene.bank.card import write_card
@@ -52,22 +51,37 @@ def pull(
     revision: str | None,
     overwrite: bool,
     allow_unchecked: bool = False,
+    is_shared: bool = False,
 ) -> Path:
-    """The folder of a bank that was fetched into it; see `cluttergen_jax.pull_bank`."""
+    """The folder of a bank that was fetched into it; see `cluttergen_jax.pull_bank`.
+
+    Args:
+      is_shared: other processes may pull the same at once: of what was not there before, the first is kept.
+    """
     _check_name(name)
     place = hub_of(hub)
     out = pulled_path(name, hub, revision) if out is None else Path(out)
     _check_place(out, overwrite)
-    scratch = out.with_name(f".{out.name}{PARTIAL}")
-    with writing(out):
-        scratch.mkdir(parents=True, exist_ok=True)
-        lock = BankLock(scratch)
-        try:
-            _fetch(place, name, revision, scratch, allow_unchecked)
-        finally:
-            lock.release()
-        swap_in(scratch, out)
+    was_there = (out / INDEX).is_file()
+    with writing(out), begun_folder(out) as scratch:
+        fresh = scratch / out.name
+        fresh.mkdir(exist_ok=True)
+        _fetch(place, name, revision, fresh, allow_unchecked)
+        if is_shared and not was_there:
+            _put_first(fresh, out)
+        else:
+            _check_place(out, overwrite)
+            swap_in(fresh, out)
     return out
+
+
+def _put_first(fresh: Path, out: Path) -> None:
+    """Puts a bank where there was none, unless another process was first."""
+    try:
+        os.rename(fresh, out)
+    except OSError:
+        if not (out / INDEX).is_file():
+            raise
 
 
 def pulled_path(name: str, hub: str | None = None, revision: str | None = None) -> Path:
@@ -92,7 +106,7 @@ def find_bank(path: str | Path, *, hub: str | None = None, revision: str | None 
     if revision is None and (stored / INDEX).is_file():
         return stored
     try:
-        return pull(path, None, hub, revision, overwrite=True)
+        return pull(path, None, hub, revision, overwrite=True, is_shared=True)
     except ClutterGenError as error:
         raise BankError(
             f"{path} is not a bank: there is no such folder, and as a name on a hub: {error.given}",
@@ -165,15 +179,15 @@ def _fetch(place: Hub, name: str, revision: str | None, scratch: Path, allow_unc
     for each in names:
         inside(scratch, each)
     place.fetch(name, commit, scratch)
-    shutil.rmtree(scratch / ".cache", ignore_errors=True)
+    remove(scratch / ".cache")
     wanted = set(filter(is_of_a_bank, names))
     for file in [each for each in scratch.rglob("*") if not each.is_dir()]:
-        if file.name != ".lock" and file.relative_to(scratch).as_posix() not in wanted:
+        if file.relative_to(scratch).as_posix() not in wanted:
             file.unlink()
     try:
         check_whole(read_bank(scratch), allow_unchecked)
     except (BankError, UnsafePathError) as error:
-        shutil.rmtree(scratch, ignore_errors=True)
+        remove(scratch)
         given = error.given.replace(str(scratch), name)
         is_newer = isinstance(error, NewerBankError)
         hint = error.hint if is_newer else "pulling it again, or asking who pushed it"

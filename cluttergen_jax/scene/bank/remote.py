@@ -20,7 +20,7 @@ import pyarrow.fs as pafs
 
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.errors import BankError, MissingExtraError
-from cluttergen_jax.files import PARTIAL, inside, write_atomically
+from cluttergen_jax.files import inside, is_partial, write_atomically
 
 MARK = ".url"
 """The file of a mirror that says what it stands for."""
@@ -200,8 +200,9 @@ def publish_all(path: Path, is_begun: bool = False) -> None:
     remote = remote_of(path)
     if remote is None:
         return
-    files = [each.relative_to(path).as_posix() for each in path.rglob("*") if each.is_file()]
-    files = [name for name in files if name not in _NOT_OF_THE_BANK and PARTIAL not in name]
+    found = [each.relative_to(path) for each in path.rglob("*") if each.is_file()]
+    files = [each.as_posix() for each in found if not any(map(is_partial, each.parts))]
+    files = [name for name in files if name not in _NOT_OF_THE_BANK]
     there = remote.sizes()
     for name in sorted(files, key=lambda name: (name == _INDEX, name)):
         is_block, is_same = name.startswith("scenes-"), there.get(name) == (path / name).stat().st_size

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -17,7 +16,7 @@ from cluttergen_jax.assets.object_files import object_hash, read_object, write_o
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.errors import BankError, ClutterGenError
-from cluttergen_jax.files import PARTIAL, check_utf8, folder_whole, inside, remove_partial, writing
+from cluttergen_jax.files import check_utf8, folder_whole, inside, is_partial, remove, remove_partial, writing
 from cluttergen_jax.placement.rollout import blocks_of
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.bank import (
@@ -207,8 +206,10 @@ class BankWriter:
         if (remote := remote_of(self.path)) is not None and remote.sizes():
             raise BankError(f"{remote.url} holds something that is no bank", "a new place", "another `out`")
         # A writer that was killed before anything was finished leaves no more than these.
-        ours = (LOCK, f".{INDEX}{PARTIAL}", MARK)
-        return self.path.is_dir() and all(each.name in ours for each in self.path.iterdir())
+        ours = (LOCK, MARK)
+        return self.path.is_dir() and all(
+            each.name in ours or is_partial(each.name) for each in self.path.iterdir()
+        )
 
     def _begin(self, num_scenes: int, overwrite: bool) -> None:
         remove_partial(self.path)
@@ -419,7 +420,7 @@ def _remove_bank(path: Path) -> None:
         for name in filter(is_of_a_bank, remote.sizes()):
             remote.remove(name)
     for folder in ("assets", "scenes"):
-        shutil.rmtree(path / folder, ignore_errors=True)
+        remove(path / folder)
     for name in ("overview.png", "verification.json", INDEX):
         (path / name).unlink(missing_ok=True)
 
