@@ -11,13 +11,16 @@ import logging
 import math
 import os
 import platform
+import secrets
+import shutil
 import socket
 import sys
+import tempfile
 import time
 import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -37,6 +40,8 @@ _QUEUED = 2
 _LONGEST_WAIT = 1.0
 _CONNECT = 20.0
 """Seconds in which a machine has to answer."""
+_END = 10.0
+"""Seconds that Ray's programs have for ending."""
 _PATIENCE = 120.0
 """Seconds after which the user is told that nothing has started."""
 _OBJECT_STORE = 256 * 2**20
@@ -44,6 +49,11 @@ _OBJECT_STORE = 256 * 2**20
 _SETTINGS = ("JAX_", "XLA_", "TF_", "OMP_", "MUJOCO_", "CLUTTERGEN_")
 """Environment variables that may change what is computed: a worker has those of the driver, and no others."""
 _PROGRAMS = "JAX_COMPILATION_CACHE_DIR"
+_AUTHENTICATION = ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN")
+_OLDEST = (2, 52)
+"""The first Ray that asks for a token."""
+_LONGEST_FOLDER = 30
+"""Letters: Ray adds some 70 for its sockets, whose paths have 107 at most."""
 _PACKAGES = ("cluttergen_jax", "jax", "jaxlib", "mujoco", "numpy", "pyarrow")
 
 
@@ -138,26 +148,87 @@ def _connected(cluster: Cluster, num_cpus: int) -> Iterator[ModuleType]:
     if ray.is_initialized():
         yield ray
         return
-    own: dict[str, Any] = {}
-    if cluster.address == "local":
-        cores = max(os.cpu_count() or 1, cluster.num_workers * num_cpus)
-        own = {"num_cpus": cores, "include_dashboard": False, "object_store_memory": _OBJECT_STORE}
+    with ExitStack() as stack:
+        own: dict[str, Any] = {}
+        if cluster.address == "local":
+            cores = max(os.cpu_count() or 1, cluster.num_workers * num_cpus)
+            own = {"num_cpus": cores, "include_dashboard": False, "object_store_memory": _OBJECT_STORE}
+            own["_temp_dir"] = stack.enter_context(_folder_for_ray())
+            stack.enter_context(_token(ray))
+        _start(ray, cluster.address, own)
+        stack.callback(ray.shutdown)
+        yield ray
+
+
+def _start(ray: ModuleType, address: str, own: Mapping[str, Any]) -> None:
+    """Starts Ray with settings of our own, or joins a cluster."""
     try:
-        _check_answers(cluster.address)
+        _check_answers(address)
         with warnings.catch_warnings():
             # Ray starts programs of its own by a fork, of which JAX warns; no JAX runs in those.
             warnings.simplefilter("ignore", RuntimeWarning)
-            ray.init(cluster.address, logging_level=logging.ERROR, log_to_driver=False, **own)
+            ray.init(address, logging_level=logging.ERROR, log_to_driver=False, **own)
     except (RuntimeError, ValueError, OSError, ray.exceptions.RayError) as error:
         raise ClutterGenError(
-            f"no Ray cluster answers at {cluster.address!r} ({_first_line(error)})",
+            f"no Ray cluster answers at {address!r} ({_first_line(error)})",
             "local, auto, or the address of a cluster",
             "starting Ray on its machines first (`ray start`), or local",
         ) from error
+
+
+@contextmanager
+def _token(ray: ModuleType) -> Iterator[None]:
+    """Inside, Ray asks for a random token, which what it starts has: it listens to the whole network.
+
+    Raises:
+      ClutterGenError: this Ray knows no tokens.
+    """
+    if tuple(int(part) for part in ray.__version__.split(".")[:2]) < _OLDEST:
+        raise ClutterGenError(
+            f"Ray {ray.__version__} lets anybody on the network run programs on a cluster",
+            f"Ray {'.'.join(map(str, _OLDEST))} or newer",
+            "pip install --upgrade ray",
+        )
+    before = {name: os.environ.get(name) for name in _AUTHENTICATION}
+    # Whoever has set the mode knows what they want, or has a token of their own.
+    if before["RAY_AUTH_MODE"] is None:
+        os.environ.update(zip(_AUTHENTICATION, ("token", secrets.token_hex(32)), strict=True))
+    _read_authentication()
     try:
-        yield ray
+        yield
     finally:
-        ray.shutdown()
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
+        _read_authentication()
+
+
+def _read_authentication() -> None:
+    """Has Ray look at the environment again, which it does once in a process; it says so to nobody else."""
+    with suppress(ImportError, AttributeError):
+        from ray._raylet import AuthenticationTokenLoader, Config
+
+        Config.initialize("")
+        AuthenticationTokenLoader.instance().reset_cache()
+
+
+@contextmanager
+def _folder_for_ray() -> Iterator[str]:
+    """A folder for logs, sockets and what exceeds the memory, for this user alone; removed afterwards."""
+    asked = (os.environ.get("RAY_TMPDIR"), tempfile.gettempdir())
+    parents = [each for each in asked if each and len(os.path.abspath(each)) <= _LONGEST_FOLDER]
+    folder = tempfile.mkdtemp(prefix="ray-", dir=parents[0] if parents else "/tmp")
+    try:
+        # Ray lets everybody into its own.
+        yield os.path.join(folder, "r")
+    finally:
+        # Programs of Ray's that are just ending still write there.
+        until = time.monotonic() + _END
+        while os.path.isdir(folder):
+            shutil.rmtree(folder, ignore_errors=time.monotonic() < until)
+            if os.path.isdir(folder):
+                time.sleep(0.1)
 
 
 def _check_answers(address: str) -> None:
