@@ -187,7 +187,7 @@ def _token(ray: ModuleType) -> Iterator[None]:
         raise ClutterGenError(
             f"Ray {ray.__version__} lets anybody on the network run programs on a cluster",
             f"Ray {'.'.join(map(str, _OLDEST))} or newer",
-            "pip install --upgrade ray",
+            "installing a newer one",
         )
     before = {name: os.environ.get(name) for name in _AUTHENTICATION}
     # Whoever has set the mode knows what they want, or has a token of their own.

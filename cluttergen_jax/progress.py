@@ -20,7 +20,7 @@ EVERY = 10.0
 _LONGEST_WAIT = 0.2
 stop_asked = threading.Event()
 """Set by the console script at Ctrl-C. An import may swallow a KeyboardInterrupt, which comes again then."""
-COMPILING = "compiling: about 20 s the first time"
+COMPILING = "compiling where this was not compiled before, which takes about 20 s"
 
 
 class Progress:

@@ -67,8 +67,9 @@ def generate(
       pool: a pool's name or folder (`cluttergen list`), or several joined by +: dining+mine.
       num_scenes: scenes to make, failures counted.
       method: how poses are proposed: "guided", "spread", "drop", "clear", "random", or a policy trained for
-        the pool: "policy", "beta", "beta_free", "normal", "open_loop" or "short_memory". If not given: the
-        checkpoint's own, else "guided" ("spread" where no checkpoint of it is embedded).
+        the pool: "policy", "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is
+        embedded. If not given: the checkpoint's own, else "guided" ("spread" where no checkpoint of it is
+        embedded).
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       num_objects: objects per scene; all of the pool's (40 at most) if not given.
       objects: names of the pool's objects to use; all of them if empty.

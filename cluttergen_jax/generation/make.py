@@ -69,8 +69,8 @@ def make_sampler(
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
       num_objects: objects per scene, 1 to 40; all of the pool's (40 at most) if not given.
       method: "guided", "spread", "drop", "clear", "random", or a policy trained for the pool: "policy",
-        "beta", "beta_free", "normal", "open_loop", "short_memory". If not given: the checkpoint's own, else
-        "guided" ("spread" where no checkpoint of it is embedded).
+        "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is embedded. If not
+        given: the checkpoint's own, else "guided" ("spread" where no checkpoint of it is embedded).
       checkpoint: a policy's folder, such as `cluttergen train` leaves; the embedded one if not given.
       max_retries: a scene that fails is drawn again up to so often, inside the compiled code, until one
         passes; 0 to 10,000.

@@ -25,7 +25,7 @@ from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.reference import read_start
 from cluttergen_jax.scene.bank.scene import config_of
 
-COMPILING = "compiling, which takes about a minute the first time"
+COMPILING = "compiling where it was not compiled before, which takes about a minute"
 
 
 @dataclass(frozen=True, eq=False)

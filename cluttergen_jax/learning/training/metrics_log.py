@@ -114,13 +114,16 @@ def draw_curve(rows: list[Row], path: Path, title: str, evaluations: Sequence[Ro
     figure = Figure(figsize=(8, 3.2), layout="constrained")
     axes = figure.subplots(1, 3)
     for axis, (name, label) in zip(axes, PANELS, strict=True):
-        axis.plot(attempts, [row[name] for row in rows], linewidth=1.2, label="training")
+        # A single row makes no line.
+        marker = "." if len(rows) == 1 else ""
+        axis.plot(attempts, [row[name] for row in rows], marker=marker, linewidth=1.2, label="training")
         axis.set_xlabel("attempts (thousands)")
         axis.set_title(label, fontsize=10)
         axis.grid(alpha=0.3)
     if evaluations:
         _draw_evaluations(axes[0], evaluations)
-    axes[0].set_ylim(0, 1)
+    # Room for a line at 0 or 1, which the frame would hide.
+    axes[0].set_ylim(-0.03, 1.03)
     figure.suptitle(title, fontsize=10)
     FigureCanvasAgg(figure)
     picture = io.BytesIO()
