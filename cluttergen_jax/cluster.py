@@ -7,6 +7,7 @@ begun is given to another one. It knows nothing of scenes: banks, checks, tables
 from __future__ import annotations
 
 import hashlib
+import importlib
 import logging
 import math
 import os
@@ -207,10 +208,9 @@ def _token(ray: ModuleType) -> Iterator[None]:
 def _read_authentication() -> None:
     """Has Ray look at the environment again, which it does once in a process; it says so to nobody else."""
     with suppress(ImportError, AttributeError):
-        from ray._raylet import AuthenticationTokenLoader, Config
-
-        Config.initialize("")
-        AuthenticationTokenLoader.instance().reset_cache()
+        internals: Any = importlib.import_module("ray._raylet")
+        internals.Config.initialize("")
+        internals.AuthenticationTokenLoader.instance().reset_cache()
 
 
 @contextmanager
