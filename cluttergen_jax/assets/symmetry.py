@@ -83,8 +83,8 @@ def turn_matrix(angle: float) -> np.ndarray:
 def symmetries_of(pieces: Sequence[Piece]) -> Symmetries:
     """The symmetries of coloured surfaces: of bodies of revolution, boxes, prisms and balls.
 
-    Axes are sought along the object's own, the principal ones of its convex hull and those of the smallest box
-    around it, all through the hull's centre of mass. Colours count: a can is round, and its label is not.
+    Axes are sought along the object's own, the principal ones of its convex hull and those of the smallest
+    box around it, all through the hull's centre of mass. Colours count: a can is round, and its label is not.
     """
     hull = trimesh.convex.convex_hull(np.concatenate([piece.mesh.vertices for piece in pieces]))
     middle = np.asarray(hull.center_mass)
@@ -103,7 +103,7 @@ def symmetries_of(pieces: Sequence[Piece]) -> Symmetries:
 
 
 def _frames(hull: trimesh.Trimesh) -> list[np.ndarray]:
-    """f64[3, 3] each: orthogonal axes to try, as rows; those that are the same as earlier ones are left out."""
+    """f64[3, 3] each: orthogonal axes to try, as rows, without those that are the same as earlier ones."""
     frames: list[np.ndarray] = []
     for frame in (
         np.eye(3),
