@@ -138,11 +138,20 @@ def interruptible(function: Callable[..., T], *args: Any) -> T:
     whole = with_own_settings(function)
     if threading.current_thread() is not threading.main_thread():
         return whole(*args)
+    return abandoned_if(lambda: False, whole, *args)
+
+
+def abandoned_if(is_stopped: Callable[[], bool], function: Callable[..., T], *args: Any) -> T:
+    """The result of a call that is made in a thread of its own, and abandoned as soon as `is_stopped`.
+
+    Raises:
+      KeyboardInterrupt: it was abandoned.
+    """
     result: Future[T] = Future()
 
     def work() -> None:
         try:
-            result.set_result(whole(*args))
+            result.set_result(function(*args))
         except BaseException as error:
             result.set_exception(error)
 
@@ -150,4 +159,6 @@ def interruptible(function: Callable[..., T], *args: Any) -> T:
     while not result.done():
         # A signal that comes just before the wait begins does not end it, so no wait is a long one.
         wait([result], _LONGEST_WAIT)
+        if is_stopped() and not result.done():
+            raise KeyboardInterrupt
     return result.result()

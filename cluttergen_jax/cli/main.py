@@ -16,6 +16,7 @@ from typing import Any
 
 from cluttergen_jax.cli.commands import COMMANDS, all_commands, load, overview
 from cluttergen_jax.cli.flags import removed_name, with_flags
+from cluttergen_jax.cli.stopping import watch_signals
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.files import advice_on, cache_home, check_utf8
 from cluttergen_jax.numerics import OF_THIS_PACKAGE
@@ -29,6 +30,7 @@ _MANY_OBJECTS = 100_000
 def program(args: Sequence[str] | None = None) -> None:
     """The console script: `main`, and an exit that waits for nothing once Ctrl-C was pressed."""
     signal.signal(signal.SIGINT, _struck)
+    watch_signals(_struck)
     # Imports and traces make millions of objects that stay; looking for garbage among them took a sixth of a
     # short command's time.
     gc.set_threshold(_MANY_OBJECTS)
@@ -54,6 +56,9 @@ def _struck(number: int, frame: FrameType | None) -> None:
 def main(args: Sequence[str] | None = None) -> int:
     """Parses the command line and runs it; the exit status."""
     words = list(sys.argv[1:] if args is None else args)
+    if os.environ.get("NO_COLOR"):
+        # tyro reads this, and no other, when it is imported.
+        os.environ["PYTHON_TYRO_ANSI_CODES"] = "False"
     name = words[0] if words else ""
     if name in ("-h", "--help", "") or name == "--version":
         print(_version() if name == "--version" else overview())

@@ -54,6 +54,10 @@ class BankArrays(struct.PyTreeNode):
     def __len__(self) -> int:
         return len(self.index)
 
+    def __repr__(self) -> str:
+        number = np.prod(np.shape(self.index), dtype=int)
+        return f"BankArrays({number} scenes of {str(self.bank.path)!r}, {len(self.names)} objects together)"
+
     @property
     def is_placed(self) -> Array:
         """bool[S, N]: there is an object in the slot."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Never
 
@@ -20,6 +21,8 @@ from cluttergen_jax.placement.setup import check_range, check_whole, make_setup,
 from cluttergen_jax.scene.bank.reference import read_start
 
 if TYPE_CHECKING:
+    from gymnasium.vector import AutoresetMode
+
     from cluttergen_jax.generation.gymnasium_envs import GymnasiumEnv, GymnasiumVectorEnv
     from cluttergen_jax.generation.sb3_env import SB3VecEnv
 
@@ -131,28 +134,34 @@ def make_gym_env(**settings: Any) -> GymnasiumEnv:
     _need_gymnasium("make_gym_env")
     from cluttergen_jax.generation.gymnasium_envs import GymnasiumEnv
 
-    return GymnasiumEnv(_without_reset("make_gym_env", settings))
+    return GymnasiumEnv(_without_reset("make_gym_env", settings), partial(make_gym_env, **settings))
 
 
 @with_own_settings
-def make_vector_env(num_envs: int = 64, **settings: Any) -> GymnasiumVectorEnv:
+def make_vector_env(
+    num_envs: int = 64, *, autoreset: str = "same_step", **settings: Any
+) -> GymnasiumVectorEnv:
     """A `gymnasium.vector.VectorEnv`, all scenes simulated together; `settings` are those of `make_env`.
 
-    NumPy arrays in and out. Autoreset is `AutoresetMode.SAME_STEP`: the step that ends an episode returns the
-    next one's first observation, and the last one in `infos["final_obs"]`. Extra `gym`.
+    NumPy arrays in and out. Extra `gym`.
 
     Args:
       num_envs: scenes at a time, 1 to 65,536.
+      autoreset: "same_step", where the step that ends an episode returns the next one's first observation,
+        and the last one in `infos["final_obs"]`; or "next_step", where it returns the last one, and the step
+        after it begins the next episode: its action counts for nothing, and its reward is 0.
 
     Raises:
-      ConfigError: `num_envs` is out of range; the others are those of `make_env`.
+      ConfigError: an argument is out of range; the others are those of `make_env`.
       MissingExtraError: Gymnasium is not installed.
     """
     check_range("num_envs", num_envs, 1, MAX_ENVS, 64)
     _need_gymnasium("make_vector_env")
     from cluttergen_jax.generation.gymnasium_envs import GymnasiumVectorEnv
 
-    return GymnasiumVectorEnv(_without_reset("make_vector_env", settings), num_envs)
+    recipe = partial(make_vector_env, num_envs, autoreset=autoreset, **settings)
+    mode = _mode_of(autoreset)
+    return GymnasiumVectorEnv(_without_reset("make_vector_env", settings), num_envs, mode, recipe)
 
 
 def make_sb3_env(num_envs: int = 64, **settings: Any) -> SB3VecEnv:
@@ -163,6 +172,8 @@ def make_sb3_env(num_envs: int = 64, **settings: Any) -> SB3VecEnv:
     Raises:
       MissingExtraError: Stable-Baselines3 is not installed; the others are those of `make_vector_env`.
     """
+    if "autoreset" in settings:
+        raise ConfigError("autoreset in make_sb3_env", "settings of make_env: Stable-Baselines3 has one way")
     try:
         import stable_baselines3  # noqa: F401
     except ImportError as error:
@@ -179,6 +190,16 @@ def _check_choices(observation: str, action: str) -> None:
     for name, value, allowed in (("observation", observation, OBSERVATIONS), ("action", action, ACTIONS)):
         if value not in allowed:
             raise ConfigError(f"{name} = {value!r}", ", ".join(allowed), f"{name}={allowed[0]!r}")
+
+
+def _mode_of(autoreset: str) -> AutoresetMode:
+    """Gymnasium's word for it."""
+    from gymnasium.vector import AutoresetMode
+
+    modes = {"same_step": AutoresetMode.SAME_STEP, "next_step": AutoresetMode.NEXT_STEP}
+    if autoreset not in modes:
+        raise ConfigError(f"autoreset = {autoreset!r}", ", ".join(modes), 'autoreset="same_step"')
+    return modes[autoreset]
 
 
 def _need_gymnasium(purpose: str) -> None:

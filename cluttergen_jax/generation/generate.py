@@ -36,7 +36,7 @@ _FEW = 0.5
 _ROOM = "fewer objects, a larger region or a larger `budget`"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GeneratedBank(Bank):
     """A bank as `generate` leaves it; printed, it tells how well it went.
 

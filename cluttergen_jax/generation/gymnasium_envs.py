@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.generation.recipes import remade
 from cluttergen_jax.generation.wrappers import ActionRange
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.brax_env import Env, State
@@ -46,21 +47,41 @@ def attempt(env: Env, state: State, action: Array) -> tuple[State, Outcome]:
     The latest finished scene is kept over the reset.
     """
     after = env.step(state, action)
-    episode: Episode = after.pipeline_state.episode
-    info = {
+    is_over = after.pipeline_state.episode.is_over
+    outcome = Outcome(after.obs, after.reward, is_over, _info(after))
+    return _begun_where(is_over, env.reset(after.pipeline_state.key), after), outcome
+
+
+def attempt_or_begin(env: Env, state: State, action: Array) -> tuple[State, Outcome]:
+    """One attempt; or, if the episode was over before, a new one in its place, and the reward 0.
+
+    The latest finished scene is kept over the reset.
+    """
+    was_over = state.done > 0
+    after = env.step(state, action)
+    now = _begun_where(was_over, env.reset(state.pipeline_state.key), after)
+    reward = jnp.where(was_over, 0.0, after.reward)
+    return now, Outcome(now.obs, reward, now.done > 0, _info(after))
+
+
+def _info(state: State) -> dict[str, Array]:
+    episode: Episode = state.pipeline_state.episode
+    return {
         "verdict": episode.verdict,
         "num_placed": episode.slot - episode.first_slot,
         "is_success": episode.is_success,
     }
-    fresh = env.reset(after.pipeline_state.key)
-    ongoing, obs = jax.tree.map(
-        lambda new, old: jnp.where(episode.is_over, new, old),
-        (fresh.pipeline_state, fresh.obs),
-        (after.pipeline_state, after.obs),
+
+
+def _begun_where(condition: Array, fresh: State, state: State) -> State:
+    """The fresh state in place of the other one, with what that has finished."""
+    ongoing, obs, done = jax.tree.map(
+        lambda new, old: jnp.where(condition, new, old),
+        (fresh.pipeline_state, fresh.obs, fresh.done),
+        (state.pipeline_state, state.obs, state.done),
     )
-    kept = {name: getattr(after.pipeline_state, name) for name in ("finished", "num_finished")}
-    state = after.replace(pipeline_state=ongoing.replace(**kept), obs=obs)
-    return state, Outcome(after.obs, after.reward, episode.is_over, info)
+    kept = {name: getattr(state.pipeline_state, name) for name in ("finished", "num_finished")}
+    return state.replace(pipeline_state=ongoing.replace(**kept), obs=obs, done=done)
 
 
 def space_of(observation: Any) -> spaces.Space:
@@ -90,7 +111,22 @@ def spaces_of(env: ActionRange) -> tuple[spaces.Space, spaces.Box]:
     return space_of(seen), spaces.Box(env.low, env.high, (env.action_size,), np.float32)
 
 
-class GymnasiumEnv(gymnasium.Env):
+class _Remade:
+    """What is pickled and copied as the call that made it, with where it stands: its episodes, its generator.
+
+    Attributes:
+      recipe: that call; None if it was made by hand.
+    """
+
+    recipe: partial[Any] | None
+    _kept: tuple[str, ...] = ("_state", "_np_random", "_np_random_seed")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        held = {name: getattr(self, name) for name in self._kept if hasattr(self, name)}
+        return remade(self.recipe, "make_gym_env or make_vector_env"), (), held
+
+
+class GymnasiumEnv(_Remade, gymnasium.Env):
     """One scene; see `make_gym_env`.
 
     `info` has, after each step, "verdict", "num_placed" and "is_success" (`Outcome`). Nothing is truncated.
@@ -101,7 +137,10 @@ class GymnasiumEnv(gymnasium.Env):
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  Gymnasium looks for it on the class.
 
-    def __init__(self, env: ActionRange) -> None:
+    _kept = (*_Remade._kept, "scene")
+
+    def __init__(self, env: ActionRange, recipe: partial[Any] | None = None) -> None:
+        self.recipe = recipe
         self.observation_space, self.action_space = spaces_of(env)
         self._reset, self._attempt = jax.jit(env.reset), jax.jit(partial(attempt, env))
         self._state: State | None = None
@@ -118,8 +157,8 @@ class GymnasiumEnv(gymnasium.Env):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One attempt with `action`, f32[4]. After the episode's last one, `reset` has to follow."""
-        _check_action(action, self.action_space, self._state)
-        self._state, outcome = self._attempt(self._state, np.asarray(action, np.float32))
+        before = _checked(self._state, action, self.action_space)
+        self._state, outcome = self._attempt(before, np.asarray(action, np.float32))
         obs, outcome = to_numpy(outcome.obs), jax.device_get(outcome.replace(obs=None))
         if is_over := bool(outcome.is_over):
             self.scene, self._state = jax.device_get(self._state.pipeline_state.finished), None
@@ -127,21 +166,30 @@ class GymnasiumEnv(gymnasium.Env):
         return obs, float(outcome.reward), is_over, False, info
 
 
-class GymnasiumVectorEnv(VectorEnv):
+class GymnasiumVectorEnv(_Remade, VectorEnv):
     """N scenes, simulated together; see `make_vector_env`.
 
     `infos` is as that of `gymnasium.vector.SyncVectorEnv`: "verdict", "num_placed" and "is_success"
-    (`Outcome`), [N] each, with their masks "_verdict" and so on; where an episode has ended they are in
-    `infos["final_info"]`, and its last observation in `infos["final_obs"][i]`. Nothing is truncated.
+    (`Outcome`), [N] each, with their masks "_verdict" and so on. With `AutoresetMode.SAME_STEP`, where an
+    episode has ended they are in `infos["final_info"]`, and its last observation in `infos["final_obs"][i]`;
+    with `NEXT_STEP` they are masked where an episode has just begun. Nothing is truncated.
     """
 
-    def __init__(self, env: ActionRange, num_envs: int) -> None:
-        self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
-        self.num_envs = num_envs
+    def __init__(
+        self,
+        env: ActionRange,
+        num_envs: int,
+        autoreset: AutoresetMode = AutoresetMode.SAME_STEP,
+        recipe: partial[Any] | None = None,
+    ) -> None:
+        self.metadata = {"render_modes": [], "autoreset_mode": autoreset}
+        self.num_envs, self.recipe = num_envs, recipe
+        self._is_same_step = autoreset == AutoresetMode.SAME_STEP
+        step = attempt if self._is_same_step else attempt_or_begin
         self.single_observation_space, self.single_action_space = spaces_of(env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._reset, self._attempt = jax.jit(jax.vmap(env.reset)), jax.jit(jax.vmap(partial(attempt, env)))
+        self._reset, self._attempt = jax.jit(jax.vmap(env.reset)), jax.jit(jax.vmap(partial(step, env)))
         self._state: State | None = None
 
     def reset(
@@ -155,11 +203,12 @@ class GymnasiumVectorEnv(VectorEnv):
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One attempt of each scene with `actions`, f32[N, 4]."""
-        _check_action(actions, self.action_space, self._state)
-        self._state, outcome = self._attempt(self._state, np.asarray(actions, np.float32))
+        before = _checked(self._state, actions, self.action_space)
+        was_over = np.asarray(before.done) > 0
+        self._state, outcome = self._attempt(before, np.asarray(actions, np.float32))
         reward, is_over, info = jax.device_get((outcome.reward, outcome.is_over, outcome.info))
-        infos = _masked(info, ~is_over)
-        if is_over.any():
+        infos = _masked(info, ~is_over if self._is_same_step else ~was_over)
+        if self._is_same_step and is_over.any():
             infos |= self._final(outcome, is_over, info)
         return to_numpy(self._state.obs), np.array(reward), np.array(is_over), np.zeros_like(is_over), infos
 
@@ -198,7 +247,8 @@ def _check_options(options: dict[str, Any] | None) -> None:
         raise ConfigError(f"options = {options!r} in reset", "none", "the settings of make_env")
 
 
-def _check_action(action: Any, space: spaces.Space, state: State | None) -> None:
+def _checked(state: State | None, action: Any, space: spaces.Box) -> State:
+    """The state, which is there, and which an action of its space meets."""
     if state is None:
         raise gymnasium.error.ResetNeeded("reset() has to be called before the first step of an episode")
     if np.shape(action) != space.shape:
@@ -211,3 +261,4 @@ def _check_action(action: Any, space: spaces.Space, state: State | None) -> None
             f"numbers from {space.low.min():g} to {space.high.max():g}; beyond they are clipped",
             "a smaller learning rate, if a network gave it",
         )
+    return state

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Never
 
@@ -125,6 +126,7 @@ def make_sampler(
         start=setup.start,
         max_retries=max_retries,
         num_scene_points=num_scene_points,
+        recipe=partial(make_sampler, **{name: value for name, value in given.items() if name != "unknown"}),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from cluttergen_jax.assets.reach import reach_of
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.arguments import check_call, check_key, is_known
+from cluttergen_jax.generation.recipes import remade, told
 from cluttergen_jax.numerics import narrowed, with_own_settings
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.problem import Problem
@@ -37,9 +39,12 @@ class _Drawing(struct.PyTreeNode):
     num_draws: Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Sampler:
     """Samples one scene from a key; see `make_sampler`. Map it with `jax.vmap`, compile it with `jax.jit`.
+
+    It is pickled as the arguments of `make_sampler`, which is called with them where it is read: pools,
+    supports, checkpoints and banks that they name have to be there. A copy is the sampler itself.
 
     Attributes:
       problem: the compiled world, its rules and its queried region.
@@ -48,6 +53,7 @@ class Sampler:
       start: what stands there already, unless another is given in the call.
       max_retries: how often a scene that fails is drawn again.
       num_scene_points: points of the scene's cloud; 0 for none.
+      recipe: the call that made it; None if it was made by hand.
     """
 
     problem: Problem
@@ -56,6 +62,19 @@ class Sampler:
     start: Start
     max_retries: int
     num_scene_points: int
+    recipe: partial[Sampler] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return remade(self.recipe, "make_sampler"), ()
+
+    def __copy__(self) -> Sampler:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Sampler:
+        return self
+
+    def __repr__(self) -> str:
+        return f"Sampler({told(self.recipe) or f'{len(self.names)} objects'})"
 
     @with_own_settings
     def __call__(

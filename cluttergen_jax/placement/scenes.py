@@ -52,6 +52,12 @@ class SceneBatch(struct.PyTreeNode):
     level: Array | None = None
     num_touching: Array | None = None
 
+    def __repr__(self) -> str:
+        # Arrays may be traced, or hold anything while a pytree is taken apart.
+        shape = getattr(self.object_index, "shape", ())
+        num_slots = f"{shape[-1]} slots" if shape else "slots"
+        return f"SceneBatch(scenes {list(shape[:-1])} of {num_slots}: object_index, poses, is_success ...)"
+
     @property
     def T_world_object(self) -> jaxlie.SE3:
         """SE3[S]: `poses`."""

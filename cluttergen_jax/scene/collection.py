@@ -113,6 +113,9 @@ class SceneCollection:
     object_index: np.ndarray
     poses: np.ndarray
 
+    def __repr__(self) -> str:
+        return f"SceneCollection({len(self.object_index)} scenes in one model of {len(self.names)} objects)"
+
     @property
     def model(self) -> mujoco.MjModel:
         """Its only joints are the K free joints, in the order of `names`."""

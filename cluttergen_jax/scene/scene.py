@@ -17,6 +17,8 @@ from cluttergen_jax.geometry import product, transformed
 from cluttergen_jax.scene.cameras import Camera
 
 _UNIT = 1e-3
+_NAMED = 10
+"""Objects that a scene's text names."""
 KEYFRAME = "scene"
 _OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "noslip_iterations")
 
@@ -98,6 +100,11 @@ class Scene:
     contact: ContactConfig = field(default_factory=ContactConfig)
     origin: Origin = field(default_factory=Origin)
     cameras: tuple[Camera, ...] = ()
+
+    def __repr__(self) -> str:
+        names, told = ", ".join(self.names[:_NAMED]), self.origin.verdict or "unknown"
+        rest = f" and {len(self.names) - _NAMED} more" if len(self.names) > _NAMED else ""
+        return f"Scene({names}{rest} on {self.support.name!r}; {told})"
 
     def __post_init__(self) -> None:
         poses = np.array(self.poses, np.float64)

@@ -1,6 +1,9 @@
 """Gymnasium's environments: checked by its own checker, and against its own vector environment."""
 
+import copy
+import pickle
 import warnings
+from functools import partial
 
 import gymnasium
 import jax
@@ -37,6 +40,16 @@ def envs():
     return GymnasiumVectorEnv(of_one(), NUM)
 
 
+@pytest.fixture(scope="module")
+def next_step():
+    return made_vector_env(AutoresetMode.NEXT_STEP)
+
+
+def made_vector_env(mode):
+    """As `make_vector_env` makes it, with the call that does."""
+    return GymnasiumVectorEnv(of_one(), NUM, mode, partial(made_vector_env, mode))
+
+
 def actions(count):
     """About half of them to the side of the table on which objects stay."""
     return np.random.default_rng(0).uniform(-1, 1, (count, NUM, 4)).astype(np.float32)
@@ -65,7 +78,9 @@ def test_gymnasium_checks_the_single_environment(single):
         check_env(single)
 
 
-def test_many_do_what_gymnasium_makes_of_one(single, envs):
+def test_many_do_what_gymnasium_makes_of_one(single, envs, next_step):
+    theirs = SyncVectorEnv([lambda: single] * NUM, autoreset_mode=AutoresetMode.NEXT_STEP)
+    assert next_step.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
     theirs = SyncVectorEnv([lambda: single] * NUM, autoreset_mode=AutoresetMode.SAME_STEP)
     assert envs.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
     assert envs.observation_space == theirs.observation_space
@@ -73,9 +88,10 @@ def test_many_do_what_gymnasium_makes_of_one(single, envs):
 
 
 @pytest.mark.slow
-def test_steps_are_those_of_gymnasium_s_own_vector_environment(envs):
-    separate = [GymnasiumEnv(of_one()) for _ in range(NUM)]
-    theirs = SyncVectorEnv([lambda env=env: env for env in separate], autoreset_mode=AutoresetMode.SAME_STEP)
+@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
+def test_steps_are_those_of_gymnasium_s_own_vector_environment(mode):
+    envs, separate = made_vector_env(mode), [GymnasiumEnv(of_one()) for _ in range(NUM)]
+    theirs = SyncVectorEnv([lambda env=env: env for env in separate], autoreset_mode=mode)
     assert_equal(envs.reset(seed=0)[0], theirs.reset(seed=0)[0])
     num_ended = num_filled = 0
     for action in actions(40):
@@ -83,8 +99,42 @@ def test_steps_are_those_of_gymnasium_s_own_vector_environment(envs):
         for one, two in zip(mine, other, strict=True):
             assert_equal(one, two)
         num_ended += mine[2].sum()
-        num_filled += mine[4].get("final_info", {"is_success": np.zeros(1)})["is_success"].sum()
+        last = mine[4].get("final_info", {}) if mode == AutoresetMode.SAME_STEP else mine[4]
+        num_filled += last.get("is_success", np.zeros(1)).sum()
     assert num_ended > num_filled > 0
+
+
+def test_the_step_after_the_end_begins_the_next_episode(next_step):
+    first, _ = next_step.reset(seed=0)
+    stays, falls = np.array([0.8, 0, 0, 0]), np.array([-0.8, 0, 0, 0])
+    next_step.step(np.array([stays, falls, stays]))
+    obs, reward, terminated, _, infos = next_step.step(np.array([stays, falls, falls]))
+    np.testing.assert_array_equal(terminated, [True, True, False])
+    assert not np.array_equal(obs[:2], first[:2])
+    assert "final_obs" not in infos
+    np.testing.assert_array_equal(infos["num_placed"], [2, 0, 1])
+    scenes = next_step.scenes
+    obs, reward, terminated, _, infos = next_step.step(np.array([falls, falls, falls]))
+    np.testing.assert_array_equal(obs[:2], first[:2])
+    np.testing.assert_array_equal(reward[:2], 0)
+    assert reward[2] != 0
+    np.testing.assert_array_equal(terminated, [False, False, True])
+    np.testing.assert_array_equal(infos["_num_placed"], [False, False, True])
+    np.testing.assert_array_equal(scenes.is_placed[:2].sum(-1), next_step.scenes.is_placed[:2].sum(-1))
+
+
+def test_a_copy_goes_on_where_the_other_one_stands(next_step):
+    next_step.reset(seed=3)
+    next_step.step(actions(1)[0])
+    others = [pickle.loads(pickle.dumps(next_step)), copy.deepcopy(next_step)]
+    assert others[0].metadata == next_step.metadata
+    ours = next_step.step(actions(2)[1])
+    for other in others:
+        for one, two in zip(ours, other.step(actions(2)[1]), strict=True):
+            assert_equal(one, two)
+    np.testing.assert_array_equal(others[0].reset()[0], next_step.reset()[0])
+    with pytest.raises(TypeError, match="make_vector_env"):
+        pickle.dumps(GymnasiumVectorEnv(of_one(), NUM))
 
 
 def test_the_step_that_ends_an_episode_begins_the_next(envs):
@@ -142,6 +192,8 @@ def test_what_cannot_be_is_said(envs):
         envs.step(np.array([[0, 0, 0, 0], [0, np.nan, 0, 0], [0, 0, 0, 0]]))
     with pytest.raises(ConfigError, match=r"options = \{'region': 1\}"):
         envs.reset(options={"region": 1})
+    with pytest.raises(ConfigError, match="same_step, next_step"):
+        cg.make_vector_env(2, autoreset="disabled")
     with pytest.raises(ConfigError, match="num_envs = 0"):
         cg.make_vector_env(0)
     with pytest.raises(ConfigError, match="auto_reset"):

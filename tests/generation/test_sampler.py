@@ -1,7 +1,9 @@
 """The sampler as a JAX function: the same scene however it is mapped, and what is asked of it holds."""
 
+import copy
 import dataclasses
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -129,6 +131,26 @@ def test_sharded_over_two_devices(pool):
     )
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stdout.startswith("equal")
+
+
+def test_a_sampler_is_pickled_as_the_call_that_made_it(sample, scenes, pool):
+    other = pickle.loads(pickle.dumps(sample))
+    assert_same(jax.jit(jax.vmap(other))(KEYS), scenes)
+    assert copy.deepcopy(sample) is sample
+    assert repr(other) == f"Sampler(pool={pool!r}, num_objects=2, method='random', num_scene_points=60)"
+    with pytest.raises(TypeError, match="make_sampler"):
+        pickle.dumps(dataclasses.replace(sample, recipe=None))
+
+
+def test_scenes_are_told_in_few_lines(sample, scenes, bank):
+    stored = read_bank(bank)
+    arrays = cg.load_bank(bank)
+    made = [scenes, sample.scene(scenes, 0), stored, arrays, arrays.collection, sample]
+    made += [next(iter(stored.scenes())), dataclasses.replace(sample, recipe=None)]
+    for each in made:
+        assert len(repr(each)) < 1000, type(each)
+        assert repr(each).count("\n") < 10
+        assert repr(each).startswith(type(each).__name__)
 
 
 def test_a_scene_is_what_its_fields_say(sample, scenes):

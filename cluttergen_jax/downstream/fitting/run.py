@@ -7,6 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -146,7 +147,8 @@ class FitRun(ABC):
                 if interrupt.is_asked:
                     break
                 index = self._batch(number, num_examples(examples), batches)
-                state, parts = _step(fit, state, taken(examples, index))
+                call = partial(interrupt.compiled, _step) if number == first else _step
+                state, parts = call(fit, state, taken(examples, index))
                 seen.append(parts)
                 if (number + 1) % batches == 0:
                     state, note = self._end_epoch(fit, state, held_out, seen, log, number // batches)

@@ -207,7 +207,7 @@ class GuidedTraining:
         for _ in range(num_steps):
             if interrupt.is_asked:
                 raise KeyboardInterrupt
-            episodes, row = self._step(explorer, episodes)
+            episodes, row = interrupt.compiled(self._step, explorer, episodes)
             rows.append(jax.device_get(row))
             progress.update(self.config.num_episodes)
         return _joined(rows)

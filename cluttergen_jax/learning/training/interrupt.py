@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import signal
 import threading
+from collections.abc import Callable
 from types import FrameType, TracebackType
-from typing import Any
+from typing import Any, TypeVar
+
+from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.progress import abandoned_if
+
+T = TypeVar("T")
 
 
 class Interrupt:
@@ -30,6 +36,16 @@ class Interrupt:
     ) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
+
+    def compiled(self, function: Callable[..., T], *args: Any) -> T:
+        """The result of a call that compiles, and before which there is nothing to save.
+
+        Raises:
+          KeyboardInterrupt: on Ctrl-C or SIGTERM, which do not wait for it.
+        """
+        if threading.current_thread() is not threading.main_thread():
+            return function(*args)
+        return abandoned_if(lambda: self.is_asked, with_own_settings(function), *args)
 
     def _ask(self, number: int, frame: FrameType | None) -> None:
         if self.is_asked:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -137,7 +138,8 @@ class Pretraining:
                     break
                 index = self._batch(number)
                 key = jax.random.fold_in(new_key(config.seed + 1), number)
-                state, loss, accuracy = step(state, shapes.cloud[index], shapes.label[index], key)
+                call = partial(interrupt.compiled, step) if number == first else step
+                state, loss, accuracy = call(state, shapes.cloud[index], shapes.label[index], key)
                 progress.update(note=f"loss {float(loss):.3f} accuracy {float(accuracy):.2f}")
                 if time.monotonic() - saved > config.save_every:
                     checkpoint.save_state(self.folder / "last", state, {"config": asdict(config)})

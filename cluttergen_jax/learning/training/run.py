@@ -117,7 +117,8 @@ class Run:
         if number >= total:
             return state
         logger.say("compiling")
-        updates, seconds, saved = Updates(self.ppo, state, config.window), None, time.monotonic()
+        updates = interrupt.compiled(Updates, self.ppo, state, config.window)
+        seconds, saved = None, time.monotonic()
         logger.say(f"memory     {check_memory(updates.compiled, config.memory_limit)}")
         logger.begin()
         while number < total:

@@ -53,6 +53,11 @@ class Bank:
     path: Path
     record: dict[str, Any]
 
+    def __repr__(self) -> str:
+        recipe = self.record.get("recipe", {})
+        told = ", ".join(f"{name} {recipe[name]!r}" for name in ("pool", "method", "seed") if name in recipe)
+        return f"{type(self).__name__}({str(self.path)!r}, {self.num_scenes} scenes, {told})"
+
     @property
     def num_scenes(self) -> int:
         """How many scenes the bank was asked for."""

@@ -108,6 +108,9 @@ class BankRow:
     verdict: str
     drift: float
 
+    def __repr__(self) -> str:
+        return f"BankRow(scene {self.index}: {', '.join(self.objects)}; {self.verdict})"
+
 
 def rows_of(table: pa.Table) -> Iterator[BankRow]:
     """The scenes of some rows, failures included."""

@@ -1,0 +1,120 @@
+"""What a terminal asks for: Ctrl-C and SIGTERM end the process within seconds, and NO_COLOR is heeded."""
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from cluttergen_jax.assets.pool import Pool, write_pool
+from cluttergen_jax.files import PARTIAL
+from cluttergen_jax.learning.training.interrupt import Interrupt
+from tests.helpers.worlds import trio
+
+# A call that takes minutes and answers no signal, as a compilation does.
+BUSY = """
+import hashlib, signal
+from contextlib import nullcontext
+from cluttergen_jax.cli import main, stopping
+from cluttergen_jax.learning.training.interrupt import Interrupt
+stopping.GRACE = 0.4
+signal.signal(signal.SIGINT, main._struck)
+stopping.watch_signals(main._struck)
+with {context}:
+    print("ready", flush=True)
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)
+"""
+
+
+def busy(context):
+    process = subprocess.Popen(
+        [sys.executable, "-c", BUSY.format(context=context)], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+def test_ctrl_c_ends_what_does_not_answer():
+    process = busy("nullcontext()")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(20) == 130
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_what_saves_first_is_waited_for_until_it_is_asked_again(number, status):
+    process = busy("Interrupt()")
+    process.send_signal(number)
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(1)
+    process.send_signal(number)
+    assert process.wait(20) == status
+
+
+def test_a_compilation_before_which_nothing_is_to_be_saved_is_not_waited_for():
+    is_over = threading.Event()
+    before = signal.getsignal(signal.SIGTERM)
+
+    def compilation():
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGTERM)
+        is_over.wait()
+
+    with pytest.raises(KeyboardInterrupt), Interrupt() as interrupt:
+        interrupt.compiled(compilation)
+    is_over.set()
+    assert signal.getsignal(signal.SIGTERM) is before
+    with Interrupt() as interrupt:
+        assert interrupt.compiled(divmod, 7, 2) == (3, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("command", ["train", "generate"])
+def test_a_compilation_ends_within_seconds(tmp_path, command, number):
+    pool = write_pool(tmp_path / "pool", Pool("trio", tuple(trio())))
+    out = tmp_path / "out"
+    environment = os.environ | {
+        "JAX_ENABLE_COMPILATION_CACHE": "0",
+        "PYTHONUNBUFFERED": "1",
+        "XLA_FLAGS": "--xla_backend_optimization_level=3",
+    }
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cluttergen_jax", command, "--pool", str(pool), "--out", str(out)]
+        + (["--preset", "cpu"] if command == "train" else ["-n", "8", "--max-files", "0"]),
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    for line in process.stdout:
+        if "compiling" in line:
+            break
+    time.sleep(1)
+    struck = time.monotonic()
+    process.send_signal(number)
+    assert process.wait(30) in (130, 143, -number)
+    # Loaded machines are slow to end a process, too; the compilation itself takes longer.
+    assert time.monotonic() - struck < 15
+    assert not [path for path in out.rglob("*") if PARTIAL in path.name and path.suffix == ".parquet"]
+
+
+@pytest.mark.parametrize(("no_color", "has_color"), [("", True), ("1", False)])
+def test_help_has_colours_where_they_are_wanted(no_color, has_color):
+    ours, theirs = pty.openpty()
+    environment = os.environ | {"NO_COLOR": no_color, "TERM": "xterm", "COLUMNS": "100"}
+    done = subprocess.Popen(
+        [sys.executable, "-m", "cluttergen_jax", "list", "--help"], env=environment, stdout=theirs
+    )
+    os.close(theirs)
+    text = b""
+    try:
+        while part := os.read(ours, 4096):
+            text += part
+    except OSError:
+        # The other end is closed.
+        pass
+    assert done.wait() == 0
+    assert (b"\x1b[" in text) == has_color
