@@ -135,6 +135,11 @@ def check_noise(noise: object) -> None:
         raise ConfigError(f"noise = {noise!r}", f"one number or more, 0 to {MAX_NOISE:g}", "noise=(0, 1)")
 
 
+Detector = Literal["native", "libccd"]
+DETECTORS: tuple[Detector, ...] = get_args(Detector)
+"""MuJoCo's detectors of convex collisions: its own, the default since 3.3, and the older one, the default before
+(`<flag nativeccd="disable"/>`). They name other contact points, so that heaps stand with one and not the other."""
+
 ROBUST_TILT = math.radians(5)
 """Radians by which gravity is tilted where robust scenes are asked for (`StabilityConfig.robust_tilt`). Its
 direction stays nowhere for long: passing by at 4 degrees it finds what would fall at a lasting 3."""
@@ -165,6 +170,8 @@ class StabilityConfig:
       stand_shift, stand_turn: metres and radians; a scene that moved less in the first stage stands.
       stand_full_steps: second stage of the last check, for the others.
       stand_full_shift, stand_full_turn: metres and radians allowed by the end of the second stage.
+      both_detectors: what the last check and the slight disturbance ask is asked with each of MuJoCo's two
+        detectors of convex collisions (`DETECTORS`), not with its own choice alone; native engine only.
       robust_tilt: radians; above 0, what came to rest must also stand while gravity, tilted by so much, turns
         once around (`physics.disturbance`) and contacts are as soft as MuJoCo's default; 0 asks for nothing.
         The others count only then:
@@ -194,6 +201,7 @@ class StabilityConfig:
     stand_full_steps: int = 480
     stand_full_shift: float = 0.005
     stand_full_turn: float = math.radians(5)
+    both_detectors: bool = False
     robust_tilt: float = 0.0
     robust_friction: float = 0.7
     robust_steps: int = 120
@@ -201,7 +209,7 @@ class StabilityConfig:
     robust_turn: float = math.radians(2)
 
     def __post_init__(self) -> None:
-        others = ("per_axis", "stop_when_decided", "judge_neighbours", "robust_tilt")
+        others = ("per_axis", "stop_when_decided", "judge_neighbours", "both_detectors", "robust_tilt")
         check_positive(self, *(f.name for f in fields(self) if f.name not in others))
         if not (isinstance(self.robust_tilt, Real) and 0 <= self.robust_tilt < math.pi / 2):
             raise ConfigError(
@@ -230,6 +238,8 @@ class StabilityConfig:
 def stability_record(config: StabilityConfig) -> dict[str, Any]:
     """The config as records keep it: without what older versions did not know, where that is off."""
     record = asdict(config)
+    if not config.both_detectors:
+        del record["both_detectors"]
     if config.robust_tilt:
         return record
     return {name: value for name, value in record.items() if not name.startswith("robust_")}

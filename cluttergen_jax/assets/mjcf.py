@@ -22,6 +22,8 @@ SPECULAR, SHININESS = 0.25, 0.35
 MAX_FRICTION = 10.0
 """Sliding coefficients of objects from here on are all alike to MuJoCo's choice between two of them."""
 _HIGHEST_PRIORITY = 100_000
+_KNOWN_TO_ALL = mujoco.mjtMeshInertia.mjMESH_INERTIA_LEGACY
+"""How a mesh weighs where nothing is said of it: files that say something do not open before MuJoCo 3.3."""
 _PARKING_START, _PARKING_HEIGHT, _PARKING_GAP = 50.0, 10.0, 0.1
 """Metres."""
 
@@ -81,7 +83,7 @@ def set_surface(mesh: mujoco.MjsMesh, piece: Piece) -> None:
 
 def _add_visuals(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pieces: tuple[Piece, ...]) -> None:
     for index, piece in enumerate(pieces):
-        mesh = spec.add_mesh(name=f"{name}/visual-{index}")
+        mesh = spec.add_mesh(name=f"{name}.visual-{index}")
         set_surface(mesh, piece)
         _add_visual(body, mesh, piece, add_texture(spec, piece.texture)).name = mesh.name
 
@@ -145,7 +147,7 @@ def add_object(spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bo
     body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     body.explicitinertial = True
     for index, part in enumerate(asset.parts):
-        geom = add_part(spec, body, f"{name}/part-{index}", part.vertices)
+        geom = add_part(spec, body, f"{name}.part-{index}", part.vertices)
         geom.group, geom.rgba = COLLISION_GROUP, (0.6, 0.6, 0.65, 1.0)
     if asset.friction is not None:
         for geom in body.geoms:
@@ -161,7 +163,7 @@ def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = Fa
     for index, box in enumerate(support.boxes):
         is_drawn = visual and not support.pieces
         body.add_geom(
-            name=f"support/box-{index}",
+            name=f"support.box-{index}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=box.center,
             quat=yaw_quaternion(box.yaw),
@@ -226,8 +228,12 @@ def object_xml(
     body = add_object(spec, asset, asset.name)
     spec.worldbody.add_light(pos=(0, 0, 2), dir=(0, 0, -1))
     for index, (piece, surface) in enumerate(zip(asset.pieces, surfaces, strict=True)):
-        mesh = spec.add_mesh(name=f"{asset.name}/visual-{index}", file=surface)
+        mesh = spec.add_mesh(name=f"{asset.name}.visual-{index}", file=surface)
         _add_visual(body, mesh, piece, add_texture(spec, piece.texture, images))
+        mesh.inertia = _KNOWN_TO_ALL if not piece.is_flat else mesh.inertia
+    for geom in body.geoms:
+        if geom.group == COLLISION_GROUP:
+            spec.mesh(geom.meshname).inertia = _KNOWN_TO_ALL
     spec.assets = {**spec.assets, **{name: files[name] for name in surfaces}}
     spec.compile()
     return spec.to_xml().encode()

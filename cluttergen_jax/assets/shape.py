@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.stated_mass import StatedMass
 
 
+_FLAT = 1e-5
+"""Metres."""
+
+
 @dataclass(frozen=True, eq=False)
 class Piece:
     """One surface of an object, of one colour or with an image on it.
@@ -44,6 +48,17 @@ class Piece:
     def transformed(self, rotation: np.ndarray, translation: np.ndarray) -> Piece:
         """The piece with its mesh transformed: see `Mesh.transformed`."""
         return replace(self, mesh=self.mesh.transformed(rotation, translation))
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether it lies in a plane, so that it has no volume about its own middle: such as a sticker."""
+        normals = self.mesh.normals
+        areas = np.linalg.norm(normals, axis=1)
+        if not areas.any():
+            return True
+        centers = self.mesh.vertices[self.mesh.faces].mean(1)
+        apart = centers - np.average(centers, axis=0, weights=areas)
+        return bool(np.abs((normals * apart).sum(1)).sum() <= _FLAT * areas.sum())
 
     @property
     def mean_rgba(self) -> tuple[float, float, float, float]:

@@ -26,7 +26,7 @@ def make_physics(
       config: when an object stands still.
       engine: "native" (MuJoCo's C engine), "warp" (MJX on an NVIDIA GPU, slowly on a CPU), "jax" (MJX in
         pure JAX, for few simple objects), or "auto": warp where JAX runs on an NVIDIA GPU, else native;
-        native alone knows `config.robust_tilt`.
+        native alone knows `config.robust_tilt`, and `config.both_detectors`: MJX has one detector.
       num_threads: threads of the native engine; 0 takes every core.
 
     Raises:

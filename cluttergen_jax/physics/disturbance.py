@@ -26,16 +26,38 @@ def disturb(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which scenes at rest would not stand under a slight tilt, less friction and softer contacts.
 
-    All but the focus object sleep until they are touched, so that only what stands together with it is
-    simulated. A scene is fragile as soon as any object is farther from where it came to rest than
-    `config.robust_shift`, or has turned by more than `config.robust_turn`.
-
     Args:
-      sims: whose first n simulations are used; gravity and contacts are as they were afterwards.
+      sims: whose first n simulations are used; gravity, contacts and detector are as they were afterwards.
       poses: f[n, K, 7]; is_placed: bool[n, K]; focus: i[n].
+      config: with `both_detectors` what stands with one of MuJoCo's detectors is asked with the other, too.
 
     Returns:
       i32[n], STABLE, FRAGILE or OVERFLOW; and i32[n], steps simulated.
+    """
+    verdict, num_steps = _disturb(sims, poses, is_placed, focus, config)
+    left = np.flatnonzero(verdict == int(Verdict.STABLE))
+    if config.both_detectors and left.size:
+        sims.choose_detector("libccd")
+        try:
+            verdict[left], more = _disturb(sims, poses[left], is_placed[left], focus[left], config)
+        finally:
+            sims.choose_detector("native")
+        num_steps[left] += more
+    return verdict, num_steps
+
+
+def _disturb(
+    sims: Simulations,
+    poses: np.ndarray,
+    is_placed: np.ndarray,
+    focus: np.ndarray,
+    config: StabilityConfig,
+) -> tuple[np.ndarray, np.ndarray]:
+    """`disturb` with the detector that is chosen.
+
+    All but the focus object sleep until they are touched, so that only what stands together with it is
+    simulated. A scene is fragile as soon as any object is farther from where it came to rest than
+    `config.robust_shift`, or has turned by more than `config.robust_turn`.
     """
     verdict = np.full(len(poses), int(Verdict.STABLE), np.int32)
     num_steps = np.zeros(len(poses), np.int32)

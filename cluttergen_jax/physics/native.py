@@ -97,6 +97,10 @@ class NativePhysics(HostPhysics):
         with self._lock, silent_log():
             for block in self._blocks(is_active & is_sound):
                 self._stand_block(poses[block], is_placed[block], result, block)
+            # What one detector lets fall need not be asked of the other.
+            is_left = result.verdict == int(Verdict.STABLE)
+            for block in self._blocks(is_left) if self.config.both_detectors else ():
+                self._stand_otherwise(poses[block], is_placed[block], result, block)
         return result
 
     def _blocks(self, is_wanted: np.ndarray) -> list[np.ndarray]:
@@ -164,6 +168,21 @@ class NativePhysics(HostPhysics):
             verdict[~motion.is_finite] = Verdict.NON_FINITE
             result.verdict[at] = verdict
             running = running[verdict == Verdict.NONE]
+
+    def _stand_otherwise(
+        self, poses: np.ndarray, is_placed: np.ndarray, result: Standing, block: np.ndarray
+    ) -> None:
+        """The same check with the other detector, of scenes that stand with the first; sums up in `result`."""
+        sims, other = self.simulations(len(block)), empty_standing(np, (len(block),), len(is_placed[0]))
+        sims.choose_detector("libccd")
+        try:
+            self._stand_block(poses, is_placed, other, np.arange(len(block)))
+        finally:
+            sims.choose_detector("native")
+        result.verdict[block] = other.verdict
+        result.num_steps[block] += other.num_steps
+        result.shift[block] = np.maximum(result.shift[block], other.shift)
+        result.turn[block] = np.maximum(result.turn[block], other.turn)
 
     def _steps_to_verdict(self, step: int, num_scenes: int) -> int:
         """How many steps after `step` a last check may go on unjudged, with room for its records."""

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
+from cluttergen_jax.config import Detector
 from cluttergen_jax.physics.layout import Layout
 
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
@@ -31,6 +32,12 @@ def sleeping_model(model: mujoco.MjModel) -> mujoco.MjModel:
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     model.tree_sleep_policy[:] = mujoco.mjtSleepPolicy.mjSLEEP_INIT
     return model
+
+
+def disabled_flags(model: mujoco.MjModel, detector: Detector) -> int:
+    """A model's flags with which convex collisions are found by this detector."""
+    flag = int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
+    return model.opt.disableflags | flag if detector == "libccd" else model.opt.disableflags & ~flag
 
 
 class Motion(NamedTuple):
@@ -110,6 +117,10 @@ class Simulations:
         """From now on gravity, as strong as the model's, points along the unit vector `direction`, f[3]."""
         strength = np.linalg.norm(self._batch.model.opt.gravity)
         self._batch.expand("opt.gravity")[:] = strength * direction
+
+    def choose_detector(self, detector: Detector) -> None:
+        """From now on convex collisions are found by this detector."""
+        self._batch.expand("opt.disableflags")[:] = disabled_flags(self._batch.model, detector)
 
     def step(self, ids: np.ndarray) -> None:
         """One time step of the simulations `ids`; one that raises is marked, the others go on."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from numbers import Integral
 from typing import Any
 
@@ -15,6 +15,7 @@ from cluttergen_jax.assets.reach import check_keep_out
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.physics import engine_of
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.problem import (
     Problem,
@@ -107,9 +108,15 @@ def problem_config(given: Mapping[str, Any]) -> ProblemConfig:
         "support": str(given["support"]),
         "placement": placement,
     }
-    if given["robust"]:
-        found["stability"] = StabilityConfig(robust_tilt=ROBUST_TILT)
+    found["stability"] = _stability(given)
     return ProblemConfig(**_fields_in(given, ProblemConfig) | found)
+
+
+def _stability(given: Mapping[str, Any]) -> StabilityConfig:
+    """When what is placed stands: by the paper's rules, or with both detectors where the engine has two."""
+    stability = StabilityConfig(robust_tilt=ROBUST_TILT if given["robust"] else 0.0)
+    has_two = engine_of(given["engine"], stability) == "native"
+    return replace(stability, both_detectors=has_two and given["setting"] != "paper")
 
 
 def _fields_in(given: Mapping[str, Any], kind: type[PlacementConfig] | type[ProblemConfig]) -> dict[str, Any]:

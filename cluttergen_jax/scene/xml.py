@@ -27,6 +27,10 @@ from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.placement.world import unique_names
 from cluttergen_jax.scene.cameras import Camera
 
+MARGIN = 1e-5
+"""Metres at which contacts begin. With none the native detector of MuJoCo 3.3 to 3.10 gives all contact points of
+two faces one depth, and what lies askew creeps; with any it looks for them one by one, as libccd does."""
+
 _UNSEEN: dict[str, str] = {"contype": "0", "conaffinity": "0", "group": str(VISUAL_GROUP), "mass": "0"}
 
 
@@ -94,9 +98,18 @@ def _add_options(root: ET._Element, stability: StabilityConfig, contact: Contact
     ET.SubElement(ET.SubElement(root, "default"), "geom", contact_attributes(contact))
 
 
+def weightless(piece: Piece) -> dict[str, str]:
+    """What the mesh of a drawn surface says of its own mass, which counts nowhere: bodies state theirs.
+
+    Nothing if it can be: before 3.3 MuJoCo refuses the word, since then without it a surface that is flat.
+    """
+    return {"inertia": "shell"} if piece.is_flat else {}
+
+
 def contact_attributes(contact: ContactConfig) -> dict[str, str]:
     """A geom's attributes in MJCF that say how it touches."""
     return {
+        "margin": _text([MARGIN]),
         "friction": _text(contact.friction),
         "solref": _text(contact.solref),
         "solimp": _text(contact.solimp),
@@ -145,7 +158,7 @@ def _add_support(assets: ET._Element, world: ET._Element, support: SupportAsset)
         ET.SubElement(
             body,
             "geom",
-            name=f"support/box-{index}",
+            name=f"support.box-{index}",
             type="box",
             pos=_text(box.center),
             quat=_text(yaw_quaternion(box.yaw)),
@@ -154,18 +167,18 @@ def _add_support(assets: ET._Element, world: ET._Element, support: SupportAsset)
             group=str(COLLISION_GROUP if support.pieces else VISUAL_GROUP),
         )
     for index, piece in enumerate(support.pieces):
-        mesh = f"support/visual-{index}"
-        ET.SubElement(assets, "mesh", name=mesh, file=f"{mesh}.obj", inertia="shell")
+        mesh, file = f"support.visual-{index}", f"support/visual-{index}.obj"
+        ET.SubElement(assets, "mesh", weightless(piece), name=mesh, file=file)
         _add_visual_geom(assets, body, mesh, piece, "support/")
 
 
 def _add_meshes(assets: ET._Element, asset: ObjectAsset) -> None:
     for index in range(len(asset.parts)):
         file = f"objects/{asset.name}/{part_name(index)}"
-        ET.SubElement(assets, "mesh", name=f"{asset.name}/part-{index}", file=file, inertia="convex")
-    for index in range(len(asset.pieces)):
+        ET.SubElement(assets, "mesh", name=f"{asset.name}.part-{index}", file=file)
+    for index, piece in enumerate(asset.pieces):
         file = f"objects/{asset.name}/visual-{index}.obj"
-        ET.SubElement(assets, "mesh", name=f"{asset.name}/visual-{index}", file=file, inertia="shell")
+        ET.SubElement(assets, "mesh", weightless(piece), name=f"{asset.name}.visual-{index}", file=file)
 
 
 def _add_body(
@@ -189,10 +202,10 @@ def _add_body(
     own = own_contact_attributes(asset, contact)
     for index in range(len(asset.parts)):
         ET.SubElement(
-            body, "geom", own, type="mesh", mesh=f"{asset.name}/part-{index}", group=str(COLLISION_GROUP)
+            body, "geom", own, type="mesh", mesh=f"{asset.name}.part-{index}", group=str(COLLISION_GROUP)
         )
     for index, piece in enumerate(asset.pieces):
-        _add_visual_geom(assets, body, f"{asset.name}/visual-{index}", piece, "textures/")
+        _add_visual_geom(assets, body, f"{asset.name}.visual-{index}", piece, "textures/")
 
 
 def _add_visual_geom(assets: ET._Element, body: ET._Element, mesh: str, piece: Piece, images: str) -> None:

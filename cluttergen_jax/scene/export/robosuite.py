@@ -8,12 +8,13 @@ import numpy as np
 
 from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene.export.frames import text
 from cluttergen_jax.scene.export.meshes import drawn_pieces, object_image, support_image, visual_name
-from cluttergen_jax.scene.xml import contact_attributes, own_contact_attributes
+from cluttergen_jax.scene.xml import contact_attributes, own_contact_attributes, weightless
 
 _COLLIDES, _DRAWN = "0", "1"
 """robosuite's geom groups."""
@@ -32,11 +33,11 @@ def robosuite_xml(asset: ObjectAsset, contact: ContactConfig) -> bytes:
     )
     touch = contact_attributes(contact) | own_contact_attributes(asset, contact)
     for index in range(len(asset.parts)):
-        ET.SubElement(assets, "mesh", name=f"part-{index}", file=part_name(index), inertia="convex")
+        ET.SubElement(assets, "mesh", name=f"part-{index}", file=part_name(index))
         place = {"type": "mesh", "mesh": f"part-{index}"}
         ET.SubElement(body, "geom", touch | place, group=_COLLIDES, rgba="0 0 0 0")
     for index, piece in enumerate(drawn_pieces(asset)):
-        _add_visual(assets, body, index, piece.rgba, object_image(piece))
+        _add_visual(assets, body, index, piece, object_image(piece))
     _add_sites(shell, -asset.half_extents[2], asset.half_extents)
     return _bytes(root)
 
@@ -55,7 +56,7 @@ def support_xml(support: SupportAsset, contact: ContactConfig) -> bytes:
         if not support.pieces:
             ET.SubElement(body, "geom", place | _unseen(box.rgba))
     for index, piece in enumerate(support.pieces):
-        _add_visual(assets, body, index, piece.rgba, support_image(piece))
+        _add_visual(assets, body, index, piece, support_image(piece))
     _add_sites(shell, 0.0, np.array([*support.region.half_extents, support.top]))
     return _bytes(root)
 
@@ -73,10 +74,10 @@ def _unseen(rgba: tuple[float, ...]) -> dict[str, str]:
 
 
 def _add_visual(
-    assets: ET.Element, body: ET.Element, index: int, rgba: tuple[float, ...], image: str | None
+    assets: ET.Element, body: ET.Element, index: int, piece: Piece, image: str | None
 ) -> None:
-    name = f"visual-{index}"
-    ET.SubElement(assets, "mesh", name=name, file=visual_name(index), inertia="shell")
+    name, rgba = f"visual-{index}", piece.rgba
+    ET.SubElement(assets, "mesh", weightless(piece), name=name, file=visual_name(index))
     geom = ET.SubElement(body, "geom", _unseen(rgba), type="mesh", mesh=name)
     if image is not None:
         texture = f"image-{index}"
