@@ -46,6 +46,45 @@ def test_a_colour_without_alpha_is_opaque():
     assert read(CASES / "07_urdf_rgba3").pieces[0].rgba == (0.8, 0.1, 0.1, 1.0)
 
 
+CLEAR = '<material name="clear"><color rgba="1 0 0 0"/></material>'
+HANDLE = '<visual><geometry><sphere radius="0.01"/></geometry></visual>'
+
+
+def test_what_is_clear_is_left_out_and_drawn_where_nothing_else_is_seen(tmp_path):
+    shape = read(write(tmp_path, link(inside=CLEAR)))
+    assert [piece.rgba for piece in shape.pieces] == [(1.0, 0.0, 0.0, 1.0)]
+    assert any("drawn opaque" in note for note in shape.notes)
+    shape = read(write(tmp_path, link(inside=CLEAR, more=HANDLE)))
+    np.testing.assert_allclose(size_of(shape), 0.02, atol=1e-3)
+    assert "left out, as their alpha is 0: 1 of 2 surfaces" in shape.notes
+
+
+@pytest.mark.parametrize("name", ["thing.urdf", "thing.xml"])
+def test_a_namespace_around_all_is_nothing_to_stumble_over(tmp_path, name):
+    save_box(tmp_path / "cup.stl")
+    path = write(tmp_path, link(form='<mesh filename="cup.stl"/>'), name)
+    path.write_text(path.read_text().replace("<robot", '<robot xmlns="http://drake.mit.edu"'))
+    np.testing.assert_allclose(size_of(read(tmp_path)), [0.1, 0.06, 0.04], atol=1e-6)
+
+
+def test_another_root_than_robot_is_told(tmp_path):
+    path = write(tmp_path, link())
+    path.write_text('<sdf version="1.6"><model name="cup"/></sdf>')
+    with pytest.raises(AssetError, match=r"thing\.urdf is no URDF: its root is <sdf>"):
+        read(path)
+
+
+def test_what_urdf_does_not_have_is_said(tmp_path):
+    joint = '<joint name="j" type="hinge"><parent link="a"/><child link="b"/></joint>'
+    two = BOX + '<sphere radius="1"/>'
+    notes = read(write(tmp_path, link(form=two) + link("b") + link("c") + joint)).notes
+    assert "joint 'j' is of type 'hinge', which URDF does not have: it is fixed" in notes
+    assert "of 2 shapes in one <geometry> the first is taken, <box>" in notes
+    assert "its links 'a', 'c' hang on no joint: all are put at the model's origin" in notes
+    with pytest.raises(AssetError, match="a <mesh> that names no file"):
+        read(write(tmp_path, link(form='<mesh scale="1 1 1"/>')))
+
+
 def test_a_material_of_one_link_holds_in_another():
     shape = read(CASES / "11_urdf_material_reuse")
     assert [piece.rgba for piece in shape.pieces] == [(0.8, 0.0, 0.0, 1.0)] * 2

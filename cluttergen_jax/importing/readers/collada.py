@@ -8,10 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from cluttergen_jax.errors import AssetError
-
-Element = ElementTree.Element
-_BROKEN = (OSError, ElementTree.ParseError, ValueError, LookupError)
-"""What a file that is no XML, or in no known encoding, raises; the parser of meshes tells of it."""
+from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parsed, plain_tag
 
 
 def unit_of(path: Path) -> float:
@@ -33,9 +30,9 @@ def unit_of(path: Path) -> float:
 def _declared_unit(path: Path) -> str:
     try:
         for _, element in ElementTree.iterparse(path):
-            if _tag(element) == "asset":
-                return next((each.get("meter", "1") for each in element if _tag(each) == "unit"), "1")
-    except _BROKEN:
+            if plain_tag(element) == "asset":
+                return next((each.get("meter", "1") for each in element if plain_tag(each) == "unit"), "1")
+    except BROKEN:
         pass
     return "1"
 
@@ -45,10 +42,10 @@ def with_image_paths(path: Path) -> bytes | None:
 
     pycollada drops an image without a path, and with it the effect, the material and the surfaces.
     """
-    tree = _parsed(path)
+    tree = parsed(path)
     is_changed = False
     for image in _all(tree, "image"):
-        places = [each for each in image if _tag(each) == "init_from"]
+        places = [each for each in image if plain_tag(each) == "init_from"]
         if any((each.text or "").strip() for each in places):
             continue
         is_changed = True
@@ -60,21 +57,9 @@ def with_image_paths(path: Path) -> bytes | None:
 
 def collada_notes(path: Path) -> Iterator[str]:
     """What is not read of a COLLADA file."""
-    if skins := sum(1 for _ in _all(_parsed(path), "instance_controller")):
+    if skins := sum(1 for _ in _all(parsed(path), "instance_controller")):
         yield f"{skins} surfaces with a skeleton or a morph (<instance_controller>) are left out"
 
 
-def _parsed(path: Path) -> Element | None:
-    try:
-        return ElementTree.parse(path).getroot()
-    except _BROKEN:
-        return None
-
-
 def _all(tree: Element | None, tag: str) -> Iterator[Element]:
-    return (each for each in (() if tree is None else tree.iter()) if _tag(each) == tag)
-
-
-def _tag(element: Element) -> str:
-    """Without its namespace."""
-    return str(element.tag).rpartition("}")[2]
+    return (each for each in (() if tree is None else tree.iter()) if plain_tag(each) == tag)

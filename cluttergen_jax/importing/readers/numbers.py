@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 
 from cluttergen_jax.errors import AssetError
-
-Element = ElementTree.Element
+from cluttergen_jax.importing.readers.xml_tree import Element
 
 
 def numbers(
@@ -60,7 +58,7 @@ def all_numbers(path: Path, element: Element, name: str, default: str | None = N
     try:
         return [float(word) for word in text.split()]
     except ValueError as error:
-        raise wrong_attribute(path, element, name, "numbers") from error
+        raise wrong_attribute(path, element, name, "numbers with spaces between them") from error
 
 
 def wrong_attribute(path: Path, element: Element, name: str, allowed: str) -> AssetError:

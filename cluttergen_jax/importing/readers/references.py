@@ -8,10 +8,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from cluttergen_jax.importing.readers.places import mesh_place
+from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parsed, plain_tag
 
-Element = ElementTree.Element
-_BROKEN = (OSError, ElementTree.ParseError, ValueError, LookupError)
-"""What a file that is no XML, or in no known encoding, raises."""
 _FOLDERS = ("meshdir", "assetdir", "texturedir")
 
 
@@ -48,16 +46,16 @@ def model_file(path: Path) -> ModelFile | str:
 
 def _root_tag(path: Path) -> str:
     try:
-        return next(iter(ElementTree.iterparse(path, events=("start",))))[1].tag
-    except (*_BROKEN, StopIteration):
+        return plain_tag(next(iter(ElementTree.iterparse(path, events=("start",))))[1])
+    except (*BROKEN, StopIteration):
         return ""
 
 
 def _urdf(path: Path) -> ModelFile:
-    root = _parsed(path)
+    root = parsed(path)
     if root is None:
         return ModelFile(path, "urdf", is_whole=False)
-    named = [each.get("filename", "") for each in root.iter() if each.tag in ("mesh", "texture")]
+    named = [each.get("filename", "") for each in root.iter() if plain_tag(each) in ("mesh", "texture")]
     files = {name: file for name in named if (file := mesh_place(path, name)) is not None}
     real = frozenset(file.resolve() for file in files.values())
     return ModelFile(path, "urdf", real, is_whole=len(files) == len(set(named)))
@@ -104,7 +102,7 @@ def _expanded(path: Path, main: Path, includes: set[Path]) -> Element | None:
       main: the main file's folder, which names are relative to.
       includes: the files that were included already; those found here are added.
     """
-    root = _parsed(path)
+    root = parsed(path)
     if root is None:
         return None
     for parent in list(root.iter()):
@@ -120,10 +118,3 @@ def _expanded(path: Path, main: Path, includes: set[Path]) -> Element | None:
                     parent[place:place] = list(inner) if inner is not None else []
                     break
     return root
-
-
-def _parsed(path: Path) -> Element | None:
-    try:
-        return ElementTree.parse(path).getroot()
-    except _BROKEN:
-        return None

@@ -33,8 +33,8 @@ from cluttergen_jax.importing.readers.numbers import (
 from cluttergen_jax.importing.readers.places import is_found_elsewhere, mesh_place
 from cluttergen_jax.importing.readers.urdf_joints import Joints, origin
 from cluttergen_jax.importing.readers.xacro import refuse_xacro
+from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, without_namespace
 
-Element = ElementTree.Element
 _MOVABLE = ("revolute", "prismatic", "continuous", "floating", "planar")
 
 
@@ -74,7 +74,7 @@ def read_urdf(path: Path, max_side: int = MAX_TEXTURE) -> Model:
     }
     stated = combined(list(masses.values()))
     return Model(
-        pieces=visuals or collisions,
+        pieces=_seen(visuals, reader.notes) or collisions,
         parts=convex_parts([piece.mesh for piece in collisions]),
         stated=None if stated is None else stated.scaled(np.eye(3), scale),
         notes=tuple(dict.fromkeys([*_notes(robot, joints, masses), *joints.notes, *reader.notes])),
@@ -87,11 +87,26 @@ def _parsed(path: Path) -> Element:
     """The root of a URDF; an unprocessed xacro is none."""
     try:
         robot = ElementTree.parse(path).getroot()
-    except (OSError, ElementTree.ParseError, ValueError, LookupError) as error:
+    except BROKEN as error:
         refuse_xacro(path)
         raise AssetError(f"{path} cannot be read as URDF: {error}") from error
     refuse_xacro(path, robot)
+    without_namespace(robot)
+    if robot.tag != "robot":
+        raise AssetError(f"{path} is no URDF: its root is <{robot.tag}>", "a file whose root is <robot>")
     return robot
+
+
+def _seen(visuals: list[Piece], notes: list[str]) -> list[Piece]:
+    """The visuals that can be seen; all of them, opaque, where none can."""
+    seen = [piece for piece in visuals if piece.rgba[3] > 0]
+    if len(seen) == len(visuals):
+        return visuals
+    if seen:
+        notes.append(f"left out, as their alpha is 0: {len(visuals) - len(seen)} of {len(visuals)} surfaces")
+        return seen
+    notes.append("drawn opaque although its alpha is 0, as nothing else is there to be seen")
+    return [replace(piece, rgba=(*piece.rgba[:3], 1.0)) for piece in visuals]
 
 
 def _materials(robot: Element) -> dict[str, Element]:
@@ -203,6 +218,8 @@ class _Reader:
         if geometry is None or not len(geometry):
             raise AssetError(f"{self.path}: a <{element.tag}> without geometry")
         form = geometry[0]
+        if len(geometry) > 1:
+            self.notes.append(f"of {len(geometry)} shapes in one <geometry> the first is taken, <{form.tag}>")
         if form.tag == "mesh":
             return self._mesh(form, texture)
         if form.tag == "box":
@@ -223,6 +240,8 @@ class _Reader:
 
     def _mesh(self, form: Element, texture: Texture | None) -> list[Piece]:
         name = form.get("filename", "")
+        if not name.strip():
+            raise AssetError(f"{self.path}: a <mesh> that names no file", '<mesh filename="...">')
         if (file := mesh_place(self.path, name)) is None:
             raise AssetError(
                 f"{self.path} names mesh file {name!r}, which is not there", hint="restoring the file"

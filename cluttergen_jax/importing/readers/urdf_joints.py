@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import trimesh
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.numbers import all_numbers, number, numbers, wrong_attribute
+from cluttergen_jax.importing.readers.xml_tree import Element
 
-Element = ElementTree.Element
 _LIMITED = ("revolute", "prismatic")
 _TURNS = ("revolute", "continuous")
+_KINDS = ("fixed", "floating", "planar", *_LIMITED, *_TURNS)
 
 
 class Joints:
@@ -32,7 +32,11 @@ class Joints:
         self._links = [link.get("name", "") for link in robot.findall("link")]
         self._joints = robot.findall("joint")
         self._by_name = {joint.get("name", ""): joint for joint in self._joints}
-        self.notes: list[str] = []
+        self.notes = [
+            f"joint {joint.get('name')!r} is of type {kind!r}, which URDF does not have: it is fixed"
+            for joint in self._joints
+            if (kind := joint.get("type")) not in _KINDS
+        ]
 
     def value(self, joint: Element) -> float:
         """Radians or metres.
@@ -70,7 +74,11 @@ class Joints:
         for joint in self._joints:
             children.setdefault(self._link_of(joint, "parent"), []).append(joint)
         below = {self._link_of(joint, "child") for joint in self._joints}
-        poses = {name: np.eye(4) for name in self._links if name not in below}
+        roots = [name for name in self._links if name not in below]
+        if len(roots) > 1:
+            told = ", ".join(map(repr, roots))
+            self.notes.append(f"its links {told} hang on no joint: all are put at the model's origin")
+        poses = {name: np.eye(4) for name in roots}
         todo = list(poses)
         while todo:
             parent = todo.pop()

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from xml.etree import ElementTree
 
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.xml_tree import Element
 
-Element = ElementTree.Element
 SUFFIX = ".xacro"
 _ELEMENT = re.compile(rb"<(xacro:\w+)")
 _EXPRESSION = re.compile(r"\$\{.*?\}|\$\(.*?\)")
