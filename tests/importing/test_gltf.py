@@ -50,6 +50,27 @@ def test_normalised_integers_are_divided(tmp_path, file, dtype):
     np.testing.assert_allclose(size, [0.1, 0.06, 0.04], atol=0.1 / most)
 
 
+@pytest.mark.parametrize("is_quantised", [False, True])
+def test_a_file_without_a_scene_is_all_its_roots(tmp_path, is_quantised):
+    gltf = Gltf()
+    del gltf.document["scene"], gltf.document["scenes"]
+    if is_quantised:
+        steps = np.round(POINTS / 0.1 * 127).astype(np.int8)
+        gltf.primitive["attributes"]["POSITION"] = gltf.add(steps, normalized=True)
+    gltf.document["nodes"] = [{"children": [1], "scale": [0.5] * 3}, {"mesh": 0}]
+    size = [0.5, 0.3, 0.2] if is_quantised else [0.05, 0.03, 0.02]
+    np.testing.assert_allclose(
+        np.ptp(corners(gltf.write(tmp_path / "box.glb")), axis=0), size, atol=0.01 * size[0]
+    )
+
+
+def test_nodes_in_a_circle_are_refused(tmp_path):
+    gltf = Gltf()
+    gltf.document["nodes"] = [{"mesh": 0, "children": [1]}, {"children": [0]}]
+    with pytest.raises(AssetError, match=r"box\.glb: nodes 1, 0 hang on each other in a circle"):
+        read_mesh_file(gltf.write(tmp_path / "box.glb"))
+
+
 def test_plain_quantised_numbers_are_as_they_are(tmp_path):
     gltf = Gltf()
     gltf.primitive["attributes"]["POSITION"] = gltf.add((POINTS * 1000).astype(np.int16))

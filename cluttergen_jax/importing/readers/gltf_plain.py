@@ -6,6 +6,7 @@ A file that has none of it goes to trimesh as it is.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -30,11 +31,26 @@ def plain_glb(path: Path) -> bytes | None:
     """
     document = read_document(path)
     check_understood(path, document)
+    _check_tree(path, document)
     return _Plain(path, document).made() if _is_not_plain(document) else None
+
+
+def _check_tree(path: Path, document: Document) -> None:
+    nodes = enumerate(document.get("nodes", []))
+    try:
+        TopologicalSorter({index: node.get("children", []) for index, node in nodes}).prepare()
+    except CycleError as error:
+        circle = ", ".join(map(str, error.args[1][1:]))
+        raise AssetError(
+            f"{path}: nodes {circle} hang on each other in a circle", "a tree of nodes"
+        ) from error
 
 
 def _is_not_plain(document: Document) -> bool:
     nodes, accessors = document.get("nodes", []), document.get("accessors", [])
+    # trimesh draws nothing of a file without a scene.
+    if not document.get("scenes"):
+        return True
     if any({"skin", "weights"} & each.keys() or INSTANCING in _extensions(each) for each in nodes):
         return True
     # trimesh loses what hangs on a camera.
@@ -63,7 +79,7 @@ class _Plain:
         self._buffers = Buffers(path, document)
         self._arrays = Arrays(document, self._buffers)
         self._nodes: list[Node] = [dict(node) for node in document.get("nodes", [])]
-        self._roots = list(document["scenes"][document.get("scene", 0)].get("nodes", []))
+        self._roots = _roots(document)
         self._meshes: list[dict[str, Any]] = []
         self._accessors: list[dict[str, Any]] = []
         self._views: list[dict[str, Any]] = []
@@ -200,6 +216,15 @@ class _Plain:
         if "bufferView" not in image:
             return image
         return image | {"bufferView": self._view(self._buffers.view(image["bufferView"]))}
+
+
+def _roots(document: Document) -> list[int]:
+    """The nodes of the scene; of a file without one, all that hang on no other."""
+    if scenes := document.get("scenes"):
+        return list(scenes[document.get("scene", 0)].get("nodes", []))
+    nodes = document.get("nodes", [])
+    below = {child for node in nodes for child in node.get("children", [])}
+    return [index for index in range(len(nodes)) if index not in below]
 
 
 def _place(node: Node) -> np.ndarray:
