@@ -137,8 +137,8 @@ def check_noise(noise: object) -> None:
 
 Detector = Literal["native", "libccd"]
 DETECTORS: tuple[Detector, ...] = get_args(Detector)
-"""MuJoCo's detectors of convex collisions: its own, the default since 3.3, and the older one, the default before
-(`<flag nativeccd="disable"/>`). They name other contact points, so that heaps stand with one and not the other."""
+"""MuJoCo's detectors of convex collisions: its own, the default since 3.3, and the older one, the default
+before (`<flag nativeccd="disable"/>`). They name other contact points: some heaps stand with one of them only."""
 
 ROBUST_TILT = math.radians(5)
 """Radians by which gravity is tilted where robust scenes are asked for (`StabilityConfig.robust_tilt`). Its

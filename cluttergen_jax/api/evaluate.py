@@ -119,6 +119,7 @@ def evaluate(
         seed=seed,
         repeat=repeat,
         change=change,
+        both_detectors=setting != "paper",
     )
     named = [composed(pool, exclude) for pool in pools or ("dining",)]
     planned = [

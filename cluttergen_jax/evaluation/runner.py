@@ -260,6 +260,8 @@ class Runner:
             judge_neighbours=judge_neighbours,
             robust_tilt=ROBUST_TILT if trial.robust else 0.0,
         )
+        has_two = engine_of(self.engine, stability) == "native"
+        stability = replace(stability, both_detectors=trial.both_detectors and has_two)
         with usable(resolved.checkpoint, trial):
             config = suited(base.rules.config, resolved.checkpoint)
         # Stable steps, as the paper counts them, need whole attempts; a policy that was trained on attempts

@@ -19,7 +19,7 @@ from cluttergen_jax.placement.config import PlacementConfig
 MAX_TRIALS = 1_000_000
 RUIN, RANDOM_ORDER, TIDY, ROBUST = "ruin", "random order", "tidy", "robust"
 """Of rows whose rules are not their method's own."""
-_ADDED = ("min_margin", "order", "ruin_after", "budget", "robust", "clutter", "tidy")
+_ADDED = ("min_margin", "order", "ruin_after", "budget", "robust", "both_detectors", "clutter", "tidy")
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,8 @@ class Trial:
         others are put back by hand, no last check).
       min_margin: metres of support margin asked of what is placed; 0 asks for nothing, as the paper does.
       robust: ask that what stands also stands under a slight tilt with less friction and softer contacts.
+      both_detectors: the last check asks both of MuJoCo's detectors of convex collisions, as `generate` does;
+        without, the native one alone (`config.DETECTORS`).
       clutter: what scenes should have on average, as text ("stack=3"); "" asks for nothing.
       tidy: take the best of the poses that are trusted, as `--tidy` does.
       order, ruin_after, budget: of a `PlacementConfig`; the paper's unless given.
@@ -64,6 +66,7 @@ class Trial:
     ruin_after: int = 0
     budget: int | None = None
     robust: bool = False
+    both_detectors: bool = False
     clutter: str = ""
     tidy: bool = False
 

@@ -73,9 +73,7 @@ def _unseen(rgba: tuple[float, ...]) -> dict[str, str]:
     return {"contype": "0", "conaffinity": "0", "group": _DRAWN, "mass": "0", "rgba": text(rgba)}
 
 
-def _add_visual(
-    assets: ET.Element, body: ET.Element, index: int, piece: Piece, image: str | None
-) -> None:
+def _add_visual(assets: ET.Element, body: ET.Element, index: int, piece: Piece, image: str | None) -> None:
     name, rgba = f"visual-{index}", piece.rgba
     ET.SubElement(assets, "mesh", weightless(piece), name=name, file=visual_name(index))
     geom = ET.SubElement(body, "geom", _unseen(rgba), type="mesh", mesh=name)
