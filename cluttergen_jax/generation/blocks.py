@@ -133,7 +133,7 @@ class BlockMaker:
         Raises:
           ClutterGenError: this worker's bits would be others than the bank's.
         """
-        _check_worker(self.bits)
+        check_worker(self.bits)
         problem = compose(self.objects, self.support, self.config, self.standing)
         keep_out, start = jax.tree.map(jnp.asarray, (self.keep_out, self.start))
         setup = Setup(problem, keep_out, start)
@@ -162,8 +162,12 @@ def _is_on_gpu(setup: Setup) -> bool:
     return engine_of(config.engine, config.stability) == "warp"
 
 
-def _check_worker(bits: dict[str, str] | None) -> None:
-    """Refuses to work where scenes would have other bits than the bank's."""
+def check_worker(bits: dict[str, str] | None) -> None:
+    """Refuses to work where scenes would have other bits than the bank's; None allows any.
+
+    Raises:
+      ClutterGenError: they would.
+    """
     here = bits_of_here()
     if bits is not None and here != bits:
         told = "; ".join(differences(here, bits))
