@@ -137,5 +137,6 @@ def test_what_is_no_coefficient_is_refused_when_read(tmp_path, value):
     text = json.dumps(record, sort_keys=True, separators=(",", ":"))
     record["hash"] = hashlib.sha256(text.encode()).hexdigest()
     (tmp_path / "object.json").write_text(json.dumps(record))
-    with pytest.raises(PoolError, match="friction"):
+    # JSON has no word for what is no number.
+    with pytest.raises(PoolError, match="is not JSON" if value != value else "friction"):
         read_object(tmp_path)

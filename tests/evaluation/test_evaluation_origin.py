@@ -12,6 +12,7 @@ from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.studies.findings import Findings, row_of
 from cluttergen_jax.evaluation.studies.study import Study, grid
 from cluttergen_jax.evaluation.trial import Trial
+from tests.helpers.records import unsigned
 
 SMALL = Trial(num_objects=2, trials=6)
 ELSEWHERE = {"date": "2001-01-01", "machine": {"cores": 64, "cpu": "another"}}
@@ -33,7 +34,7 @@ def test_kept_rows_keep_the_day_and_the_machine_that_made_them(runner, tmp_path)
     assert now["machine"] == machine()
     assert "also_made" not in now
     path = runner.store.path(trials[0].title, runner.resolve(trials[0]).key)
-    stored = json.loads(path.read_text())
+    stored = unsigned(json.loads(path.read_text()))
     path.write_text(json.dumps(stored | ELSEWHERE))
     mixed = result()
     assert (mixed["date"], mixed["machine"], mixed["also_made"]) == (now["date"], machine(), [ELSEWHERE])
@@ -60,7 +61,7 @@ def test_kept_findings_keep_them_too(runner, tmp_path, keeps_each):
     now = result()
     assert now["machine"] == machine()
     (path,) = runner.store.root.glob(f"*{name.lower()}*.json")
-    path.write_text(json.dumps(json.loads(path.read_text()) | ELSEWHERE))
+    path.write_text(json.dumps(unsigned(json.loads(path.read_text())) | ELSEWHERE))
     again = result()
     assert (again["date"], again["machine"]) == (ELSEWHERE["date"], ELSEWHERE["machine"])
     assert again["measure"] == now["measure"]

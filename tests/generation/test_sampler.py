@@ -393,13 +393,13 @@ def test_a_checkpoint_of_another_method_is_refused(method, trained):
 
 
 def test_a_samplers_record_is_read_once(monkeypatch):
-    read, opened = Path.read_text, []
+    read, opened = Path.read_bytes, []
 
     def noted(path, *args, **kwargs):
         opened.append(path.name)
         return read(path, *args, **kwargs)
 
-    monkeypatch.setattr(Path, "read_text", noted)
+    monkeypatch.setattr(Path, "read_bytes", noted)
     method, checkpoint = choose_method("policy", "dining")
     assert suited(PlacementConfig(), checkpoint).history_stride == checkpoint.placement["history_stride"]
     assert checkpoint.kind == "pose"
