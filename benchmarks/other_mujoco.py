@@ -1,8 +1,8 @@
 """How many saved scenes of a bank stand in the MuJoCo of this interpreter, whatever its version is.
 
 It imports nothing of cluttergen_jax, which needs a recent MuJoCo: an environment with `mujoco` alone will do.
-What counts as standing is what `cluttergen verify` asks for. `--libccd` takes the older of MuJoCo's two
-detectors of convex collisions (`<flag nativeccd="disable"/>`).
+What counts as standing is what `cluttergen verify` asks for. Each file says which of MuJoCo's two detectors
+of convex collisions it wants; `--libccd` and `--native` take the older and the newer one instead.
 
     python -m venv other && other/bin/pip install mujoco==3.10.0
     other/bin/python benchmarks/other_mujoco.py BANK ...
@@ -22,13 +22,20 @@ _SECONDS, _STRIDE = 10.0, 12
 _MAX_SHIFT, _MAX_TURN = 0.005, np.radians(5.0)
 
 
-def stands(path: Path, is_libccd: bool) -> bool:
+def _bit(kind: type, name: str) -> int:
+    """A flag, 0 in a MuJoCo that does not know it."""
+    return int(getattr(kind, name, 0))
+
+
+def stands(path: Path, detector: str) -> bool:
     """Whether no object of a scene file moves by more than 5 mm or 5 degrees within 10 s, all awake."""
     model = mujoco.MjModel.from_xml_path(str(path))
-    model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    if is_libccd:
+    model.opt.enableflags &= ~_bit(mujoco.mjtEnableBit, "mjENBL_SLEEP")
+    model.opt.disableflags |= _bit(mujoco.mjtDisableBit, "mjDSBL_AUTORESET")
+    if detector == "libccd":
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
+    elif detector == "native":
+        model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("scene").id)
     data.qvel[:] = 0
@@ -50,9 +57,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=as_written)
     parser.add_argument("banks", nargs="+", type=Path, help="folders that `cluttergen generate` wrote")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--libccd", action="store_true")
+    for name in ("libccd", "native"):
+        parser.add_argument(f"--{name}", action="store_const", const=name, default="", dest="detector")
     given = parser.parse_args()
-    check = partial(stands, is_libccd=given.libccd)
+    check = partial(stands, detector=given.detector)
     for bank in given.banks:
         files = sorted((bank / "scenes").glob("*.xml"))
         with ThreadPoolExecutor(given.threads) as threads:

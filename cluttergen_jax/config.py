@@ -63,7 +63,7 @@ PlacerLoss = Literal["printed", "symmetric"]
 PlacerNoise = Literal["on", "off", "both"]
 SegmenterInput = Literal["colour", "depth"]
 RobotObserver = Literal["true", "perception"]
-ExportFormat = Literal["mjcf", "urdf", "sdf", "usd", "glb", "maniskill", "robosuite", "libero"]
+ExportFormat = Literal["mjcf", "mjcf-old", "urdf", "sdf", "usd", "glb", "maniskill", "robosuite", "libero"]
 
 REMOVED = {
     "ranked": "method='guided', which needs no training",
@@ -138,7 +138,7 @@ def check_noise(noise: object) -> None:
 Detector = Literal["native", "libccd"]
 DETECTORS: tuple[Detector, ...] = get_args(Detector)
 """MuJoCo's detectors of convex collisions: its own, the default since 3.3, and the older one, the default
-before (`<flag nativeccd="disable"/>`). They name other contact points: some heaps stand with one of them only."""
+before (`<flag nativeccd="disable"/>`). They name other contact points: some heaps stand with one alone."""
 
 ROBUST_TILT = math.radians(5)
 """Radians by which gravity is tilted where robust scenes are asked for (`StabilityConfig.robust_tilt`). Its

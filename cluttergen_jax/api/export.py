@@ -28,8 +28,8 @@ def export(
     Args:
       source: a bank; or one scene of it: BANK:INDEX, or its file BANK/scenes/000003.xml.
       out: the folder to make.
-      format: "mjcf" (MuJoCo), "urdf" (PyBullet), "sdf" (Drake, Gazebo), "usd" (Isaac, Omniverse), "glb" (any
-        viewer), "maniskill", "robosuite" or "libero".
+      format: "mjcf" (MuJoCo), "mjcf-old" (MuJoCo before 3.2.3), "urdf" (PyBullet), "sdf" (Drake, Gazebo),
+        "usd" (Isaac, Omniverse), "glb" (any viewer), "maniskill", "robosuite" or "libero".
       scenes: numbers such as 0,3,7 or 0-9; all successful ones if not given. In Python also a list.
       cameras: cameras around the support, to be added to every scene: "overhead", "front", "side", "wrist".
       overwrite: replace an earlier export.

@@ -172,7 +172,7 @@ class NativePhysics(HostPhysics):
     def _stand_otherwise(
         self, poses: np.ndarray, is_placed: np.ndarray, result: Standing, block: np.ndarray
     ) -> None:
-        """The same check with the other detector, of scenes that stand with the first; sums up in `result`."""
+        """The same check with the other detector, of scenes that stand with the first; added to `result`."""
         sims, other = self.simulations(len(block)), empty_standing(np, (len(block),), len(is_placed[0]))
         sims.choose_detector("libccd")
         try:

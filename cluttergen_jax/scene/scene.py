@@ -15,6 +15,7 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import product, transformed
 from cluttergen_jax.scene.cameras import Camera
+from cluttergen_jax.scene.xml import MARGIN
 
 _UNIT = 1e-3
 _NAMED = 10
@@ -152,15 +153,18 @@ class Scene:
             # An attached scene keeps its contact parameters even where the other model has defaults.
             if not geom.priority:
                 geom.friction = self.contact.friction
-            geom.condim = self.contact.condim
+            geom.condim, geom.margin = self.contact.condim, MARGIN
             geom.solref, geom.solimp = self.contact.solref, self.contact.solimp
         for each in self.cameras:
             spec.worldbody.add_camera(name=each.name, pos=each.position, quat=each.quaternion, fovy=each.fovy)
         spec.add_key(name=KEYFRAME, qpos=self.poses.ravel())
         spec.modelname = "cluttergen scene"
+        if self.stability.both_detectors:
+            spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
         if not prefix:
             return spec
         outer = new_spec(self.stability.timestep, self.contact)
+        outer.option.disableflags = spec.option.disableflags
         outer.attach(spec, prefix=prefix, frame=outer.worldbody.add_frame())
         return outer
 

@@ -28,8 +28,8 @@ from cluttergen_jax.placement.world import unique_names
 from cluttergen_jax.scene.cameras import Camera
 
 MARGIN = 1e-5
-"""Metres at which contacts begin. With none the native detector of MuJoCo 3.3 to 3.10 gives all contact points of
-two faces one depth, and what lies askew creeps; with any it looks for them one by one, as libccd does."""
+"""Metres at which contacts begin. With none the native detector of MuJoCo 3.3 to 3.10 gives all contact
+points of two faces one depth, and what lies askew creeps; with any it looks for them one by one."""
 
 _UNSEEN: dict[str, str] = {"contype": "0", "conaffinity": "0", "group": str(VISUAL_GROUP), "mass": "0"}
 
@@ -43,6 +43,7 @@ def scene_xml(
     assets_path: str = "../assets",
     names: Sequence[str] | None = None,
     cameras: Sequence[Camera] = (),
+    names_detector: bool = True,
 ) -> bytes:
     """MJCF text of a scene.
 
@@ -52,12 +53,14 @@ def scene_xml(
       assets_path: the bank's `assets` folder, relative to where the text will be saved.
       names: of the bodies, unique; None makes them from the assets' names.
       cameras: around the support.
+      names_detector: where the scene was checked with both of MuJoCo's detectors, the file chooses libccd by
+        a flag that MuJoCo before 3.2.3 does not open; False leaves it out: libccd was the default there.
     """
     root = ET.Element("mujoco", model="cluttergen scene")
     compiler = ET.SubElement(root, "compiler", angle="radian", meshdir=assets_path)
     if any(piece.texture for pieces in (support.pieces, *(o.pieces for o in objects)) for piece in pieces):
         compiler.set("texturedir", assets_path)
-    _add_options(root, stability, contact)
+    _add_options(root, stability, contact, names_detector and stability.both_detectors)
     _add_visual(root)
     assets, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
     _add_surroundings(assets, world)
@@ -82,7 +85,9 @@ def _text(values: Sequence[float] | np.ndarray) -> str:
     return " ".join(f"{value:.9g}" for value in np.asarray(values, np.float64).ravel())
 
 
-def _add_options(root: ET._Element, stability: StabilityConfig, contact: ContactConfig) -> None:
+def _add_options(
+    root: ET._Element, stability: StabilityConfig, contact: ContactConfig, takes_libccd: bool
+) -> None:
     option = ET.SubElement(
         root,
         "option",
@@ -94,7 +99,9 @@ def _add_options(root: ET._Element, stability: StabilityConfig, contact: Contact
         noslip_iterations=str(contact.noslip_iterations),
     )
     # Older MuJoCo (3.3) makes one contact of two faces unless it is told otherwise, and scenes creep.
-    ET.SubElement(option, "flag", multiccd="enable")
+    flag = ET.SubElement(option, "flag", multiccd="enable")
+    if takes_libccd:
+        flag.set("nativeccd", "disable")
     ET.SubElement(ET.SubElement(root, "default"), "geom", contact_attributes(contact))
 
 

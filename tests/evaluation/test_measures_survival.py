@@ -11,8 +11,8 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.bullet_world import BodyFrames
 from cluttergen_jax.evaluation.measures.drake_world import DrakePeer
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.evaluation.measures.simulate import movement
-from cluttergen_jax.evaluation.measures.survival import movement_elsewhere
+from cluttergen_jax.evaluation.measures.simulate import movement, shift_and_turn, without_sinking
+from cluttergen_jax.evaluation.measures.survival import MOST_SINKING, movement_elsewhere
 from cluttergen_jax.placement.world import make_world
 from tests.helpers.worlds import TOP, box, convex, prism, tilted
 
@@ -132,3 +132,21 @@ def test_unknown_engine_is_refused(models):
     poses, is_placed, _ = scenes()
     with pytest.raises(ConfigError, match="pybullet, drake"):
         movement_elsewhere("abacus", models, poses, is_placed)
+
+
+def test_what_all_objects_sink_together_is_no_motion():
+    start = np.tile(np.eye(7)[3], (3, 1)) + np.arange(3)[:, None] * np.eye(7)[2]
+    sunk = start - 0.002 * np.eye(7)[2]
+    shift, _ = shift_and_turn(without_sinking(sunk, start, MOST_SINKING), start)
+    assert shift == pytest.approx(0, abs=1e-12)
+    one_more = sunk.copy()
+    one_more[2, 2] -= 0.003
+    # Beyond the common sinking, in plan, up, and more than heaps sink: all of that counts.
+    for moved, expected in (
+        (one_more, 0.003),
+        (sunk + 0.004 * np.eye(7)[0], 0.004),
+        (start + 0.006 * np.eye(7)[2], 0.006),
+        (start - 0.7 * np.eye(7)[2], 0.695),
+    ):
+        shift, _ = shift_and_turn(without_sinking(moved, start, MOST_SINKING), start)
+        assert shift.max() == pytest.approx(expected)

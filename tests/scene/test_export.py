@@ -261,7 +261,7 @@ def test_existing_folders_are_left_alone(tmp_path):
 
 
 def test_unknown_format_names_the_others(tmp_path):
-    with pytest.raises(ConfigError, match="mjcf, urdf, sdf, usd, glb"):
+    with pytest.raises(ConfigError, match="mjcf, mjcf-old, urdf, sdf, usd, glb"):
         export_scenes([spread(trio(), cuboid_table())], tmp_path / "out", "blend")
 
 

@@ -11,9 +11,10 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.mjcf import add_object, add_support, new_spec
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import ContactConfig, Detector, StabilityConfig
 from cluttergen_jax.evaluation.measures.arrangement import check_scenes
 from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.physics.simulations import disabled_flags
 from cluttergen_jax.placement.world import World
 
 _MAX_MODELS = 64
@@ -60,6 +61,7 @@ class SceneModels:
       stability: its time step counts.
       contact: friction and solver.
       mass_scale: f[K] or one number, by which each object's mass and inertia are multiplied.
+      detector: of convex collisions.
     """
 
     def __init__(
@@ -68,12 +70,17 @@ class SceneModels:
         stability: StabilityConfig | None = None,
         contact: ContactConfig | None = None,
         mass_scale: np.ndarray | float = 1.0,
+        detector: Detector = "native",
     ) -> None:
-        self.world = world
+        self.world, self._detector = world, detector
         self.stability, self.contact = stability or StabilityConfig(), contact or ContactConfig()
         self.mass_scale = np.broadcast_to(np.asarray(mass_scale, np.float64), (world.num_objects,))
         self._cache: OrderedDict[bytes, SceneModel] = OrderedDict()
         self._lock = threading.Lock()
+
+    def with_detector(self, detector: Detector) -> SceneModels:
+        """The same scenes with another detector of convex collisions."""
+        return SceneModels(self.world, self.stability, self.contact, self.mass_scale, detector)
 
     def check(self, poses: np.ndarray, is_placed: np.ndarray) -> None:
         """ConfigError unless they are scenes of this world: poses f[N, K, 7], is_placed bool[N, K]."""
@@ -97,6 +104,7 @@ class SceneModels:
         for k in objects:
             add_object(spec, self.world.objects[k], self.world.names[k])
         model = spec.compile()
+        model.opt.disableflags = disabled_flags(model, self._detector)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         scale = self.mass_scale[objects]
         if (scale != 1).any():

@@ -123,13 +123,18 @@ def movement(
 
 
 def watch(
-    step: Callable[[int], np.ndarray], start: np.ndarray, horizons: np.ndarray, timestep: float
+    step: Callable[[int], np.ndarray],
+    start: np.ndarray,
+    horizons: np.ndarray,
+    timestep: float,
+    most_sinking: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The farthest that objects were from their start up to each horizon, and the most they had turned.
 
     Args:
       step: makes so many steps and returns the poses f64[n, 7] after them.
       start: f64[n, 7]; horizons: f64[H], ascending, and timestep, seconds.
+      most_sinking: metres by which all objects may sink together without that being counted.
 
     Returns:
       f64[H, n] metres and f64[H, n] radians.
@@ -142,10 +147,23 @@ def watch(
         while done < until:
             count = min(stride, until - done)
             done += count
-            now = shift_and_turn(step(count), start)
+            now = shift_and_turn(without_sinking(step(count), start, most_sinking), start)
             far, most = np.maximum(far, now[0]), np.maximum(most, now[1])
         shift[place], turn[place] = far, most
     return shift, turn
+
+
+def without_sinking(poses: np.ndarray, start: np.ndarray, most: float) -> np.ndarray:
+    """The poses f64[n, 7], lifted by what most objects have sunk since f64[n, 7], `most` metres at most.
+
+    Engines with soft contacts let every layer of a heap sink by as much, which is no fall.
+    """
+    sinking = np.median(poses[:, 2] - start[:, 2]) if most and len(poses) else 0.0
+    if not np.isfinite(sinking):
+        return poses
+    lifted = poses.copy()
+    lifted[:, 2] += min(max(-sinking, 0.0), most)
+    return lifted
 
 
 def shift_and_turn(poses: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ from cluttergen_jax.scene.bank.totals import Totals, totals_of
 from cluttergen_jax.types import small_length
 
 _SHOWN_GROUPS = 5
-_LISTS = ("rests_on", "margins")
+_LISTS = ("rests_on", "margins", "detectors")
 
 
 @dataclass(frozen=True)

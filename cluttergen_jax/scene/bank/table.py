@@ -81,6 +81,7 @@ CERTIFICATE = pa.schema(
         ("tilt_2", pa.float32()),
         ("tilt_5", pa.float32()),
         ("robust", pa.bool_()),
+        ("detectors", pa.list_(pa.string())),
     ]
 )
 """What `cluttergen certify` adds: null for scenes that failed. SI units and radians; `rests_on` holds pairs
@@ -175,7 +176,7 @@ def schema_of(rows: pa.Table) -> pa.Schema:
 
 def is_fully_certified(rows: pa.Table) -> bool:
     """Whether all scenes that succeeded have their certificate, with all that this version measures."""
-    return is_certified(rows) and _is_known(rows, "robust")
+    return is_certified(rows) and _is_known(rows, "robust") and _is_known(rows, "detectors")
 
 
 def is_certified(rows: pa.Table) -> bool:

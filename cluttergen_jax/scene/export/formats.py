@@ -76,7 +76,7 @@ def _written(make: Callable[[Scene], bytes]) -> WriteScene:
     return write
 
 
-def _mjcf_text(scene: Scene) -> bytes:
+def _mjcf_text(scene: Scene, names_detector: bool = True) -> bytes:
     return scene_xml(
         scene.objects,
         scene.poses,
@@ -85,6 +85,7 @@ def _mjcf_text(scene: Scene) -> bytes:
         scene.contact,
         names=scene.names,
         cameras=scene.cameras,
+        names_detector=names_detector,
     )
 
 
@@ -112,6 +113,14 @@ _ALL = (
         _files(write_object_meshes),
         _files(write_support_meshes),
         _written(_mjcf_text),
+    ),
+    Format(
+        "mjcf-old",
+        "MuJoCo before 3.2.3, from 2.3.7 on: as `mjcf`, without the flag nativeccd, which those do not know.",
+        "xml",
+        _files(write_object_meshes),
+        _files(write_support_meshes),
+        _written(partial(_mjcf_text, names_detector=False)),
     ),
     Format(
         "urdf",

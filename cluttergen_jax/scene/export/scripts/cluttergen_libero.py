@@ -171,6 +171,8 @@ class ClutterGenManipulation(TASK_MAPPING["libero_tabletop_manipulation"]):  # t
         super()._reset_internal()
         # Faces at rest on each other need more than one contact point; MuJoCo makes one unless told.
         self.sim.model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_MULTICCD)
+        # The detector of convex collisions in which the scenes stand whatever the version: libccd.
+        self.sim.model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, "mjDSBL_NATIVECCD", 0))
         if self.deterministic_reset:
             return
         for entry in read_scene(self._drawn())["objects"]:

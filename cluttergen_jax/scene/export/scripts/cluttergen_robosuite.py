@@ -85,6 +85,8 @@ class ClutterGenScene(ManipulationEnv):
         super()._reset_internal()
         # Faces at rest on each other need more than one contact point; MuJoCo 3.3 makes one unless told.
         self.sim.model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_MULTICCD)
+        # The detector of convex collisions in which the scenes stand whatever the version: libccd.
+        self.sim.model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, "mjDSBL_NATIVECCD", 0))
         if self.deterministic_reset:
             return
         for entry, thing in zip(self.record["objects"], self.objects, strict=True):
