@@ -101,7 +101,7 @@ def test_a_change_of_all_friction_changes_an_objects_own():
     scene = scene_of(0.4)
     models = SceneModels(make_world(scene.objects, TABLE, STABILITY, CONTACT), STABILITY, CONTACT)
     halved = changed(models, Change("half", friction=0.5)).of(np.ones(1, bool)).model
-    geom = halved.geom("box-0/part-0")
+    geom = halved.geom("box-0.part-0")
     np.testing.assert_allclose(geom.friction, [0.2, 0.002, 0.00004])
     (usual, _) = own_contact(0.4, CONTACT.friction)
     assert usual[0] == pytest.approx(0.4)
