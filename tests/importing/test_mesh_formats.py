@@ -64,6 +64,29 @@ def colours(path):
     return {piece.rgba[:3] for piece in shape.pieces}
 
 
+def painted(folder, use, materials, line="mtllib a.mtl"):
+    text = f"{line}\nusemtl {use}\n" + trimesh.creation.box((0.1, 0.06, 0.04)).export(file_type="obj")
+    (folder / "a.obj").write_text(text)
+    (folder / "a.mtl").write_text(materials)
+    (shape,) = read_source(folder / "a.obj")
+    return shape
+
+
+def test_a_material_that_is_nowhere_defined_is_told(tmp_path):
+    shape = painted(tmp_path, "blue", "newmtl red\nKd 1 0 0\n")
+    assert "a.obj names material 'blue', which is nowhere defined" in shape.notes
+    assert shape.pieces[0].rgba == GREY
+
+
+def test_one_number_is_a_grey(tmp_path):
+    assert painted(tmp_path, "dark", "newmtl dark\nKd 0.2\n").pieces[0].rgba == (0.2, 0.2, 0.2, 1.0)
+
+
+def test_a_comment_behind_mtllib_names_no_files(tmp_path):
+    shape = painted(tmp_path, "red", "newmtl red\nKd 1 0 0\n", "mtllib a.mtl # the paint")
+    assert (shape.pieces[0].rgba, shape.notes) == ((1.0, 0.0, 0.0, 1.0), ())
+
+
 def test_a_tab_behind_mtllib_is_a_space():
     assert colours(CASES / "10_obj_mtllib") == {(1.0, 0.0, 0.0)}
 

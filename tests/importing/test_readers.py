@@ -2,6 +2,7 @@
 
 import json
 import re
+import struct
 
 import numpy as np
 import pytest
@@ -197,6 +198,15 @@ def exported(suffix, **options):
     return trimesh.Trimesh.export(trimesh.creation.box(SIZE), file_type=suffix, **options)
 
 
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 684\n"
+MIXED_PLY = (
+    b"ply\nformat binary_little_endian 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
+    b"property float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    + np.eye(4, 3, dtype="<f4").tobytes()
+    + struct.pack("<B3iB4i", 3, 0, 1, 2, 4, 0, 1, 2, 9)
+)
+
+
 def obj_with(line):
     return (exported("obj") + f"\n{line}\n").encode()
 
@@ -211,6 +221,11 @@ def obj_with(line):
         ("a.obj", obj_with("f 1 2 99999999999999999999"), "line 24 has a face with vertex 9999"),
         ("a.obj", obj_with("v nan 0 0\nf 1 2 9"), "vertices that are not finite"),
         ("a.obj", b"", "is empty"),
+        ("a.obj", POINTER, "a pointer of Git LFS in place of the file.*Try: `git lfs pull`"),
+        ("a.stl", POINTER, "a pointer of Git LFS"),
+        ("a.urdf", POINTER, "a pointer of Git LFS"),
+        ("a.stl", b"\n<!DOCTYPE html><html>Not found</html>" * 9, "a page of HTML in place of the file"),
+        ("a.ply", MIXED_PLY, "its triangles name vertices that it does not have"),
         ("a.stl", exported("stl")[:-30], "12 triangles needs 684 bytes"),
         ("a.stl", exported("stl_ascii").encode()[:-60], "its last triangle has no end"),
         ("a.ply", exported("ply", encoding="ascii")[:-20], "promises 20 vertices and faces, it has 18"),

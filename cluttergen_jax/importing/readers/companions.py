@@ -18,6 +18,10 @@ _NAMED = {
     ".gltf": rb'"uri"\s*:\s*"([^"]{1,1000})"',
     ".dae": rb"<init_from>\s*([^<]+?)\s*</init_from>",
 }
+_USED, _DEFINED = (
+    re.compile(rb"^[ \t]*%s[ \t]+(.+?)[ \t\r]*$" % word, re.MULTILINE) for word in (b"usemtl", b"newmtl")
+)
+_ONE_NUMBER = re.compile(rb"^([ \t]*Kd)[ \t]+([-+.\deE]+)(?=[ \t\r]*$)", re.MULTILINE)
 
 
 def companions(path: Path) -> Iterator[Path]:
@@ -83,7 +87,15 @@ class Companions(trimesh.resolvers.FilePathResolver):
                 self._miss(name)
             else:
                 texts.append(utf8(found.read_bytes()))
-        return b"\n".join(texts)
+        text = b"\n".join(texts)
+        if texts:
+            used = dict.fromkeys(_USED.findall(utf8(self._path.read_bytes())))
+            lost = [name.decode() for name in used if name not in set(_DEFINED.findall(text))]
+            self.notes += [
+                f"{self._path.name} names material {name!r}, which is nowhere defined" for name in lost
+            ]
+        # Of a colour with one number the others are equal to it.
+        return _ONE_NUMBER.sub(rb"\1 \2 \2 \2", text)
 
     def _miss(self, name: str) -> None:
         self.notes.append(f"{self._path.name} names {name!r}, which is not there")

@@ -11,6 +11,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.stand_ins import refuse_stand_in
 from cluttergen_jax.importing.readers.stl import announced, is_text_stl, num_triangles
 
 _AGAIN = "fetching or exporting the file again"
@@ -34,6 +35,7 @@ def check_whole(path: Path) -> None:
     """
     if path.stat().st_size == 0:
         raise AssetError(f"{path} is empty", "a mesh file with triangles", _AGAIN)
+    refuse_stand_in(path)
     _check_sizes(path)
     check = {".stl": _check_stl, ".ply": _check_ply, ".obj": _check_obj}.get(path.suffix.lower())
     if check is not None:

@@ -87,9 +87,9 @@ def _cut(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     axes = [[each.name for each in vertex.properties].index(axis) for axis in "xyz"]
     points = np.array([[row[axis] for axis in axes] for row in rows[0]]).astype(np.float64)
     named = np.concatenate(polygons)
-    if named.min() < 0 or named.max() >= len(points):
-        return data, ()
-    found, is_crossing = cuts(points, polygons)
+    # Of corners that are not there `_sound` tells, once the parser has read the file.
+    is_there = bool(len(named)) and 0 <= named.min() <= named.max() < len(points)
+    found, is_crossing = cuts(points, polygons) if is_there else ({}, False)
     notes = (CROSSING,) if is_crossing else ()
     is_mixed = len({len(each) for each in polygons}) > 1
     if not found and not (is_mixed and order):

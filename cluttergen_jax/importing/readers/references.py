@@ -8,6 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from cluttergen_jax.importing.readers.places import mesh_place
+from cluttergen_jax.importing.readers.stand_ins import stand_in
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parsed, plain_tag
 
 _FOLDERS = ("meshdir", "assetdir", "texturedir")
@@ -41,6 +42,8 @@ def model_file(path: Path) -> ModelFile | str:
         return _mjcf(path)
     if tag == "robot" or path.suffix.lower() == ".urdf":
         return _urdf(path)
+    if found := stand_in(path):
+        return found[0]
     return f"neither URDF nor MJCF: its root is <{tag}>" if tag else "not well-formed XML"
 
 

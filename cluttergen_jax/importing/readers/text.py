@@ -22,7 +22,7 @@ _WORD_AND_TAB = re.compile(rb"^[ \t]*([a-z]+)[ ]*\t[ \t]*", re.MULTILINE)
 ALL_MATERIALS = "*.mtl"
 """What an OBJ file's text calls all its material files together: trimesh asks for one."""
 
-_MTLLIB = re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE)
+_MTLLIB = re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)(?:[ \t]+#.*?)?[ \t\r]*$", re.MULTILINE)
 
 
 def opened(path: Path) -> dict[str, Any]:

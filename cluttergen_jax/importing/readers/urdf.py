@@ -31,6 +31,7 @@ from cluttergen_jax.importing.readers.numbers import (
     wrong_attribute,
 )
 from cluttergen_jax.importing.readers.places import is_found_elsewhere, mesh_place
+from cluttergen_jax.importing.readers.stand_ins import refuse_stand_in
 from cluttergen_jax.importing.readers.urdf_joints import Joints, origin
 from cluttergen_jax.importing.readers.xacro import refuse_xacro
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, without_namespace
@@ -89,6 +90,7 @@ def _parsed(path: Path) -> Element:
         robot = ElementTree.parse(path).getroot()
     except BROKEN as error:
         refuse_xacro(path)
+        refuse_stand_in(path)
         raise AssetError(f"{path} cannot be read as URDF: {error}") from error
     refuse_xacro(path, robot)
     without_namespace(robot)
