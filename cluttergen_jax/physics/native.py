@@ -8,8 +8,10 @@ the next.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import OrderedDict
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +32,9 @@ from cluttergen_jax.types import Settling, Standing, Verdict
 MAX_BATCHES = 3
 _FEW = 4
 """Steps made at once where the next one may decide a scene: some are in vain, but calls cost, too."""
+
+_OTHER_STEPS, _OTHER_SHIFT, _OTHER_TURN = 30, 0.0005, math.radians(0.5)
+"""The first stage with the other detector, with which all settle a little anew: what moved less stands."""
 
 _MOST_NUMBERS = 2_000_000
 """Recorded at one time, 8 bytes each."""
@@ -96,7 +101,7 @@ class NativePhysics(HostPhysics):
         result.verdict[is_active & ~is_sound] = Verdict.NON_FINITE
         with self._lock, silent_log():
             for block in self._blocks(is_active & is_sound):
-                self._stand_block(poses[block], is_placed[block], result, block)
+                self._stand_block(poses[block], is_placed[block], result, block, self.config)
             # What one detector lets fall need not be asked of the other.
             is_left = result.verdict == int(Verdict.STABLE)
             for block in self._blocks(is_left) if self.config.both_detectors else ():
@@ -147,14 +152,19 @@ class NativePhysics(HostPhysics):
         return AtRest(bool(too_much), deepest, margin, touches, bears)
 
     def _stand_block(
-        self, poses: np.ndarray, is_placed: np.ndarray, result: Standing, block: np.ndarray
+        self,
+        poses: np.ndarray,
+        is_placed: np.ndarray,
+        result: Standing,
+        block: np.ndarray,
+        config: StabilityConfig,
     ) -> None:
         sims = self.simulations(len(block))
         start = sims.release(poses, is_placed, never_sleeps=is_placed)
         running = np.arange(len(block))
         while running.size:
             at = block[running]
-            motion = sims.run(running, self._steps_to_verdict(int(result.num_steps[at[0]]), len(at)))
+            motion = sims.run(running, self._steps_to_verdict(int(result.num_steps[at[0]]), len(at), config))
             shift, turn = stability.moved(np, motion.poses, start[running, None])
             is_made = np.arange(shift.shape[1]) < (motion.num_steps - ~motion.is_finite)[:, None]
             counts = is_placed[running, None] & is_made[..., None]
@@ -162,7 +172,7 @@ class NativePhysics(HostPhysics):
             result.shift[at] = np.maximum(result.shift[at], np.where(counts, shift, 0.0).max(1))
             result.turn[at] = np.maximum(result.turn[at], np.where(counts, turn, 0.0).max(1))
             verdict = stability.verdict_of_scene(
-                np, result.num_steps[at], result.shift[at], result.turn[at], is_placed[running], self.config
+                np, result.num_steps[at], result.shift[at], result.turn[at], is_placed[running], config
             )
             verdict[motion.overflowed] = Verdict.OVERFLOW
             verdict[~motion.is_finite] = Verdict.NON_FINITE
@@ -176,7 +186,10 @@ class NativePhysics(HostPhysics):
         sims, other = self.simulations(len(block)), empty_standing(np, (len(block),), len(is_placed[0]))
         sims.choose_detector("libccd")
         try:
-            self._stand_block(poses, is_placed, other, np.arange(len(block)))
+            config = replace(
+                self.config, stand_steps=_OTHER_STEPS, stand_shift=_OTHER_SHIFT, stand_turn=_OTHER_TURN
+            )
+            self._stand_block(poses, is_placed, other, np.arange(len(block)), config)
         finally:
             sims.choose_detector("native")
         result.verdict[block] = other.verdict
@@ -184,9 +197,9 @@ class NativePhysics(HostPhysics):
         result.shift[block] = np.maximum(result.shift[block], other.shift)
         result.turn[block] = np.maximum(result.turn[block], other.turn)
 
-    def _steps_to_verdict(self, step: int, num_scenes: int) -> int:
+    def _steps_to_verdict(self, step: int, num_scenes: int, config: StabilityConfig) -> int:
         """How many steps after `step` a last check may go on unjudged, with room for its records."""
-        config, num_objects = self.config, self.layout.num_objects
+        num_objects = self.layout.num_objects
         stages = (config.stand_steps, config.stand_full_steps)
         until = min(stage for stage in stages if stage > step)
         return min(until - step, max(1, _MOST_NUMBERS // (13 * num_objects * num_scenes)))
