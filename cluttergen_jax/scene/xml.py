@@ -27,9 +27,10 @@ from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.placement.world import unique_names
 from cluttergen_jax.scene.cameras import Camera
 
-MARGIN = 1e-5
+MARGIN = 5e-5
 """Metres at which contacts begin. With none the native detector of MuJoCo 3.3 to 3.10 gives all contact
-points of two faces one depth, and what lies askew creeps; with any it looks for them one by one."""
+points of two faces one depth, and what lies askew creeps; with any it looks for them one by one. With 0.01 mm
+3.3.7 misjudges some depths and throws an object in one heap of twelve, with 0.05 mm in none of 128."""
 
 _UNSEEN: dict[str, str] = {"contype": "0", "conaffinity": "0", "group": str(VISUAL_GROUP), "mass": "0"}
 
