@@ -81,13 +81,14 @@ def believed(
     share = mass / uniform.mass
     even = MassProperties(mass, uniform.center, uniform.inertia * share)
     if reason := _why_no_mass(stated, density * share, even):
+        told = f" of {_kilograms(mass)}" if np.isfinite(mass) else ""
         return uniform, (
-            f"its stated mass of {mass:.3g} kg is not taken: {reason}; "
+            f"its stated mass{told} is not taken: {reason}; "
             f"{uniform.mass:.3g} kg by volume and density instead"
         )
     if reason := _why_no_inertia(stated, solid, even):
         return even, (
-            f"its stated mass of {mass:.3g} kg is taken, but not its inertia: {reason}; "
+            f"its stated mass of {_kilograms(mass)} is taken, but not its inertia: {reason}; "
             "the mass is spread evenly over its volume instead"
         )
     return stated.body, ""
@@ -114,7 +115,11 @@ def mass_alarm(stated: StatedMass, solid: Mesh) -> str:
         told = f"{_density(over_mesh)} over the volume of its mesh"
     else:
         return ""
-    return f"its stated mass of {mass:.3g} kg does not fit its size: {told}"
+    return f"its stated mass of {_kilograms(mass)} does not fit its size: {told}"
+
+
+def _kilograms(mass: float) -> str:
+    return f"{mass:,.0f} kg" if mass >= 100 else f"{mass:.3g} kg"
 
 
 def _density(value: float) -> str:

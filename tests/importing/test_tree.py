@@ -2,12 +2,14 @@
 
 import os
 
+import numpy as np
 import pytest
 import trimesh
 
+from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing import cache
-from cluttergen_jax.importing.readers import find_sources, read_shape, survey
+from cluttergen_jax.importing.readers import find_sources, read_shape, read_source, survey
 from cluttergen_jax.importing.run import ObjectConfig
 
 URDF = """<robot name="r"><link name="a"><visual><geometry><mesh filename="{}"/></geometry></visual></link>
@@ -106,6 +108,25 @@ def test_included_files_are_part_of_what_includes_them(tmp_path):
     before = cache.cache_key(sources[0], ObjectConfig())
     (folder / "bodies" / "pan.xml").write_text(body.format("pan").replace(".02 ", ".03 "))
     assert cache.cache_key(sources[0], ObjectConfig()) != before
+
+
+def test_bodies_that_mujoco_makes_are_objects_too(tmp_path):
+    pin = '<body name="pin"><geom type="cylinder" size="0.01 0.05"/></body>'
+    cup = '<frame euler="0 90 0"><body name="cup"><geom type="box" size="0.03 0.03 0.05"/></body></frame>'
+    world = f'<replicate count="2" offset="0.1 0 0">{pin}</replicate>{cup}<body><geom size="0.02"/></body>'
+    (tmp_path / "all.xml").write_text(f"<mujoco><worldbody>{world}</worldbody></mujoco>")
+    shapes = read_source(tmp_path)
+    assert [shape.name for shape in shapes] == ["pin0", "pin1", "cup", "all-3"]
+    sizes = [np.ptp(joined([piece.mesh for piece in shape.pieces]).bounds, axis=0) for shape in shapes]
+    np.testing.assert_allclose(sizes[2], [0.1, 0.06, 0.06], atol=1e-6)
+    np.testing.assert_allclose(sizes[3], 0.04, atol=1e-3)
+
+
+def test_soft_bodies_are_refused_as_such(tmp_path):
+    cloth = '<flexcomp name="f" type="grid" count="4 4 1" spacing=".02 .02 .02" radius=".001"/>'
+    (tmp_path / "cloth.xml").write_text(f"<mujoco><worldbody>{cloth}</worldbody></mujoco>")
+    with pytest.raises(AssetError, match=r"cloth\.xml holds soft bodies alone"):
+        read_source(tmp_path)
 
 
 def test_a_file_that_includes_itself_ends(tmp_path):

@@ -41,6 +41,8 @@ def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
         or collides.
     """
     model = compiled(path)
+    if model.nflex and not model.ngeom:
+        raise AssetError(f"{path} holds soft bodies alone (flex)", "rigid bodies with geoms")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     root = _root(model, path, body)
@@ -96,9 +98,14 @@ def compiled(path: Path) -> mujoco.MjModel:
     return model
 
 
+def world_bodies(model: mujoco.MjModel) -> list[int]:
+    """The bodies that hang on the world, in the model's order."""
+    return [i for i in range(1, model.nbody) if model.body_parentid[i] == 0]
+
+
 def _root(model: mujoco.MjModel, path: Path, body: str) -> int:
     """The body's id; 0, the world body, where the geoms lie in the world itself."""
-    children = [i for i in range(1, model.nbody) if model.body_parentid[i] == 0]
+    children = world_bodies(model)
     if body.startswith("#"):
         return children[int(body[1:])]
     if body:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
+from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.mjcf import compiled, world_bodies
 from cluttergen_jax.importing.readers.places import mesh_place
 from cluttergen_jax.importing.readers.stand_ins import stand_in
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parsed, plain_tag
 
+_MADE_BY_MUJOCO = ("frame", "replicate", "attach")
+"""Elements whose bodies hang on what the element hangs on."""
 _FOLDERS = ("meshdir", "assetdir", "texturedir")
 
 
@@ -87,8 +92,18 @@ def _mjcf(path: Path) -> ModelFile:
                 files |= inner.files
         else:
             files |= there
-    bodies = tuple(body.get("name", "") for world in root.iter("worldbody") for body in world.findall("body"))
-    return ModelFile(path, "mjcf", frozenset(files), frozenset(includes), bodies, is_whole)
+    return ModelFile(path, "mjcf", frozenset(files), frozenset(includes), _bodies(path, root), is_whole)
+
+
+def _bodies(path: Path, root: Element) -> tuple[str, ...]:
+    """What the bodies of an MJCF file's world are called; MuJoCo says, where they are not all written out."""
+    inside = [child for world in root.iter("worldbody") for child in world]
+    if any(child.tag in _MADE_BY_MUJOCO for child in inside):
+        # Whoever reads the file tells of one that cannot be compiled.
+        with suppress(AssetError):
+            model = compiled(path)
+            return tuple(model.body(each).name for each in world_bodies(model))
+    return tuple(child.get("name", "") for child in inside if child.tag == "body")
 
 
 def _candidates(name: str, folders: set[Path]) -> Iterator[Path]:
