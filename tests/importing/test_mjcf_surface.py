@@ -215,3 +215,13 @@ def test_a_scene_shows_no_floor_as_a_ball_and_no_target(tmp_path):
     path.write_text(path.read_text().replace(CARTON + STICKERS, f"<geom size='.1' group='3' {GHOST}/>"))
     with pytest.raises(AssetError, match="nothing of them is seen or collides"):
         read_mjcf_scene(path)
+
+
+@pytest.mark.parametrize("where", ['pos="1e308 0 0" size="1 1 1"', 'size="1e308 1 1"', 'size="1e200 1 1"'])
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_geom_out_of_all_bounds_is_named(tmp_path, where):
+    cup = '<geom type="box" size="0.03 0.03 0.05" contype="0" conaffinity="0" mass="1"/>'
+    body = f'<body name="b"><geom name="far" type="box" {where}/>{cup}</body>'
+    (tmp_path / "a.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    with pytest.raises(AssetError, match=r"geom 'far' reaches beyond 1,000,000 m"):
+        read_source(tmp_path / "a.xml")

@@ -14,6 +14,8 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import primitives
 
 _GEOM = mujoco.mjtGeom
+_FARTHEST = 1e6
+"""Metres; beyond, the arithmetic of hulls breaks down."""
 # What MuJoCo takes for "no colour given": a material's colour holds then.
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 
@@ -79,7 +81,7 @@ def geom_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int, sections: i
     """The geom's surface in the world frame of the reference configuration.
 
     Raises:
-      AssetError: it is a plane.
+      AssetError: it is a plane, or out of all bounds.
     """
     size, data_id = model.geom_size[geom], int(model.geom_dataid[geom])
     kind = geom_kind(model, geom)
@@ -100,7 +102,12 @@ def geom_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int, sections: i
         mesh = primitives.ellipsoid(np.full(3, size[0]))
     else:
         raise AssetError(f"a geom of type {kind.name}", "geoms with an inside: all kinds but planes")
-    return mesh.transformed(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
+    mesh = mesh.transformed(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
+    # A number that is NaN compares as no.
+    if not (np.abs(mesh.vertices) <= _FARTHEST).all():
+        name = model.geom(geom).name or f"number {geom}"
+        raise AssetError(f"geom {name!r} reaches beyond {_FARTHEST:,.0f} m, or is nowhere", "sizes in metres")
+    return mesh
 
 
 def _mesh_asset(model: mujoco.MjModel, mesh: int) -> Mesh:
