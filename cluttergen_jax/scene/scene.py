@@ -15,7 +15,6 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import product, transformed
 from cluttergen_jax.scene.cameras import Camera
-from cluttergen_jax.scene.xml import MARGIN
 
 _UNIT = 1e-3
 _NAMED = 10
@@ -153,7 +152,7 @@ class Scene:
             # An attached scene keeps its contact parameters even where the other model has defaults.
             if not geom.priority:
                 geom.friction = self.contact.friction
-            geom.condim, geom.margin = self.contact.condim, MARGIN
+            geom.condim = self.contact.condim
             geom.solref, geom.solimp = self.contact.solref, self.contact.solimp
         for each in self.cameras:
             spec.worldbody.add_camera(name=each.name, pos=each.position, quat=each.quaternion, fovy=each.fovy)
