@@ -78,7 +78,7 @@ def with_own_settings(function: Callable[P, T]) -> Callable[P, T]:
     return run
 
 
-def narrowed(tree: T) -> T:
+def as_float32(tree: T) -> T:
     """A pytree with its float64 arrays as float32: what a program that computes in 64 bits hands over."""
     import jax
     import jax.numpy as jnp

@@ -31,7 +31,7 @@ class SchemaError(ValueError):
     """A file does not say what its reader expects; the text says where and what."""
 
 
-def parsed(data: bytes) -> Any:
+def parse_json(data: bytes) -> Any:
     """What JSON says; numbers that are none (NaN, Infinity), and text behind it, are not JSON.
 
     Raises:
@@ -70,7 +70,7 @@ def digest_of(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def signed(record: Mapping[str, Any], allow_nan: bool = False) -> dict[str, Any]:
+def with_checksum(record: Mapping[str, Any], allow_nan: bool = False) -> dict[str, Any]:
     """A record of JSON values with its checksum."""
     plain = json.loads(json.dumps(record, allow_nan=allow_nan))
     return {**plain, CHECKSUM: _digest(plain)}
@@ -85,7 +85,7 @@ def checked_record(data: bytes, allow_nan: bool = False) -> dict[str, Any]:
     Raises:
       SchemaError: it is no record, or not the one whose checksum it has.
     """
-    record = _lenient(data) if allow_nan else parsed(data)
+    record = _lenient(data) if allow_nan else parse_json(data)
     if not isinstance(record, dict):
         raise SchemaError(f"not a record but {type(record).__name__}")
     if CHECKSUM in record and record.pop(CHECKSUM) != _digest(record):
@@ -101,7 +101,7 @@ SEAL = {_SEAL.decode(): _BLANK.decode()}
 """What a Parquet file that is to be sealed has among its metadata, once."""
 
 
-def sealed(data: bytes) -> bytes:
+def with_seal(data: bytes) -> bytes:
     """A file that has `SEAL`, with its checksum in it."""
     start = _blank_at(data)
     return data[:start] + digest_of(data).encode() + data[start + len(_BLANK) :]

@@ -43,7 +43,7 @@ def num_folds(mesh: Mesh) -> int:
     return int(_neighbours(mesh).is_fold.sum()) if len(mesh.faces) else 0
 
 
-def unfolded(mesh: Mesh, uv: np.ndarray | None = None) -> Mesh:
+def without_folds(mesh: Mesh, uv: np.ndarray | None = None) -> Mesh:
     """The mesh without such folds, where they can be cut anew, each within the outline around it.
 
     The vertices stay, and with them what belongs to each. What cannot be cut without losing a vertex or
@@ -54,17 +54,17 @@ def unfolded(mesh: Mesh, uv: np.ndarray | None = None) -> Mesh:
       uv: f64[V, 2], texture coordinates; nothing is cut across a seam in them.
     """
     for _ in range(_PASSES):
-        mended = _unfolded_once(mesh, uv)
+        mended = _without_folds_once(mesh, uv)
         if mended is mesh:
             break
         mesh = mended
     return mesh
 
 
-def _unfolded_once(mesh: Mesh, uv: np.ndarray | None) -> Mesh:
+def _without_folds_once(mesh: Mesh, uv: np.ndarray | None) -> Mesh:
     if not len(mesh.faces):
         return mesh
-    welded, label = _welded(mesh, uv)
+    welded, label = _weld(mesh, uv)
     kept = np.flatnonzero((welded.faces != np.roll(welded.faces, 1, axis=1)).all(1))
     welded = Mesh(welded.vertices, welded.faces[kept])
     near = _neighbours(welded)
@@ -85,7 +85,7 @@ def _places(near: _Neighbours, number: int) -> Iterator[np.ndarray]:
     """
     if not near.is_fold.any():
         return
-    whole, folded = _connected(near.pairs, number), _connected(near.pairs[near.is_fold], number)
+    whole, folded = _components(near.pairs, number), _components(near.pairs[near.is_fold], number)
     for each in np.unique(whole[near.pairs[near.is_fold, 0]]):
         yield np.flatnonzero(whole == each)
     for each in np.unique(folded[near.pairs[near.is_fold, 0]]):
@@ -99,13 +99,13 @@ def _places(near: _Neighbours, number: int) -> Iterator[np.ndarray]:
             is_inside[around] = True
 
 
-def _connected(pairs: np.ndarray, number: int) -> np.ndarray:
+def _components(pairs: np.ndarray, number: int) -> np.ndarray:
     """i64[number]: which of the sets that pairs connect each belongs to."""
     links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(number, number))
     return connected_components(links, directed=False)[1]
 
 
-def _welded(mesh: Mesh, uv: np.ndarray | None) -> tuple[Mesh, np.ndarray]:
+def _weld(mesh: Mesh, uv: np.ndarray | None) -> tuple[Mesh, np.ndarray]:
     """The mesh with vertices of equal place and texture coordinates as one, and i64[V], which one."""
     digits = 6 - int(np.floor(np.log10(max(float(np.ptp(mesh.vertices)), 1e-9))))
     columns = [np.round(mesh.vertices, digits), *([] if uv is None else [np.round(uv, 6)])]

@@ -33,7 +33,7 @@ from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError, PoolError
 from cluttergen_jax.files import inside, write_atomically
-from cluttergen_jax.schema import Numbers, SchemaError, check_numbers, parsed
+from cluttergen_jax.schema import Numbers, SchemaError, check_numbers, parse_json
 
 FORMAT = 1
 NAME_PATTERN = re.compile(r"[a-z0-9_-]+")
@@ -231,7 +231,7 @@ def read_bytes(path: Path, hint: str = _REWRITE) -> bytes:
 
 def _read_record(path: Path) -> dict[str, Any]:
     try:
-        record = parsed(read_bytes(path))
+        record = parse_json(read_bytes(path))
     except SchemaError as error:
         raise PoolError(f"{path} is {error}", hint=_REWRITE) from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:

@@ -24,7 +24,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest
 from cluttergen_jax.files import folder_whole, inside, own_folder
-from cluttergen_jax.schema import SchemaError, checked_record, signed, typed
+from cluttergen_jax.schema import SchemaError, checked_record, typed, with_checksum
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
 ALL = "all"
@@ -102,7 +102,9 @@ def write_pool(path: str | Path, pool: Pool, *, overwrite: bool = False) -> Path
         fresh.mkdir()
         for asset in pool.objects:
             write_object(fresh / asset.name, asset)
-        (fresh / _INDEX).write_text(json.dumps(signed(_index(pool)), indent=1) + "\n", encoding="utf-8")
+        (fresh / _INDEX).write_text(
+            json.dumps(with_checksum(_index(pool)), indent=1) + "\n", encoding="utf-8"
+        )
     return path
 
 

@@ -23,7 +23,15 @@ from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_t
 from cluttergen_jax.assets.texture import Texture, texture_name
 from cluttergen_jax.errors import PoolError, closest
 from cluttergen_jax.files import folder_whole, inside
-from cluttergen_jax.schema import SchemaError, checked_record, digest_of, parsed, refuse, signed, typed
+from cluttergen_jax.schema import (
+    SchemaError,
+    checked_record,
+    digest_of,
+    parse_json,
+    refuse,
+    typed,
+    with_checksum,
+)
 
 FORMAT = 1
 _RECORD = "support.json"
@@ -53,7 +61,7 @@ def write_support(folder: str | Path, support: SupportAsset, *, overwrite: bool 
         for name, data in files.items():
             (fresh / name).write_bytes(data)
         record = _record(support) | {"files": {name: digest_of(data) for name, data in files.items()}}
-        (fresh / _RECORD).write_text(json.dumps(signed(record), indent=1) + "\n", encoding="utf-8")
+        (fresh / _RECORD).write_text(json.dumps(with_checksum(record), indent=1) + "\n", encoding="utf-8")
     return folder
 
 
@@ -68,7 +76,7 @@ def read_support(folder: str | Path) -> SupportAsset:
     path = Path(folder) / _RECORD
     data = read_bytes(path, _REWRITE)
     try:
-        record = parsed(data)
+        record = parse_json(data)
     except SchemaError as error:
         raise PoolError(f"{path} is {error}", hint=_REWRITE) from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:

@@ -25,7 +25,15 @@ from cluttergen_jax.errors import BankError, ConfigError, closest
 from cluttergen_jax.files import folder_whole, is_partial, write_atomically, writing
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.lock import LOCK
-from cluttergen_jax.schema import SEAL, SchemaError, check_seal, checked_record, sealed, signed, typed
+from cluttergen_jax.schema import (
+    SEAL,
+    SchemaError,
+    check_seal,
+    checked_record,
+    typed,
+    with_checksum,
+    with_seal,
+)
 
 FORMAT = 1
 SPLITS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
@@ -112,7 +120,7 @@ class SplitFormat:
 
     def write_record(self, path: Path, record: dict[str, Any]) -> None:
         """Stores it."""
-        text = json.dumps(signed(record), indent=1) + "\n"
+        text = json.dumps(with_checksum(record), indent=1) + "\n"
         write_atomically(path / self.index, text.encode(), is_durable=True)
 
     def split(self, path: Path, record: dict[str, Any], name: str) -> dict[str, Any]:
@@ -226,7 +234,7 @@ class SplitFormat:
         with pq.ParquetWriter(buffer, table.schema, compression="zstd", write_page_checksum=True) as writer:
             writer.write_table(table)
             writer.add_key_value_metadata(SEAL)
-        write_atomically(self.block_path(path, split, block), sealed(buffer.getvalue()), is_durable=True)
+        write_atomically(self.block_path(path, split, block), with_seal(buffer.getvalue()), is_durable=True)
 
     def tables(self, path: Path, split: str, number: int) -> Iterator[pa.Table]:
         """The first rows of a split, block by block.

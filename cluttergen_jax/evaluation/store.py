@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.schema import SchemaError, checked_record, digest_of, signed
+from cluttergen_jax.schema import SchemaError, checked_record, digest_of, with_checksum
 
 FORMAT = 1
 _SCENES = "scenes"
@@ -93,7 +93,9 @@ class Store:
             np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
             path = self.path(title, key)
             write_atomically(path.with_suffix(".npz"), buffer.getvalue())
-            write_atomically(path, json_bytes(signed({**stored, _SCENES: digest_of(buffer.getvalue())})))
+            write_atomically(
+                path, json_bytes(with_checksum({**stored, _SCENES: digest_of(buffer.getvalue())}))
+            )
         return stored
 
     def keep(self, title: str, key: str, figures: Any, made: Mapping[str, Any] | None = None) -> Any:
@@ -104,7 +106,7 @@ class Store:
         """
         if self.root is not None:
             stored = {"format": FORMAT, "key": key, **(made or {}), "figures": figures}
-            write_atomically(self.path(title, key), json_bytes(signed(stored)))
+            write_atomically(self.path(title, key), json_bytes(with_checksum(stored)))
         return json.loads(json.dumps(figures))
 
     def remove(self, title: str, key: str) -> None:

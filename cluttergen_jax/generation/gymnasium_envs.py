@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.generation.recipes import remade
+from cluttergen_jax.generation.recipes import required_recipe
 from cluttergen_jax.generation.wrappers import ActionRange
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.brax_env import Env, State
@@ -123,7 +123,7 @@ class _Remade:
 
     def __reduce__(self) -> tuple[Any, ...]:
         held = {name: getattr(self, name) for name in self._kept if hasattr(self, name)}
-        return remade(self.recipe, "make_gym_env or make_vector_env"), (), held
+        return required_recipe(self.recipe, "make_gym_env or make_vector_env"), (), held
 
 
 class GymnasiumEnv(_Remade, gymnasium.Env):

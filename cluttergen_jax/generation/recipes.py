@@ -1,4 +1,4 @@
-"""Objects that hold an engine are pickled, copied and told as the call that made them."""
+"""Objects that hold an engine are pickled, copied and printed as the call that made them."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 
-def remade(recipe: partial[T] | None, maker: str) -> partial[T]:
-    """What makes the object again where it is read.
+def required_recipe(recipe: partial[T] | None, maker: str) -> partial[T]:
+    """The recipe, by which an object is made again when it is unpickled.
 
     Raises:
-      TypeError: it was made by hand, and nobody knows how.
+      TypeError: there is none: the object was not made by `maker`.
     """
     if recipe is None:
         raise TypeError(f"it holds an engine, and is pickled as the call of {maker} that made it; none did")
     return recipe
 
 
-def told(recipe: partial[Any] | None) -> str:
+def recipe_text(recipe: partial[Any] | None) -> str:
     """The arguments of the call in one line, those with the default left out; "" if there is none."""
     if recipe is None:
         return ""

@@ -16,8 +16,8 @@ from cluttergen_jax.assets.reach import reach_of
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.arguments import check_call, check_key, is_known
-from cluttergen_jax.generation.recipes import remade, told
-from cluttergen_jax.numerics import narrowed, with_own_settings
+from cluttergen_jax.generation.recipes import recipe_text, required_recipe
+from cluttergen_jax.numerics import as_float32, with_own_settings
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.region import KeepOut, Region
@@ -65,7 +65,7 @@ class Sampler:
     recipe: partial[Sampler] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return remade(self.recipe, "make_sampler"), ()
+        return required_recipe(self.recipe, "make_sampler"), ()
 
     def __copy__(self) -> Sampler:
         return self
@@ -74,7 +74,7 @@ class Sampler:
         return self
 
     def __repr__(self) -> str:
-        return f"Sampler({told(self.recipe) or f'{len(self.names)} objects'})"
+        return f"Sampler({recipe_text(self.recipe) or f'{len(self.names)} objects'})"
 
     @with_own_settings
     def __call__(
@@ -103,7 +103,7 @@ class Sampler:
         """
         check_key(key)
         check_call(region, keep_out, start)
-        region, keep_out, start = narrowed((region, keep_out, start))
+        region, keep_out, start = as_float32((region, keep_out, start))
         rules, support = self.steps.rules, self.problem.world.support
         fits = jnp.bool_(True) if region is None else _fits(region, rules.region, support)
         if start is not None:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.numerics import narrowed, new_key, with_own_settings
+from cluttergen_jax.numerics import as_float32, new_key, with_own_settings
 from cluttergen_jax.placement.brax_env import Env, State, Wrapper
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.rules import Rules
@@ -123,5 +123,5 @@ class ActionRange(Wrapper):
     @with_own_settings
     def step(self, state: State, action: Array) -> State:
         """See `PlacementEnv.step`."""
-        action = narrowed(action)
+        action = as_float32(action)
         return self.env.step(state, jnp.clip((action - self.low) / (self.high - self.low), 0.0, 1.0))

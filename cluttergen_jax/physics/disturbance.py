@@ -37,11 +37,8 @@ def disturb(
     verdict, num_steps = _disturb(sims, poses, is_placed, focus, config)
     left = np.flatnonzero(verdict == int(Verdict.STABLE))
     if config.both_detectors and left.size:
-        sims.choose_detector("libccd")
-        try:
+        with sims.detected_by("libccd"):
             verdict[left], more = _disturb(sims, poses[left], is_placed[left], focus[left], config)
-        finally:
-            sims.choose_detector("native")
         num_steps[left] += more
     return verdict, num_steps
 

@@ -184,14 +184,11 @@ class NativePhysics(HostPhysics):
     ) -> None:
         """The same check with the other detector, of scenes that stand with the first; added to `result`."""
         sims, other = self.simulations(len(block)), empty_standing(np, (len(block),), len(is_placed[0]))
-        sims.choose_detector("libccd")
-        try:
-            config = replace(
-                self.config, stand_steps=_OTHER_STEPS, stand_shift=_OTHER_SHIFT, stand_turn=_OTHER_TURN
-            )
+        config = replace(
+            self.config, stand_steps=_OTHER_STEPS, stand_shift=_OTHER_SHIFT, stand_turn=_OTHER_TURN
+        )
+        with sims.detected_by("libccd"):
             self._stand_block(poses, is_placed, other, np.arange(len(block)), config)
-        finally:
-            sims.choose_detector("native")
         result.verdict[block] = other.verdict
         result.num_steps[block] += other.num_steps
         result.shift[block] = np.maximum(result.shift[block], other.shift)

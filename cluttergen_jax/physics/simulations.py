@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import mujoco
@@ -121,6 +123,15 @@ class Simulations:
     def choose_detector(self, detector: Detector) -> None:
         """From now on convex collisions are found by this detector."""
         self._batch.expand("opt.disableflags")[:] = disabled_flags(self._batch.model, detector)
+
+    @contextmanager
+    def detected_by(self, detector: Detector) -> Iterator[None]:
+        """Inside, convex collisions are found by this detector; after it by the native one again."""
+        self.choose_detector(detector)
+        try:
+            yield
+        finally:
+            self.choose_detector("native")
 
     def step(self, ids: np.ndarray) -> None:
         """One time step of the simulations `ids`; one that raises is marked, the others go on."""

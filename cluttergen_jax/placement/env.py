@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cluttergen_jax.numerics import narrowed, new_key, with_own_settings
+from cluttergen_jax.numerics import as_float32, new_key, with_own_settings
 from cluttergen_jax.placement.brax_env import Env, State
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.region import KeepOut
@@ -75,7 +75,7 @@ class PlacementEnv(Env):
           scene, keep_out: instead of the environment's own.
         """
         key_episode, key_next = jax.random.split(rng)
-        scene, keep_out = narrowed((scene, keep_out))
+        scene, keep_out = as_float32((scene, keep_out))
         episode = self.rules.begin(
             key_episode,
             keep_out=self.keep_out if keep_out is None else keep_out,
@@ -100,7 +100,7 @@ class PlacementEnv(Env):
         With a number in it that is not finite it fails (`non-finite`), and is told as zeros.
         """
         before: Ongoing = state.pipeline_state
-        after, transition = self.rules.attempt(before.episode, narrowed(action))
+        after, transition = self.rules.attempt(before.episode, as_float32(action))
         after = after.replace(history=jax.tree.map(_finite, after.history))
         ends = after.is_over & ~before.episode.is_over
         ongoing = before.replace(

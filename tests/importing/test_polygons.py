@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.folds import num_folds, unfolded
+from cluttergen_jax.assets.folds import num_folds, without_folds
 from cluttergen_jax.assets.mesh import Mesh, cleaned
 from cluttergen_jax.importing.readers import find_sources, read_shape, read_source
 from cluttergen_jax.importing.readers.ply_polygons import cut_ply
@@ -183,7 +183,7 @@ def test_what_arrives_folded_is_cut_anew(seed, is_soup):
         mesh = fanned(points, start)
         if is_soup:
             mesh = Mesh(mesh.corners.reshape(-1, 3), np.arange(3 * len(mesh.faces)))
-        mended = unfolded(mesh)
+        mended = without_folds(mesh)
         assert num_folds(cleaned(mended)) == 0
         assert area(mended) == pytest.approx(2 * inside + around * HEIGHT, rel=1e-6)
         assert mended.volume == pytest.approx(inside * HEIGHT, rel=1e-6)
@@ -207,4 +207,4 @@ def test_sound_surfaces_stay_the_same_object():
         Mesh(sheet, np.array([[0, 1, 2], [0, 2, 1]])),
         Mesh(blade, np.array([[0, 1, 2], [1, 0, 3], [0, 2, 3], [1, 3, 2]])),
     ):
-        assert unfolded(mesh) is mesh
+        assert without_folds(mesh) is mesh

@@ -13,7 +13,7 @@ import numpy as np
 from cluttergen_jax.downstream.perception.pose.estimator import PoseEstimate
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.schema import checked_record, signed, typed
+from cluttergen_jax.schema import checked_record, typed, with_checksum
 
 FILE = "certainty.json"
 FEATURES = ("bias", "score", "gap", "lead", "visible", "pixels", "steady")
@@ -87,7 +87,7 @@ def read_certainty(folder: Path) -> Certainty:
 def write_certainty(folder: Path, certainty: Certainty) -> None:
     """Stores the rule beside a segmenter."""
     weights = dict(zip(FEATURES, certainty.weights, strict=True))
-    stored = signed({"weights": weights, "number": certainty.number})
+    stored = with_checksum({"weights": weights, "number": certainty.number})
     write_atomically(folder / FILE, (json.dumps(stored, indent=1) + "\n").encode())
 
 

@@ -19,7 +19,7 @@ from PIL import Image
 from cluttergen_jax.downstream.perception.segment.segmenter import checked_images
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.schema import checked_record, digest_of, refuse, signed, typed
+from cluttergen_jax.schema import checked_record, digest_of, refuse, typed, with_checksum
 from cluttergen_jax.sensing.camera import Camera
 
 _NAMES = ("rgb.png", "depth.npy", "camera.json")
@@ -51,7 +51,7 @@ def write_frame(folder: str | Path, frame: Frame) -> None:
         "T_world_camera": camera.T_world_camera.tolist(),
     }
     files = {"rgb.png": digest_of(picture.getvalue()), "depth.npy": digest_of(array.getvalue())}
-    told = (json.dumps(signed({**record, "checksums": files}), indent=1) + "\n").encode()
+    told = (json.dumps(with_checksum({**record, "checksums": files}), indent=1) + "\n").encode()
     for name, data in zip(_NAMES, (picture.getvalue(), array.getvalue(), told), strict=True):
         write_atomically(Path(folder) / name, data)
 

@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.proportions import finite, wilson
-from cluttergen_jax.schema import SchemaError, checked_record, digest_of, parsed, signed, typed
+from cluttergen_jax.schema import SchemaError, checked_record, digest_of, parse_json, typed, with_checksum
 
 Row = TypeVar("Row")
 _NONE = object()
@@ -112,11 +112,11 @@ class RowFile(Generic[Row]):
         """Keeps these rows, all or none of them."""
         if self._path is not None:
             text = "".join(json.dumps(_plain(row)) + "\n" for row in rows).encode()
-            first = json.dumps(signed({**self._recipe, _ROWS: digest_of(text)}), sort_keys=True)
+            first = json.dumps(with_checksum({**self._recipe, _ROWS: digest_of(text)}), sort_keys=True)
             write_atomically(self._path, f"{first}\n".encode() + text)
 
     def _row(self, line: bytes) -> Row:
-        found = typed(parsed(line), dict[str, Any])
+        found = typed(parse_json(line), dict[str, Any])
         return typed({key: math.nan if value is None else value for key, value in found.items()}, self._kind)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parsed, plain_tag
+from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_xml, plain_tag
 
 
 def unit_of(path: Path) -> float:
@@ -42,7 +42,7 @@ def with_image_paths(path: Path) -> bytes | None:
 
     pycollada drops an image without a path, and with it the effect, the material and the surfaces.
     """
-    tree = parsed(path)
+    tree = parse_xml(path)
     is_changed = False
     for image in _all(tree, "image"):
         places = [each for each in image if plain_tag(each) == "init_from"]
@@ -57,7 +57,7 @@ def with_image_paths(path: Path) -> bytes | None:
 
 def collada_notes(path: Path) -> Iterator[str]:
     """What is not read of a COLLADA file."""
-    if skins := sum(1 for _ in _all(parsed(path), "instance_controller")):
+    if skins := sum(1 for _ in _all(parse_xml(path), "instance_controller")):
         yield f"{skins} surfaces with a skeleton or a morph (<instance_controller>) are left out"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cluttergen_jax.assets.folds import unfolded
+from cluttergen_jax.assets.folds import without_folds
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.errors import AssetError
@@ -87,7 +87,7 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> list[Sh
 def _unfolded(piece: Piece) -> Piece:
     mesh = piece.mesh
     # Vertices that are not finite are told by `_check_size`.
-    mended = unfolded(mesh, piece.uv) if np.isfinite(mesh.vertices).all() else mesh
+    mended = without_folds(mesh, piece.uv) if np.isfinite(mesh.vertices).all() else mesh
     return piece if mended is mesh else replace(piece, mesh=mended)
 
 

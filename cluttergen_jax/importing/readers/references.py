@@ -12,7 +12,7 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.mjcf import compiled, world_bodies
 from cluttergen_jax.importing.readers.places import mesh_place
 from cluttergen_jax.importing.readers.stand_ins import stand_in
-from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parsed, plain_tag
+from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_xml, plain_tag
 
 _MADE_BY_MUJOCO = ("frame", "replicate", "attach")
 """Elements whose bodies hang on what the element hangs on."""
@@ -60,7 +60,7 @@ def _root_tag(path: Path) -> str:
 
 
 def _urdf(path: Path) -> ModelFile:
-    root = parsed(path)
+    root = parse_xml(path)
     if root is None:
         return ModelFile(path, "urdf", is_whole=False)
     named = [each.get("filename", "") for each in root.iter() if plain_tag(each) in ("mesh", "texture")]
@@ -120,7 +120,7 @@ def _expanded(path: Path, main: Path, includes: set[Path]) -> Element | None:
       main: the main file's folder, which names are relative to.
       includes: the files that were included already; those found here are added.
     """
-    root = parsed(path)
+    root = parse_xml(path)
     if root is None:
         return None
     for parent in list(root.iter()):

@@ -10,7 +10,7 @@ BROKEN = (OSError, ElementTree.ParseError, ValueError, LookupError)
 """What a file that is no XML, or in no known encoding, raises."""
 
 
-def parsed(path: Path) -> Element | None:
+def parse_xml(path: Path) -> Element | None:
     """The root of a file; None where it is no XML, of which whoever reads it for good tells."""
     try:
         return ElementTree.parse(path).getroot()

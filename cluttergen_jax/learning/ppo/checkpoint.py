@@ -18,7 +18,7 @@ import numpy as np
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import folder_whole, put_back, write_atomically
 from cluttergen_jax.learning.ppo.sharding import with_keys, without_keys
-from cluttergen_jax.schema import SchemaError, checked_record, digest_of, signed
+from cluttergen_jax.schema import SchemaError, checked_record, digest_of, with_checksum
 
 FORMAT = 1
 _CRITIC = ("params/critic/", "params/value/")
@@ -168,7 +168,7 @@ def save_policy(path: Path, params: Any, record: dict[str, Any]) -> None:
 
 
 def _record_bytes(record: dict[str, Any]) -> bytes:
-    return (json.dumps(signed({"format": FORMAT, **record}, allow_nan=True), indent=1) + "\n").encode()
+    return (json.dumps(with_checksum({"format": FORMAT, **record}, allow_nan=True), indent=1) + "\n").encode()
 
 
 def _in_bytes(array: np.ndarray) -> np.ndarray:

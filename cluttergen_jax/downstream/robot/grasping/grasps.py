@@ -28,7 +28,7 @@ from cluttergen_jax.downstream.robot.model import MAX_OPENING
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.schema import SEAL, Numbers, SchemaError, check_numbers, check_seal, sealed
+from cluttergen_jax.schema import SEAL, Numbers, SchemaError, check_numbers, check_seal, with_seal
 
 MIN_GRASPS = 8
 """As many an object needs; one with fewer is named."""
@@ -182,7 +182,7 @@ def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
     with pq.ParquetWriter(buffer, schema, write_page_checksum=True) as writer:
         writer.write_table(pa.table(rows, schema=schema))
         writer.add_key_value_metadata(SEAL)
-    write_atomically(path, sealed(buffer.getvalue()))
+    write_atomically(path, with_seal(buffer.getvalue()))
     return path
 
 
