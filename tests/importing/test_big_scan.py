@@ -41,7 +41,8 @@ def test_a_million_triangles_take_less_than_four_gigabytes(tmp_path, home, is_op
     assert len(mesh.faces) > 1_000_000
     mesh.export(tmp_path / "stone.ply")
     command = [sys.executable, "-m", "cluttergen_jax", "import", str(tmp_path / "stone.ply")]
-    command += ["--pool", "mine", "--jobs", "1", "--no-progress"]
+    # Such a scan takes about as long as an object may by default, on a slow machine longer.
+    command += ["--pool", "mine", "--jobs", "1", "--no-progress", "--time-limit", "600"]
     done = subprocess.run(
         [sys.executable, "-c", MEASURE, *command], capture_output=True, text=True, check=True
     )
