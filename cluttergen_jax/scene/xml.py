@@ -22,15 +22,10 @@ from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import FILE_MARGIN, ContactConfig, StabilityConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.placement.world import unique_names
 from cluttergen_jax.scene.cameras import Camera
-
-MARGIN = 5e-5
-"""Metres at which contacts begin. With none the native detector of MuJoCo 3.3 to 3.10 gives all contact
-points of two faces one depth, and what lies askew creeps; with any it looks for them one by one. With 0.01 mm
-3.3.7 misjudges some depths and throws an object in one heap of twelve, with 0.05 mm in none of 128."""
 
 _UNSEEN: dict[str, str] = {"contype": "0", "conaffinity": "0", "group": str(VISUAL_GROUP), "mass": "0"}
 
@@ -117,7 +112,7 @@ def weightless(piece: Piece) -> dict[str, str]:
 def contact_attributes(contact: ContactConfig) -> dict[str, str]:
     """A geom's attributes in MJCF that say how it touches."""
     return {
-        "margin": _text([MARGIN]),
+        "margin": _text([FILE_MARGIN]),
         "friction": _text(contact.friction),
         "solref": _text(contact.solref),
         "solimp": _text(contact.solimp),
