@@ -144,6 +144,13 @@ ROBUST_TILT = math.radians(5)
 """Radians by which gravity is tilted where robust scenes are asked for (`StabilityConfig.robust_tilt`). Its
 direction stays nowhere for long: passing by at 4 degrees it finds what would fall at a lasting 3."""
 
+ROBUST_MARGIN = 5e-5
+"""Metres at which contacts of robust scenes begin in their files. With none the native detector of MuJoCo
+3.3 to 3.10 gives all contact points of two faces one depth, and what lies askew creeps; with any it looks
+for them one by one. With 0.01 mm 3.3.7 misjudges some depths and throws an object in one heap of twelve,
+with 0.05 mm in none of 128. libccd, which files choose, needs none, and with one now and then finds two
+boxes millimetres deep in each other: so robust scenes are checked with it, and others have none."""
+
 
 @dataclass(frozen=True)
 class StabilityConfig:
@@ -225,6 +232,11 @@ class StabilityConfig:
             )
 
     @property
+    def file_margin(self) -> float:
+        """Metres at which contacts of saved scenes begin; 0 but for robust ones (`ROBUST_MARGIN`)."""
+        return ROBUST_MARGIN if self.robust_tilt and self.both_detectors else 0.0
+
+    @property
     def decision_step(self) -> int:
         """The last step at which an attempt can become stable."""
         return self.settle_steps + self.quiet_steps
@@ -243,13 +255,6 @@ def stability_record(config: StabilityConfig) -> dict[str, Any]:
     if config.robust_tilt:
         return record
     return {name: value for name, value in record.items() if not name.startswith("robust_")}
-
-
-FILE_MARGIN = 5e-5
-"""Metres at which contacts of saved scenes begin. With none the native detector of MuJoCo 3.3 to 3.10 gives
-all contact points of two faces one depth, and what lies askew creeps; with any it looks for them one by one.
-With 0.01 mm 3.3.7 misjudges some depths and throws an object in one heap of twelve, with 0.05 mm in none of
-128. Checks ask libccd with it, as the files have it; the native detector of today needs none."""
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ def disturb(
     verdict, num_steps = _disturb(sims, poses, is_placed, focus, config)
     left = np.flatnonzero(verdict == int(Verdict.STABLE))
     if config.both_detectors and left.size:
-        with sims.detected_by("libccd"):
+        with sims.detected_by("libccd", config.file_margin):
             faster = replace(config, robust_steps=max(1, config.robust_steps // _OTHER_SHARE))
             verdict[left], more = _disturb(sims, poses[left], is_placed[left], focus[left], faster)
         num_steps[left] += more

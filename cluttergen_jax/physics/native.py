@@ -187,7 +187,7 @@ class NativePhysics(HostPhysics):
         config = replace(
             self.config, stand_steps=_OTHER_STEPS, stand_shift=_OTHER_SHIFT, stand_turn=_OTHER_TURN
         )
-        with sims.detected_by("libccd"):
+        with sims.detected_by("libccd", self.config.file_margin):
             self._stand_block(poses, is_placed, other, np.arange(len(block)), config)
         result.verdict[block] = other.verdict
         result.num_steps[block] += other.num_steps

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
-from cluttergen_jax.config import FILE_MARGIN, Detector
+from cluttergen_jax.config import Detector
 from cluttergen_jax.physics.layout import Layout
 
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
@@ -120,17 +120,15 @@ class Simulations:
         strength = np.linalg.norm(self._batch.model.opt.gravity)
         self._batch.expand("opt.gravity")[:] = strength * direction
 
-    def choose_detector(self, detector: Detector) -> None:
-        """From now on convex collisions are found by this one; by libccd with the margin of saved files."""
+    def choose_detector(self, detector: Detector, margin: float = 0.0) -> None:
+        """From now on convex collisions are found by this detector, from a distance of `margin` metres on."""
         self._batch.expand("opt.disableflags")[:] = disabled_flags(self._batch.model, detector)
-        self._batch.expand("geom_margin")[:] = (
-            FILE_MARGIN if detector == "libccd" else self._batch.model.geom_margin
-        )
+        self._batch.expand("geom_margin")[:] = margin
 
     @contextmanager
-    def detected_by(self, detector: Detector) -> Iterator[None]:
+    def detected_by(self, detector: Detector, margin: float) -> Iterator[None]:
         """Inside, convex collisions are found by this detector; after it by the native one again."""
-        self.choose_detector(detector)
+        self.choose_detector(detector, margin)
         try:
             yield
         finally:

@@ -22,7 +22,7 @@ from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.config import FILE_MARGIN, ContactConfig, StabilityConfig
+from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.placement.world import unique_names
 from cluttergen_jax.scene.cameras import Camera
@@ -98,7 +98,7 @@ def _add_options(
     flag = ET.SubElement(option, "flag", multiccd="enable")
     if takes_libccd:
         flag.set("nativeccd", "disable")
-    ET.SubElement(ET.SubElement(root, "default"), "geom", contact_attributes(contact))
+    ET.SubElement(ET.SubElement(root, "default"), "geom", contact_attributes(contact, stability.file_margin))
 
 
 def weightless(piece: Piece) -> dict[str, str]:
@@ -109,10 +109,10 @@ def weightless(piece: Piece) -> dict[str, str]:
     return {"inertia": "shell"} if piece.is_flat else {}
 
 
-def contact_attributes(contact: ContactConfig) -> dict[str, str]:
+def contact_attributes(contact: ContactConfig, margin: float = 0.0) -> dict[str, str]:
     """A geom's attributes in MJCF that say how it touches."""
     return {
-        "margin": _text([FILE_MARGIN]),
+        **({"margin": _text([margin])} if margin else {}),
         "friction": _text(contact.friction),
         "solref": _text(contact.solref),
         "solimp": _text(contact.solimp),

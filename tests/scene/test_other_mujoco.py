@@ -39,13 +39,20 @@ def test_files_name_the_detector_they_were_checked_with(tmp_path):
         assert exported(tmp_path / folder, format, stability) == text.replace(' nativeccd="disable"', "")
 
 
+def test_contacts_of_robust_scenes_begin_at_a_distance(tmp_path):
+    robust = replace(BOTH, robust_tilt=0.1)
+    assert "margin=" not in exported(tmp_path / "plain", "mjcf")
+    assert '<geom margin="5e-05"' in exported(tmp_path / "robust", "mjcf", robust)
+    assert [each.file_margin for each in (BOTH, robust, StabilityConfig(robust_tilt=0.1))] == [0, 5e-5, 0]
+
+
 @pytest.mark.parametrize("falls", [None, "native", "libccd"])
 def test_the_last_check_asks_both_detectors(monkeypatch, falls):
     """A detector that lets things slide away, in place of one that is less precise."""
     layout = layout_of(trio())
     asked = []
 
-    def choose(sims, detector):
+    def choose(sims, detector, margin=0.0):
         asked.append(detector)
         sims.turn_gravity(np.array([1.0, 0, -1]) / 2**0.5 if detector == falls else np.array([0.0, 0, -1]))
 
