@@ -475,7 +475,8 @@ def test_a_killed_run_goes_on_to_the_same_episodes(home, tmp_path):
     killed, whole = (
         cg.rearrange(tmp_path / name, num_episodes=2, num_threads=1) for name in ("killed", "whole")
     )
-    assert file.read_text().splitlines()[:2] == left
+    # The first line tells of all rows, and changes with them.
+    assert file.read_text().splitlines()[1:2] == left[1:]
     assert [repr(replace(row, cpu=0)) for row in killed.rows] == [
         repr(replace(row, cpu=0)) for row in whole.rows
     ]
