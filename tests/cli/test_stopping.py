@@ -16,7 +16,7 @@ from tests.helpers.worlds import trio
 
 # A call that takes minutes and answers no signal, as a compilation does.
 BUSY = """
-import hashlib, signal
+import hashlib, signal, threading
 from contextlib import nullcontext
 from cluttergen_jax.cli import main, stopping
 from cluttergen_jax.learning.training.interrupt import Interrupt
@@ -24,7 +24,8 @@ stopping.GRACE = 0.4
 signal.signal(signal.SIGINT, main._struck)
 stopping.watch_signals(main._struck)
 with {context}:
-    print("ready", flush=True)
+    # Said from within the call: a signal before it would be answered by Python itself.
+    threading.Timer(0.5, print, ["ready"], {{"flush": True}}).start()
     hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)
 """
 
