@@ -1,7 +1,7 @@
 """Readers: from files of many formats to `Shape`s in metres, z up.
 
-tree.py finds what a path holds; mesh_file.py, urdf.py and mjcf.py each read one family; axes.py says which
-way is up; damage.py refuses files that are broken or announce more than they hold; read.py, shapes of
+tree.py finds what a path holds; mesh_file.py, urdf.py, sdf.py and mjcf.py each read one family; axes.py says
+which way is up; damage.py refuses files that are broken or announce more than they hold; read.py, shapes of
 impossible size.
 """
 

@@ -31,7 +31,7 @@ def own_up(path: Path, kind: str) -> UpAxis:
     """What a file says about its vertical axis, or else its format.
 
     Args:
-      kind: "mesh", "urdf" or "mjcf".
+      kind: "mesh", "urdf", "sdf" or "mjcf".
     """
     if kind != "mesh":
         return UpAxis("z", f"{kind.upper()}'s standard")

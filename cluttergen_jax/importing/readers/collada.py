@@ -57,7 +57,10 @@ def with_image_paths(path: Path) -> bytes | None:
 
 def collada_notes(path: Path) -> Iterator[str]:
     """What is not read of a COLLADA file."""
-    if skins := sum(1 for _ in _all(parse_xml(path), "instance_controller")):
+    tree = parse_xml(path)
+    if holes := sum(1 for _ in _all(tree, "ph")):
+        yield f"{holes} polygons with holes (<ph>) are left out"
+    if skins := sum(1 for _ in _all(tree, "instance_controller")):
         yield f"{skins} surfaces with a skeleton or a morph (<instance_controller>) are left out"
 
 

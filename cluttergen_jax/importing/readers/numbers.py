@@ -1,4 +1,4 @@
-"""Numbers in the attributes of XML elements: what is wrong is told by file, element and attribute."""
+"""Numbers in XML elements, as attributes or, in SDF, as elements: errors name file, element and attribute."""
 
 from __future__ import annotations
 
@@ -50,8 +50,12 @@ def all_numbers(path: Path, element: Element, name: str, default: str | None = N
     Raises:
       AssetError: the attribute is absent and has no default, or holds something else.
     """
-    text = element.get(name, default)
+    text = said(element, name)
+    text = default if text is None else text
     if text is None:
+        # Whoever has elements within writes all as elements.
+        if len(element):
+            raise AssetError(f"{path}: a <{element.tag}> without <{name}>")
         raise AssetError(
             f"{path}: a <{element.tag}> without the attribute {name!r}", f"<{element.tag} {name}=...>"
         )
@@ -63,4 +67,12 @@ def all_numbers(path: Path, element: Element, name: str, default: str | None = N
 
 def wrong_attribute(path: Path, element: Element, name: str, allowed: str) -> AssetError:
     """What to raise for an attribute whose value cannot be taken."""
-    return AssetError(f'{path}: <{element.tag} {name}="{element.get(name, "")}">', allowed)
+    text = said(element, name) or ""
+    inside = f"<{element.tag}><{name}>{text}</{name}>" if element.find(name) is not None else ""
+    return AssetError(f"{path}: " + (inside or f'<{element.tag} {name}="{text}">'), allowed)
+
+
+def said(element: Element, name: str) -> str | None:
+    """The text of an attribute, or as SDF has it of an element within; None if there is neither."""
+    inside = element.find(name)
+    return element.get(name, None if inside is None else inside.text or "")

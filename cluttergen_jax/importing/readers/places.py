@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -27,13 +28,22 @@ def find_named(folder: Path, name: str) -> Path | None:
     return next((each for each in candidates if last and _is_file(each)), None)
 
 
-def mesh_place(urdf: Path, name: str) -> Path | None:
-    """The file that a URDF names, None if it is not there.
+def folder_place(model: Path, name: str) -> Path | None:
+    """The folder that a model names, looked for as `mesh_place` does; None if it is not there."""
+    return mesh_place(model, name, _is_folder)
 
-    Looked for as it is named, beside the URDF and in four folders above, where `package://` asks for that;
-    then by the last parts of its path, as many as fit: it may be a place on its author's machine.
+
+def mesh_place(model: Path, name: str, is_there: Callable[[Path], bool] | None = None) -> Path | None:
+    """The file that a URDF or SDF names, None if it is not there.
+
+    Looked for as it is named, beside the model and in four folders above, where `package://` or `model://`
+    ask for that; then by the last parts of its path, as many as fit: it may be a place on its author's
+    machine.
+
+    Args:
+      is_there: whether a place has what is looked for; a file if not given.
     """
-    roots = (urdf.parent, *list(urdf.resolve().parents)[1:5])
+    roots = (model.parent, *list(model.resolve().parents)[1:5])
     for text in dict.fromkeys((name, unquote(name))):
         plain = _plain_path(text)
         in_package = plain.partition("/")[2] if text.startswith(("package://", "model://")) else ""
@@ -41,8 +51,8 @@ def mesh_place(urdf: Path, name: str) -> Path | None:
         shorter = ["/".join(parts[start:]) for start in range(1, len(parts) - 1)]
         candidates = [root / tail for root in roots for tail in (plain, in_package) if tail]
         candidates += [root / tail for tail in shorter for root in roots]
-        candidates += [urdf.parent / each / parts[-1] for each in _MESH_FOLDERS if parts]
-        if (found := next(filter(_is_file, candidates), None)) is not None:
+        candidates += [model.parent / each / parts[-1] for each in _MESH_FOLDERS if parts]
+        if (found := next(filter(is_there or _is_file, candidates), None)) is not None:
             return found
     return None
 
@@ -56,6 +66,13 @@ def _plain_path(name: str) -> str:
     """A path with slashes, without scheme and drive."""
     plain = _SCHEME.sub("", name.strip(), count=1).replace("\\", "/")
     return plain[drive.end() :] if (drive := _DRIVE.match(plain)) else plain
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
 
 
 def _is_file(path: Path) -> bool:

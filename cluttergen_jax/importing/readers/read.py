@@ -16,6 +16,7 @@ from cluttergen_jax.importing.readers.axes import AUTO, own_up, turn_of
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
 from cluttergen_jax.importing.readers.model import Model
+from cluttergen_jax.importing.readers.sdf import read_sdf
 from cluttergen_jax.importing.readers.source import ObjectFile, ReadOptions
 from cluttergen_jax.importing.readers.tree import find_sources
 from cluttergen_jax.importing.readers.urdf import read_urdf
@@ -69,10 +70,12 @@ def _turned(meshes: Sequence[Mesh], turn: np.ndarray) -> tuple[Mesh, ...]:
 def _model(source: ObjectFile, options: ReadOptions) -> tuple[Model, float]:
     """What the file holds, and the factor on its masses.
 
-    In URDF a mass is written as it is; most of MJCF's are a density times a volume, which keeps its density.
+    In URDF and SDF a mass is written as it is; most of MJCF's are a density times a volume: that keeps it.
     """
     if source.kind == "urdf":
         return read_urdf(source.path, options.max_texture), 1.0
+    if source.kind == "sdf":
+        return read_sdf(source.path, source.body, options.max_texture), 1.0
     if source.kind == "mjcf":
         return read_mjcf(source.path, source.body, options.max_texture), options.scale**3
     pieces, notes = read_mesh_file(source.path, options.max_texture)

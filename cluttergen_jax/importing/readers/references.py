@@ -1,4 +1,4 @@
-"""What URDF and MJCF files name: the files that belong to them, and the bodies that they hold."""
+"""What URDF, SDF and MJCF files name: the files that belong to them, and the bodies that they hold."""
 
 from __future__ import annotations
 
@@ -10,25 +10,29 @@ from xml.etree import ElementTree
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.mjcf import compiled, world_bodies
-from cluttergen_jax.importing.readers.places import mesh_place
+from cluttergen_jax.importing.readers.places import folder_place, mesh_place
+from cluttergen_jax.importing.readers.sdf import CONFIG, config_of, models
+from cluttergen_jax.importing.readers.sdf import ROOTS as SDF_ROOTS
 from cluttergen_jax.importing.readers.stand_ins import stand_in
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_xml, plain_tag
 
 _MADE_BY_MUJOCO = ("frame", "replicate", "attach")
 """Elements whose bodies hang on what the element hangs on."""
+_MODELS = (".sdf", ".urdf", ".xml")
 _FOLDERS = ("meshdir", "assetdir", "texturedir")
 
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A URDF or MJCF file.
+    """A URDF, SDF or MJCF file.
 
     Attributes:
       path: the file.
-      kind: "urdf" or "mjcf".
+      kind: "urdf", "sdf" or "mjcf".
       files: real paths of the meshes and textures that it names and that are there.
       includes: real paths of the MJCF files that are part of it.
-      bodies: names of the bodies that hang on the world body, "" where one has none; () of a URDF.
+      bodies: names of the bodies that hang on the world body, "" where one has none, or of the models of an
+        SDF; () of a URDF.
       is_whole: all that it names is there.
     """
 
@@ -41,15 +45,17 @@ class ModelFile:
 
 
 def model_file(path: Path) -> ModelFile | str:
-    """The model in a .urdf or .xml file, or why it is none. One that is broken further down names nothing."""
+    """The model in a file, or why it holds none. One that is broken further down names nothing."""
     tag = _root_tag(path)
     if tag == "mujoco":
         return _mjcf(path)
     if tag == "robot" or path.suffix.lower() == ".urdf":
         return _urdf(path)
+    if tag in SDF_ROOTS:
+        return _sdf(path)
     if found := stand_in(path):
         return found[0]
-    return f"neither URDF nor MJCF: its root is <{tag}>" if tag else "not well-formed XML"
+    return f"neither URDF, SDF nor MJCF: its root is <{tag}>" if tag else "not well-formed XML"
 
 
 def _root_tag(path: Path) -> str:
@@ -67,6 +73,27 @@ def _urdf(path: Path) -> ModelFile:
     files = {name: file for name in named if (file := mesh_place(path, name)) is not None}
     real = frozenset(file.resolve() for file in files.values())
     return ModelFile(path, "urdf", real, is_whole=len(files) == len(set(named)))
+
+
+def _sdf(path: Path) -> ModelFile | str:
+    _, chosen = config_of(path)
+    if chosen not in ("", path.name) and (path.parent / chosen).is_file():
+        return f"another version of {chosen}, which {CONFIG} names"
+    root = parse_xml(path)
+    if root is None:
+        return ModelFile(path, "sdf", is_whole=False)
+    bodies = tuple(name for name, _ in models(root))
+    if not bodies and root.find(".//include") is not None:
+        return "it includes models of other files, and has none of its own"
+    places = ("mesh/uri", "metal/albedo_map", "specular/albedo_map")
+    named = {(each.text or "").strip() for tag in places for each in root.iterfind(f".//{tag}")}
+    there = [file for name in named if (file := mesh_place(path, name)) is not None]
+    scripts = [each for uri in root.iter("uri") if (each := folder_place(path, (uri.text or "").strip()))]
+    # In a model's folder all is the model's: scripts, images, and meshes that it does not use.
+    own = [path.parent] if chosen else []
+    belonging = [file for folder in (*scripts, *own) for file in folder.rglob("*") if file.is_file()]
+    files = [file.resolve() for file in (*there, *belonging) if file.suffix.lower() not in _MODELS]
+    return ModelFile(path, "sdf", frozenset(files), bodies=bodies, is_whole=len(there) == len(named))
 
 
 def _mjcf(path: Path) -> ModelFile:

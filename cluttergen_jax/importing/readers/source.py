@@ -73,11 +73,11 @@ class ObjectFile:
     """One object to be read.
 
     Attributes:
-      path: the mesh, URDF or MJCF file.
-      kind: "mesh", "urdf" or "mjcf".
+      path: the mesh, URDF, SDF or MJCF file.
+      kind: "mesh", "urdf", "sdf" or "mjcf".
       name: `[a-z0-9_-]+`, unique among the sources found together.
       label: what people call it.
-      body: the body's name, where an MJCF file holds several objects.
+      body: the body's or model's name, where an MJCF or SDF file holds several objects.
       earlier: name and label that earlier versions gave, by which a pool of theirs has it.
       notes: known faults, passed on as flags.
     """

@@ -9,20 +9,34 @@ from pathlib import Path
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
-from cluttergen_jax.importing.readers.source import GENERIC, ObjectFile, make_source, named_apart
+from cluttergen_jax.importing.readers.sdf import CONFIG, config_of
+from cluttergen_jax.importing.readers.source import GENERIC, ObjectFile, label_of, make_source, named_apart
 from cluttergen_jax.importing.readers.xacro import SUFFIX as XACRO
 from cluttergen_jax.importing.readers.xacro import how_to_process
 from cluttergen_jax.importing.readers.ycb_scans import best_scans
 
 # In order of preference where a folder offers one object in several formats.
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".ply", ".stl")
-MODEL_SUFFIXES = (".urdf", ".xml")
+MODEL_SUFFIXES = (".urdf", ".sdf", ".xml")
 SETTINGS = "objects.toml"
 """Settings of the objects in a folder (`importing.settings`)."""
 
-# Materials, textures and buffers belong to a mesh beside them; label.json to a URDF.
-_COMPANIONS = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp", ".gif")
-_NOTES = (SETTINGS, "label.json")
+# Materials, textures and buffers belong to a mesh beside them; label.json to a URDF, model.config to an SDF.
+_COMPANIONS = (
+    ".mtl",
+    ".material",
+    ".bin",
+    ".png",
+    ".jpg",
+    ".jpeg",
+    ".bmp",
+    ".tga",
+    ".tif",
+    ".tiff",
+    ".webp",
+    ".gif",
+)
+_NOTES = (SETTINGS, "label.json", CONFIG)
 _OTHER_FORMATS = re.compile(
     r"\.(fbx|blend|usd[acz]?|3ds|3mf|max|ma|mb|off|x3d|wrl|step|stp|iges|igs|drc|skp)"
 )
@@ -59,15 +73,15 @@ def find_sources(path: str | Path) -> list[ObjectFile]:
 def survey(path: str | Path) -> Found:
     """Every object that `path` holds, and every file that is none.
 
-    The meshes that a URDF or MJCF file names are its pieces; all others are objects of their own. One object
-    in several formats counts once. Each real folder is entered once, however many links lead there.
+    The meshes that a URDF, SDF or MJCF file names are its pieces; all others are objects of their own. One
+    object in several formats counts once. Each real folder is entered once, however many links lead there.
 
     Raises:
       AssetError: nothing is there, or nothing that can be read.
     """
     path = Path(path)
     if not path.exists():
-        raise AssetError(f"{path} does not exist", "a mesh, URDF or MJCF file, or a folder of them")
+        raise AssetError(f"{path} does not exist", "a mesh, URDF, SDF or MJCF file, or a folder of them")
     if path.suffix.lower() == XACRO and path.is_file():
         raise AssetError(f"{path} is an unprocessed xacro", "URDF", how_to_process(path))
     if path.is_dir():
@@ -83,7 +97,7 @@ def survey(path: str | Path) -> Found:
         passed = ", ".join(each.name for each in found.skipped[:5])
         raise AssetError(
             f"{path} holds no object{f' (skipped: {passed})' if passed else ''}",
-            ", ".join([*MESH_SUFFIXES, ".urdf", ".xml (MJCF)"]),
+            ", ".join([*MESH_SUFFIXES, ".urdf", ".sdf", ".xml (MJCF)"]),
         )
     return found
 
@@ -98,7 +112,9 @@ def _from_file(path: Path) -> Iterator[ObjectFile]:
 def _sources_of(model: ModelFile) -> Iterator[ObjectFile]:
     """One source for each body that hangs on the world body; the file itself if it does not say."""
     if len(model.bodies) < 2:
-        yield make_source(model.path, model.kind)
+        source = make_source(model.path, model.kind)
+        called = config_of(model.path)[0] if model.kind == "sdf" else ""
+        yield replace(source, label=label_of(called)) if called else source
         return
     for index, name in enumerate(model.bodies):
         source = make_source(model.path, model.kind, name, behind="" if name else f"-{index}")

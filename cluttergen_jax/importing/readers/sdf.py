@@ -1,0 +1,221 @@
+"""SDF, Gazebo's format: links at their poses, nested models, materials, masses, and `model.config`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import trimesh
+
+from cluttergen_jax.assets.config import MAX_TEXTURE
+from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.links import Link, rigid
+from cluttergen_jax.importing.readers.materials import GREY
+from cluttergen_jax.importing.readers.model import Model, frozen, frozen_note
+from cluttergen_jax.importing.readers.numbers import number, numbers, wrong_attribute
+from cluttergen_jax.importing.readers.ogre import Paint, read_paints
+from cluttergen_jax.importing.readers.places import folder_place, mesh_place
+from cluttergen_jax.importing.readers.stand_ins import refuse_stand_in
+from cluttergen_jax.importing.readers.surfaces import Look, Surfaces
+from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_xml
+
+SUFFIX, CONFIG = ".sdf", "model.config"
+ROOTS = ("sdf", "gazebo")
+"""The latter up to version 1.2, and by habit in later files."""
+_FORMS = ("mesh", "box", "cylinder", "sphere", "capsule", "ellipsoid")
+_ENDLESS = ("plane", "empty")
+"""Forms that enclose nothing."""
+_SCRIPTS = ("materials/scripts", ".")
+
+
+def read_sdf(path: Path, name: str = "", max_side: int = MAX_TEXTURE) -> Model:
+    """One model of a file as one rigid thing, all its joints as they are drawn.
+
+    Its own pose turns it, as where it is put into an empty world. Meshes are taken in their own frame, in
+    the unit that they declare, as Gazebo does.
+
+    Args:
+      name: of the model, or "#" and its number; the only one if empty.
+      max_side: pixels; larger images are shrunk.
+
+    Raises:
+      AssetError: the file, or one that it names, is missing or cannot be understood; the message names it.
+    """
+    found = dict(models(_parsed(path)))
+    if not (model := found.get(name) if name else next(iter(found.values()), None)):
+        told = f" called {name!r}" if name else ""
+        raise AssetError(f"{path} holds no model{told}", "a <model> with links")
+    surfaces = Surfaces(path, max_side, "uri", _FORMS)
+    _without_endless(model, surfaces)
+    links = list(_links(path, model, _pose(path, model)))
+    looks = _Looks(surfaces, model)
+    return rigid(links, surfaces, looks.of, list(_notes(model)))
+
+
+def models(root: Element) -> Iterator[tuple[str, Element]]:
+    """The models of a file, its world's among them, by name; by "#" and a number where names are no help."""
+    found = [*root.findall("model"), *root.findall("world/model")]
+    names = [each.get("name", "") for each in found]
+    for index, (name, model) in enumerate(zip(names, found, strict=True)):
+        yield name if name and names.count(name) == 1 else f"#{index}", model
+
+
+def config_of(path: Path) -> tuple[str, str]:
+    """What the `model.config` beside a file says: the model's name, and the SDF file of the latest version.
+
+    Both are empty where there is none, or it does not say.
+    """
+    root = parse_xml(path.parent / CONFIG)
+    if root is None:
+        return "", ""
+    versions = {each.get("version", ""): (each.text or "").strip() for each in root.findall("sdf")}
+    latest = max(versions, key=lambda each: [int(n) for n in each.split(".") if n.isdigit()], default="")
+    return " ".join((root.findtext("name") or "").split()), versions.get(latest, "")
+
+
+def _parsed(path: Path) -> Element:
+    try:
+        root = ElementTree.parse(path).getroot()
+    except BROKEN as error:
+        refuse_stand_in(path)
+        raise AssetError(f"{path} cannot be read as SDF: {error}") from error
+    if root.tag not in ROOTS:
+        raise AssetError(f"{path} is no SDF: its root is <{root.tag}>", "a file whose root is <sdf>")
+    return root
+
+
+def _links(path: Path, model: Element, pose: np.ndarray) -> Iterator[Link]:
+    """The links of a model and of those nested in it.
+
+    Args:
+      pose: f64[4, 4] from the model to the outermost frame.
+    """
+    if (part := model.find("include")) is not None:
+        raise AssetError(
+            f"{path}: model {model.get('name')!r} includes {part.findtext('uri')!r}",
+            "a model that is written out",
+            f"gz sdf -p {path.name} > whole.sdf",
+        )
+    frames = _Frames(path, model)
+    for link in model.findall("link"):
+        yield Link(link, partial(_placed, frames, pose, link.get("name", "")))
+    for inner in model.findall("model"):
+        yield from _links(path, inner, pose @ frames.pose_of(inner.get("name", "")))
+
+
+def _placed(frames: _Frames, pose: np.ndarray, link: str, element: Element) -> np.ndarray:
+    return pose @ frames.placed(element, link)
+
+
+class _Frames:
+    """The frames of a model: of its links, joints, nested models, and those that are frames alone."""
+
+    def __init__(self, path: Path, model: Element) -> None:
+        self._path = path
+        tags = ("link", "joint", "model", "frame")
+        self._named = {each.get("name", ""): each for tag in tags for each in model.findall(tag)}
+
+    def placed(self, element: Element, parent: str, below: tuple[str, ...] = ()) -> np.ndarray:
+        """f64[4, 4] from an element to the model.
+
+        Args:
+          parent: the frame that holds where the element names none.
+          below: frames that hang on this one.
+
+        Raises:
+          AssetError: a frame is named that is not there, or that hangs on itself.
+        """
+        pose = element.find("pose")
+        other = "" if pose is None else pose.get("relative_to") or pose.get("frame") or ""
+        return self.pose_of(other or parent, below) @ _pose(self._path, element)
+
+    def pose_of(self, name: str, below: tuple[str, ...] = ()) -> np.ndarray:
+        """f64[4, 4] from a frame to the model; see `placed`."""
+        if name in ("", "__model__"):
+            return np.eye(4)
+        if name not in self._named or name in below:
+            fault = "hangs on itself" if name in below else "is named and nowhere defined"
+            raise AssetError(f"{self._path}: frame {name!r} {fault}", ", ".join(map(repr, self._named)))
+        frame = self._named[name]
+        parent = frame.findtext("child", "") if frame.tag == "joint" else frame.get("attached_to", "")
+        return self.placed(frame, parent.strip(), (*below, name))
+
+
+def _pose(path: Path, element: Element) -> np.ndarray:
+    """f64[4, 4]: the <pose> of an element in the frame that it is given in; none is the identity."""
+    place = element.find("pose")
+    form = "" if place is None else place.get("rotation_format", "euler_rpy")
+    if place is None or not (place.text or "").strip():
+        return np.eye(4)
+    if form == "quat_xyzw":
+        x, y, z, *turn = numbers(path, element, "pose", 7)
+        matrix = trimesh.transformations.quaternion_matrix(np.roll(turn, 1))
+    elif form == "euler_rpy":
+        x, y, z, *angles = numbers(path, element, "pose", 6)
+        roll, pitch, yaw = np.radians(angles) if place.get("degrees", "") in ("true", "1") else angles
+        matrix = trimesh.transformations.euler_matrix(roll, pitch, yaw, "sxyz")
+    else:
+        raise wrong_attribute(path, place, "rotation_format", "euler_rpy or quat_xyzw")
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+def _without_endless(model: Element, surfaces: Surfaces) -> None:
+    """Takes away what has a form that encloses nothing, with a note."""
+    for link in model.iter("link"):
+        for element in [*link.findall("visual"), *link.findall("collision")]:
+            for form in _ENDLESS:
+                if element.find(f"geometry/{form}") is not None:
+                    link.remove(element)
+                    surfaces.notes.append(f"left out: <{element.tag}> of geometry <{form}>")
+
+
+def _notes(model: Element) -> Iterator[str]:
+    if any((each.text or "").strip() in ("true", "1") for each in model.findall("static")):
+        yield "its file says <static>: there it is scenery, which nothing moves"
+    movable = [joint for joint in model.iter("joint") if joint.get("type", "fixed") != "fixed"]
+    yield from frozen_note(
+        frozen(joint.get("name", ""), kind, 0.0, is_turn=kind != "prismatic")
+        for joint in movable
+        if (kind := joint.get("type", ""))
+    )
+
+
+class _Looks:
+    """The colours and images that the materials of a model name."""
+
+    def __init__(self, surfaces: Surfaces, model: Element) -> None:
+        self._surfaces, self._path = surfaces, surfaces.path
+        uris = [(each.text or "").strip() for each in model.iter("uri")]
+        folders = [folder_place(self._path, uri) for uri in dict.fromkeys((*_SCRIPTS, *uris))]
+        files = [file for folder in folders if folder for file in sorted(folder.glob("*.material"))]
+        named = [mesh_place(self._path, uri) for uri in uris if uri.endswith(".material")]
+        self._paints = read_paints(dict.fromkeys([*files, *filter(None, named)]))
+
+    def of(self, element: Element) -> Look:
+        """Of a <visual>: an image for physically based rendering goes before a script, that before a colour.
+
+        A surface whose mesh has an image keeps it.
+        """
+        material = element.find("material")
+        paint = Paint() if material is None else self._paint(material)
+        colour = GREY if paint.colour is None else paint.colour
+        if element.find("transparency") is not None:
+            share = float(np.clip(number(self._path, element, "transparency"), 0, 1))
+            colour = (*colour[:3], colour[3] * (1 - share))
+        texture = self._surfaces.image(paint.image, paint.file) if paint.image else None
+        return Look(colour, texture)
+
+    def _paint(self, material: Element) -> Paint:
+        tag = next((each for each in ("diffuse", "ambient") if material.find(each) is not None), "")
+        colour = self._surfaces.colour(material, tag) if tag else None
+        for workflow in ("metal", "specular"):
+            if image := (material.findtext(f"pbr/{workflow}/albedo_map") or "").strip():
+                return Paint(colour, image, mesh_place(self._path, image))
+        name = (material.findtext("script/name") or "").strip()
+        if name and name not in self._paints:
+            self._surfaces.notes.append(f"material {name!r} is named and nowhere defined")
+        return self._paints.get(name, Paint(colour))

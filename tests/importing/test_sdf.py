@@ -1,0 +1,278 @@
+"""SDF: poses, frames, forms, materials, masses, and the folders of Gazebo's models."""
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from cluttergen_jax.assets.body import BodyConfig, make_object
+from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing import cache
+from cluttergen_jax.importing.readers import find_sources, read_shape, read_source, survey
+from cluttergen_jax.importing.readers.materials import GREY
+from cluttergen_jax.importing.run import ObjectConfig
+
+BOX = "<geometry><box><size>0.1 0.06 0.04</size></box></geometry>"
+
+
+def visual(inside=BOX, name="v"):
+    return f'<visual name="{name}">{inside}</visual>'
+
+
+def mesh(uri="model://cup/meshes/cup.obj", more=""):
+    return f"<geometry><mesh><uri>{uri}</uri>{more}</mesh></geometry>"
+
+
+def model(inside, name="cup"):
+    return f'<model name="{name}">{inside}</model>'
+
+
+def link(inside, name="a", more=""):
+    return f'<link name="{name}">{more}{inside}</link>'
+
+
+def write(folder, text, config="Café Cup", file="model.sdf", root="sdf"):
+    """A folder as Gazebo has it: `model.sdf`, `model.config`, a mesh of 20 x 40 x 60 mm with uv."""
+    (folder / "meshes").mkdir(parents=True, exist_ok=True)
+    (folder / file).write_text(f'<?xml version="1.0" ?><{root} version="1.7">{text}</{root}>')
+    if config:
+        text = f'<model><name>{config}</name><sdf version="1.7">{file}</sdf></model>'
+        (folder / "model.config").write_text(text)
+    box = trimesh.creation.box((0.02, 0.04, 0.06))
+    flat = trimesh.visual.TextureVisuals(uv=np.full((len(box.vertices), 2), 0.5))
+    trimesh.Trimesh(box.vertices, box.faces, visual=flat, process=False).export(
+        folder / "meshes" / "cup.obj", include_texture=True, write_texture=False, mtl_name="none.mtl"
+    )
+    return folder
+
+
+def save_image(path, colour):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", (4, 4), colour).save(path)
+
+
+def read(folder, text, **options):
+    (shape,) = read_source(write(folder / "cup", text, **options))
+    return shape
+
+
+def bounds(pieces):
+    return joined([piece.mesh for piece in pieces]).bounds
+
+
+def test_a_folder_of_gazebo_is_one_object_called_by_its_folder_and_told_by_its_config(tmp_path):
+    folder = write(tmp_path / "models" / "cup", model(link(visual(mesh()))))
+    trimesh.creation.box((1, 1, 1)).export(folder / "meshes" / "unused.stl")
+    save_image(folder / "materials" / "textures" / "a.png", "red")
+    found = survey(tmp_path / "models")
+    (source,) = found.sources
+    assert (source.name, source.label, source.kind) == ("cup", "Café Cup", "sdf")
+    assert not found.skipped
+    np.testing.assert_allclose(bounds(read_shape(source).pieces)[1], [0.01, 0.02, 0.03])
+
+
+def test_of_several_versions_the_latest_in_the_config_is_read(tmp_path):
+    folder = write(tmp_path / "cup", model(link(visual())), file="model-1_4.sdf", config="")
+    write(folder, model(link(visual(mesh()))))
+    (folder / "model.config").write_text(
+        "<model><name>c</name>"
+        '<sdf version="1.9">model-1_4.sdf</sdf><sdf version="1.10">model.sdf</sdf></model>'
+    )
+    found = survey(folder)
+    assert [each.path.name for each in found.sources] == ["model.sdf"]
+    assert {each.reason for each in found.skipped} == {
+        "another version of model.sdf, which model.config names"
+    }
+
+
+def test_poses_frames_and_nested_models_put_links_where_they_belong(tmp_path):
+    text = model(
+        "<pose>0 0 0 0 0 1.5707963267948966</pose>"
+        '<frame name="f" attached_to="a"><pose degrees="true">0 0.5 0 90 0 0</pose></frame>'
+        + link(visual(), "a", "<pose>0 0 1 0 0 0</pose>")
+        + link(visual(), "b", '<pose relative_to="f" rotation_format="quat_xyzw">0 0 0.2 0 0 0 1</pose>')
+        + '<joint name="j" type="revolute"><child>a</child><pose>0.3 0 0 0 0 0</pose></joint>'
+        + f'<model name="lid"><pose relative_to="j">0 0 0.1 0 0 0</pose>{link(visual(), "c")}</model>'
+    )
+    shape = read(tmp_path, text)
+    at = [piece.mesh.bounds.mean(0) for piece in shape.pieces]
+    # By hand, before the model's quarter turn: a (0 0 1), b (0 0.5-0.2 1), c (0.3 0 1.1).
+    np.testing.assert_allclose(at, [[0, 0, 1], [-0.3, 0, 1], [0, 0.3, 1.1]], atol=1e-9)
+    size = [np.ptp(piece.mesh.bounds, axis=0) for piece in shape.pieces]
+    np.testing.assert_allclose(size, [[0.06, 0.1, 0.04], [0.04, 0.1, 0.06], [0.06, 0.1, 0.04]], atol=1e-9)
+    assert shape.notes[0] == "frozen joints: 'j' (revolute) at 0 degrees"
+
+
+FORMS = {
+    "<box><size>0.1 0.06 0.04</size></box>": (0.1, 0.06, 0.04),
+    "<cylinder><radius>0.05</radius><length>0.2</length></cylinder>": (0.1, 0.1, 0.2),
+    "<capsule><radius>0.05</radius><length>0.2</length></capsule>": (0.1, 0.1, 0.3),
+    "<sphere><radius>0.05</radius></sphere>": (0.1, 0.1, 0.1),
+    "<ellipsoid><radii>0.05 0.04 0.03</radii></ellipsoid>": (0.1, 0.08, 0.06),
+    "<mesh><uri>meshes/cup.obj</uri><scale>2 -1 1</scale></mesh>": (0.04, 0.04, 0.06),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_forms_have_their_size_seen_or_colliding(tmp_path, form):
+    inside = f"<geometry>{form}</geometry>"
+    shape = read(tmp_path, model(link(f'<collision name="c">{inside}</collision>' + visual(inside))))
+    np.testing.assert_allclose(np.ptp(bounds(shape.pieces), axis=0), FORMS[form], atol=5e-4)
+    assert joined([piece.mesh for piece in shape.pieces]).volume > 0
+    assert len(shape.parts) == 1
+    only = read(tmp_path, model(link(f'<collision name="c">{inside}</collision>')), root="gazebo")
+    np.testing.assert_allclose(bounds(only.pieces), bounds(shape.pieces))
+
+
+WRONG = {
+    "<box><size>0.1</size></box>": "<box><size>0.1</size>",
+    "<box><size>0.1 0.2 -1</size></box>": "<box><size>0.1 0.2 -1</size>",
+    "<cylinder><radius>1</radius></cylinder>": "a <cylinder> without <length>",
+    "<sphere><radius>wide</radius></sphere>": "<sphere><radius>wide</radius>",
+    "<mesh><uri>meshes/mug.obj</uri></mesh>": "names mesh file 'meshes/mug.obj', which is not there",
+    "<mesh><uri></uri></mesh>": "a <mesh> that names no file",
+    "<mesh><uri>meshes/cup.obj</uri><submesh><name>lid</name></submesh></mesh>": "<submesh> 'lid'",
+    "<polyline><height>1</height></polyline>": "geometry <polyline>",
+}
+
+
+@pytest.mark.parametrize("form", WRONG)
+def test_wrong_forms_name_file_and_element(tmp_path, form):
+    with pytest.raises(AssetError) as caught:
+        read(tmp_path, model(link(visual(f"<geometry>{form}</geometry>"))))
+    assert "model.sdf" in str(caught.value)
+    assert WRONG[form] in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("inside", "told"),
+    [
+        (link(visual(), more="<pose>0 0 0</pose>"), "<link><pose>0 0 0</pose>.*6 numbers"),
+        (link(visual(), more='<pose relative_to="b">0 0 0 0 0 0</pose>'), "'b' is named and nowhere defined"),
+        (link(visual(), more='<pose relative_to="a">0 0 0 0 0 0</pose>'), "'a' hangs on itself"),
+        ("<include><uri>model://saucer</uri></include>", "includes 'model://saucer'.*gz sdf -p"),
+        (link(""), "neither visual nor collision"),
+        (link("<collision name='c'><geometry><plane/></geometry></collision>"), "neither visual nor"),
+    ],
+)
+def test_models_that_cannot_be_read_say_why(tmp_path, inside, told):
+    with pytest.raises(AssetError, match=rf"(?s)model\.sdf.*{told}"):
+        read(tmp_path, model(inside))
+
+
+def test_a_floor_is_left_out_and_scenery_is_said(tmp_path):
+    floor = visual("<geometry><plane><size>1 1</size></plane></geometry>", "f")
+    shape = read(tmp_path, model("<static>true</static>" + link(visual() + floor)))
+    assert len(shape.pieces) == 1
+    assert any("<static>" in note for note in shape.notes)
+    assert "left out: <visual> of geometry <plane>" in shape.notes
+
+
+SCRIPT = """// material Cup/Paint {
+material Cup/Base
+{
+  technique { pass {
+    diffuse 0.2 0.4 0.6 1
+  } }
+}
+material Cup/Paint : Cup/Base
+{
+  technique
+  {
+    pass { ambient 0 0 0
+      texture_unit
+      {
+        texture paint.png
+      }
+    }
+  }
+}
+"""
+
+
+def material(inside):
+    return f"<material>{inside}</material>"
+
+
+def script(name):
+    uris = "<uri>model://cup/materials/scripts</uri><uri>model://cup/materials/textures</uri>"
+    return material(f"<script>{uris}<name>{name}</name></script>")
+
+
+def test_materials_give_colours_and_images(tmp_path):
+    folder = tmp_path / "cup"
+    save_image(folder / "materials" / "textures" / "paint.png", (10, 20, 30))
+    (folder / "materials" / "scripts").mkdir()
+    (folder / "materials" / "scripts" / "cup.material").write_text(SCRIPT)
+    albedo = material("<pbr><metal><albedo_map>materials/textures/paint.png</albedo_map></metal></pbr>")
+    for look in (script("Cup/Paint"), albedo):
+        (piece,) = read(tmp_path, model(link(visual(mesh() + look)))).pieces
+        assert piece.texture is not None
+        np.testing.assert_allclose(piece.mean_rgba[:3], np.array([10, 20, 30]) / 255, atol=1e-3)
+    colours = {
+        material("<diffuse>1 0 0 1</diffuse>"): (1, 0, 0, 1),
+        material("<ambient>0 1 0</ambient>"): (0, 1, 0, 1),
+        material("<diffuse>1 0 0 1</diffuse>") + "<transparency>0.25</transparency>": (1, 0, 0, 0.75),
+        script("Cup/Base"): (0.2, 0.4, 0.6, 1),
+        script("Gazebo/Blue"): (0, 0, 1, 1),
+        script("Cup/Glaze"): GREY,
+    }
+    for look, rgba in colours.items():
+        shape = read(tmp_path, model(link(visual(BOX + look))))
+        assert shape.pieces[0].rgba == pytest.approx(rgba), look
+    assert "material 'Cup/Glaze' is named and nowhere defined" in shape.notes
+
+
+def test_a_picture_that_is_not_there_costs_a_note_alone(tmp_path):
+    look = material("<diffuse>1 0 0 1</diffuse><pbr><metal><albedo_map>no.png</albedo_map></metal></pbr>")
+    shape = read(tmp_path, model(link(visual(mesh() + look))))
+    assert shape.pieces[0].rgba == (1, 0, 0, 1)
+    assert any("'no.png' is left out" in note for note in shape.notes)
+
+
+def inertial(mass, pose="", density=""):
+    moments = "<ixx>1e-4</ixx><iyy>2e-4</iyy><izz>2.5e-4</izz>"
+    mass = f"<mass>{mass}</mass><inertia>{moments}</inertia>" if mass else ""
+    return f"<inertial>{pose}{mass}{density}</inertial>"
+
+
+def test_masses_are_those_of_the_links_at_their_poses(tmp_path):
+    pose = "<pose>0 0 0.01 0 0 0</pose>"
+    shape = read(tmp_path, model(link(visual(), more="<pose>1 0 0 0 0 0</pose>" + inertial(0.2, pose))))
+    body = shape.stated.body
+    assert body.mass == 0.2
+    np.testing.assert_allclose(body.center, [1, 0, 0.01], atol=1e-12)
+    np.testing.assert_allclose(np.diag(body.inertia), [1e-4, 2e-4, 2.5e-4])
+    assert make_object(shape, BodyConfig(tier="light")).mass == 0.2
+    heavy = read(tmp_path, model(link(visual(), more=inertial("", density="<density>2700</density>"))))
+    assert (heavy.stated, heavy.density) == (None, 2700)
+
+
+def test_the_models_of_a_world_are_objects_of_their_own(tmp_path):
+    world = model(link(visual()), "mug") + model(link(visual(mesh("../cup/meshes/cup.obj"))), "jug")
+    write(tmp_path / "cup", f"<world>{world}<include><uri>model://sun</uri></include></world>", config="")
+    (tmp_path / "all.sdf").write_text("<sdf><world><include><uri>model://cup</uri></include></world></sdf>")
+    (tmp_path / "molecule.sdf").write_text("  benzene\n 6 6 0\n$$$$\n")
+    found = survey(tmp_path)
+    assert [each.name for each in found.sources] == ["mug", "jug"]
+    np.testing.assert_allclose(
+        np.ptp(bounds(read_shape(found.sources[1]).pieces), axis=0), [0.02, 0.04, 0.06]
+    )
+    reasons = {each.name.rpartition("/")[2]: each.reason for each in found.skipped}
+    assert "has none of its own" in reasons["all.sdf"]
+    assert reasons["molecule.sdf"] == "not well-formed XML"
+
+
+def test_a_body_depends_on_script_and_picture(tmp_path):
+    folder = write(tmp_path / "cup", model(link(visual(mesh() + script("Cup/Paint")))))
+    keys = set()
+    for colour in ("red", "blue"):
+        save_image(folder / "materials" / "textures" / "paint.png", colour)
+        (source,) = find_sources(folder)
+        keys.add(cache.cache_key(source, ObjectConfig()))
+    (folder / "materials" / "scripts").mkdir()
+    for text in (SCRIPT, SCRIPT + " "):
+        (folder / "materials" / "scripts" / "cup.material").write_text(text)
+        keys.add(cache.cache_key(source, ObjectConfig()))
+    assert len(keys) == 4
