@@ -217,6 +217,25 @@ URDF = """<robot name="thing"><material name="red"><color rgba="1 0 0 1"/></mate
 <joint name="hinge" type="revolute"><parent link="base"/><child link="lid"/><origin xyz="0 0 0.2"/>
 <axis xyz="0 1 0"/><limit lower="0.1" upper="1"/></joint></robot>"""
 
+SDF = """<sdf version="1.9"><model name="thing"><pose>0 0 1 0 0 0.3</pose><link name="base">
+<pose degrees="true">0 0 0.1 0 0 30</pose><inertial><mass>0.2</mass><inertia><ixx>1e-4</ixx><iyy>1e-4</iyy>
+<izz>1e-4</izz></inertia></inertial><visual name="v"><geometry><mesh><uri>part.obj</uri></mesh></geometry>
+<material><script><uri>.</uri><name>Red</name></script></material></visual><collision name="c"><geometry><box>
+<size>0.1 0.1 0.2</size></box></geometry></collision></link><frame name="f" attached_to="base"/>
+<joint name="j" type="revolute"><parent>base</parent><child>lid</child></joint><link name="lid">
+<pose relative_to="f">0 0 0.2 0 0 0</pose><visual name="v"><geometry><cylinder><radius>0.05</radius>
+<length>0.1</length></cylinder></geometry><transparency>0.2</transparency></visual></link></model></sdf>"""
+SCRIPT = (
+    "material Base { technique { pass { diffuse 1 0 0 1 } } }\nmaterial Red : Base\n{\n diffuse 1 0 0\n}\n"
+)
+
+
+def _sdf(folder: Path) -> None:
+    _text("thing.sdf", SDF)(folder)
+    (folder / "red.material").write_text(SCRIPT)
+    (folder / "model.config").write_text('<model><name>A</name><sdf version="1.9">thing.sdf</sdf></model>')
+
+
 MJCF = """<mujoco><asset><mesh name="part" file="part.obj" scale="1 1 1"/></asset><worldbody>
 <body name="thing" pos="0 0 1"><freejoint/><geom type="mesh" mesh="part" rgba="1 0 0 1"/>
 <geom type="capsule" size="0.02 0.05" pos="0 0.1 0" contype="0" conaffinity="0"/>
@@ -279,6 +298,9 @@ READERS = {
     "urdf": Reader(_text("thing.urdf", URDF), "thing.urdf", _read_shapes),
     "urdf_label": Reader(_text("thing.urdf", URDF), "label.json", _read_shapes),
     "urdf_mesh": Reader(_text("thing.urdf", URDF), "part.obj", _read_shapes),
+    "sdf": Reader(_sdf, "thing.sdf", _read_shapes),
+    "sdf_script": Reader(_sdf, "red.material", _read_shapes),
+    "sdf_config": Reader(_sdf, "model.config", _read_shapes),
     "mjcf": Reader(_text("thing.xml", MJCF), "thing.xml", _read_shapes),
     "mjcf_mesh": Reader(_text("thing.xml", MJCF), "part.obj", _read_shapes),
     "mjcf_scene": Reader(_text("thing.xml", MJCF), "thing.xml", lambda f: read_mjcf_scene(f / "thing.xml")),

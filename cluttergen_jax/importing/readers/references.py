@@ -90,9 +90,13 @@ def _sdf(path: Path) -> ModelFile | str:
     there = [file for name in named if (file := mesh_place(path, name)) is not None]
     scripts = [each for uri in root.iter("uri") if (each := folder_place(path, (uri.text or "").strip()))]
     # In a model's folder all is the model's: scripts, images, and meshes that it does not use.
-    own = [path.parent] if chosen else []
-    belonging = [file for folder in (*scripts, *own) for file in folder.rglob("*") if file.is_file()]
-    files = [file.resolve() for file in (*there, *belonging) if file.suffix.lower() not in _MODELS]
+    own = path.parent.rglob("*") if chosen else ()
+    belonging = [*own, *(file for folder in scripts for file in folder.glob("*"))]
+    files = [
+        file.resolve()
+        for file in (*there, *belonging)
+        if file.suffix.lower() not in _MODELS and file.is_file()
+    ]
     return ModelFile(path, "sdf", frozenset(files), bodies=bodies, is_whole=len(there) == len(named))
 
 

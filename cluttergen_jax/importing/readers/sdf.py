@@ -26,8 +26,6 @@ SUFFIX, CONFIG = ".sdf", "model.config"
 ROOTS = ("sdf", "gazebo")
 """The latter up to version 1.2, and by habit in later files."""
 _FORMS = ("mesh", "box", "cylinder", "sphere", "capsule", "ellipsoid")
-_ENDLESS = ("plane", "empty")
-"""Forms that enclose nothing."""
 _SCRIPTS = ("materials/scripts", ".")
 
 
@@ -49,10 +47,8 @@ def read_sdf(path: Path, name: str = "", max_side: int = MAX_TEXTURE) -> Model:
         told = f" called {name!r}" if name else ""
         raise AssetError(f"{path} holds no model{told}", "a <model> with links")
     surfaces = Surfaces(path, max_side, "uri", _FORMS)
-    _without_endless(model, surfaces)
     links = list(_links(path, model, _pose(path, model)))
-    looks = _Looks(surfaces, model)
-    return rigid(links, surfaces, looks.of, list(_notes(model)))
+    return rigid(links, surfaces, _Looks(surfaces, model).of, list(_notes(model)))
 
 
 def models(root: Element) -> Iterator[tuple[str, Element]]:
@@ -161,16 +157,6 @@ def _pose(path: Path, element: Element) -> np.ndarray:
         raise wrong_attribute(path, place, "rotation_format", "euler_rpy or quat_xyzw")
     matrix[:3, 3] = x, y, z
     return matrix
-
-
-def _without_endless(model: Element, surfaces: Surfaces) -> None:
-    """Takes away what has a form that encloses nothing, with a note."""
-    for link in model.iter("link"):
-        for element in [*link.findall("visual"), *link.findall("collision")]:
-            for form in _ENDLESS:
-                if element.find(f"geometry/{form}") is not None:
-                    link.remove(element)
-                    surfaces.notes.append(f"left out: <{element.tag}> of geometry <{form}>")
 
 
 def _notes(model: Element) -> Iterator[str]:

@@ -19,6 +19,9 @@ from cluttergen_jax.importing.readers.numbers import all_numbers, length, number
 from cluttergen_jax.importing.readers.places import is_found_elsewhere, mesh_place
 from cluttergen_jax.importing.readers.xml_tree import Element
 
+_ENDLESS = ("plane", "empty")
+"""Forms that enclose nothing."""
+
 
 @dataclass(frozen=True)
 class Look:
@@ -63,7 +66,7 @@ class Surfaces:
           AssetError: its geometry is none, or a file that it names is missing or cannot be read.
         """
         pieces = self._geometry(element, look.texture)
-        if look.texture is not None and all(piece.texture is None for piece in pieces):
+        if look.texture is not None and pieces and all(piece.texture is None for piece in pieces):
             self.notes.append(f"an image on a <{element.tag}> without texture coordinates is left out")
         rotation, translation = pose[:3, :3] * scale, pose[:3, 3] * scale
         return [
@@ -104,6 +107,9 @@ class Surfaces:
         form = geometry[0]
         if len(geometry) > 1:
             self.notes.append(f"of {len(geometry)} shapes in one <geometry> the first is taken, <{form.tag}>")
+        if form.tag in _ENDLESS:
+            self.notes.append(f"left out: <{element.tag}> of geometry <{form.tag}>")
+            return []
         if form.tag not in self.forms:
             allowed = f"{', '.join(self.forms[:-1])} or {self.forms[-1]}"
             raise AssetError(f"{self.path}: geometry <{form.tag}>", allowed)
