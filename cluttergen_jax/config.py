@@ -53,6 +53,8 @@ LayoutRule = Literal["clearance", "reach", "similar"]
 PickOrder = Literal["graph", "lowest"]
 Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 Tier = Literal["standard", "light"]
+ByVolume = Literal["volume"]
+"""Of a mass: volume times density, whatever a file states."""
 CameraName = Literal["overhead", "front", "side", "wrist"]
 FilmFormat = Literal["gif", "mp4"]
 PixelOrigin = Literal["center", "corner"]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.assets.config import MAX_TEXTURE, NUM_TRIALS, TIME_LIMIT, DecompositionConfig
-from cluttergen_jax.config import Axis, Tier
+from cluttergen_jax.config import Axis, ByVolume, Tier
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.support import SupportAsset
@@ -23,7 +23,7 @@ def import_pool(
     up: Axis = "auto",
     front: Axis = "auto",
     density: float = 500.0,
-    mass: float | None = None,
+    mass: float | ByVolume | None = None,
     max_texture: int = MAX_TEXTURE,
     decomposition: DecompositionConfig | None = None,
     trials: int = NUM_TRIALS,
@@ -52,7 +52,8 @@ def import_pool(
       up: the files' vertical axis; "auto" is y for GLTF, what a DAE file says, and z for all others.
       front: the files' axis that becomes the objects' +x; "auto" is x, or -y where x is up.
       density: kg/m^3, where the mass is not known.
-      mass: kilograms for every object, such as the paper's 0.1.
+      mass: kilograms for every object, such as the paper's 0.1; or "volume", to take volume times density
+        where files state a mass, too.
       max_texture: pixels a side that an image may have; larger ones are shrunk.
       decomposition: CoACD's parameters; the defaults of `DecompositionConfig` if not given.
       trials: placements by which solo stability is measured.

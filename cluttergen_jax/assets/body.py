@@ -241,6 +241,7 @@ def _asset(
         flags=(*_alarms(shape, solid), *_faults(best, config)),
         notes=notes,
         friction=shape.friction,
+        scale=shape.scale,
     )
     return replace(asset, resting=resting_poses(asset, config.seed))
 

@@ -68,6 +68,7 @@ class ObjectAsset:
       flags: why a user should think twice, in words; empty for a sound body.
       notes: what was decided on the user's behalf, in words: no fault, but worth knowing.
       friction: sliding coefficient of its own (`mjcf.own_contact`); None for the contact's.
+      scale: the factor by which the lengths of its file were multiplied on request.
     """
 
     name: str
@@ -85,6 +86,7 @@ class ObjectAsset:
     flags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     friction: float | None = None
+    scale: float = 1.0
 
     @property
     def textures(self) -> tuple[Texture, ...]:

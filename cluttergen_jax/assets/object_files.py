@@ -155,9 +155,11 @@ def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
     # Absent where an object has none, so that objects keep the digest that they had before there were any.
     textures = {"textures": files} if any(files) else {}
     friction = {} if asset.friction is None else {"friction": float(asset.friction)}
+    scale = {} if asset.scale == 1 else {"scale": float(asset.scale)}
     notes = {"notes": list(asset.notes)} if asset.notes else {}
     return (
         friction
+        | scale
         | notes
         | textures
         | {
@@ -208,16 +210,16 @@ def _asset(record: dict[str, Any], blobs: dict[str, bytes]) -> ObjectAsset:
         quality=Quality(**record["quality"]),
         flags=tuple(record["flags"]),
         notes=tuple(record.get("notes", ())),
-        friction=_friction(record.get("friction")),
+        friction=None if record.get("friction") is None else _positive(record, "friction"),
+        scale=_positive(record, "scale") if "scale" in record else 1.0,
     )
 
 
-def _friction(value: Any) -> float | None:
-    """ValueError for what is no coefficient."""
-    if value is None:
-        return None
+def _positive(record: dict[str, Any], name: str) -> float:
+    """ValueError for what is no number above zero."""
+    value = record[name]
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-        raise ValueError(f"friction {value!r}")
+        raise ValueError(f"{name} {value!r}")
     return float(value)
 
 

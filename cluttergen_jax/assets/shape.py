@@ -107,6 +107,7 @@ class Shape:
       friction: sliding coefficient wherever the object touches something; None for the contact's.
       notes: what its reader decided on the user's behalf, in words.
       colliding: all that collides according to its file, whether or not it can serve as `parts`.
+      scale: by what factor its reader was told to multiply the file's lengths.
     """
 
     name: str
@@ -121,3 +122,4 @@ class Shape:
     friction: float | None = None
     notes: tuple[str, ...] = ()
     colliding: tuple[Mesh, ...] = ()
+    scale: float = 1.0

@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluttergen_jax.assets.config import ALARM_FACTOR
 from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 
 MIN_DENSITY, MAX_DENSITY = 20.0, 20_000.0
-# What everyday things weigh over their convex hulls, kg/m^3: from an empty pitcher to a block of stone. Steel
-# and toys of plush lie beyond it, by less than the factor of an alarm.
-_USUAL_DENSITY = (75.0, 3000.0)
+# What things can weigh over their convex hulls, kg/m^3: from an empty pitcher to a block of steel.
+_LIKELY_DENSITY = (50.0, 8000.0)
 # How far the principal moments may be from those of the same mass spread evenly.
 _MAX_RATIO = 4.0
 # A body whose moments differ by less than this may well have one moment about every axis.
@@ -107,15 +105,16 @@ def mass_alarm(stated: StatedMass, solid: Mesh) -> str:
     mass, hull = stated.body.mass, hull_of(solid.vertices)
     if hull is None or not (np.isfinite(mass) and mass > 0):
         return ""
-    low, high = _USUAL_DENSITY
+    low, high = _LIKELY_DENSITY
     over_hull, over_mesh = mass / hull.volume, mass / solid.volume
-    if not low / ALARM_FACTOR <= over_hull <= high * ALARM_FACTOR:
-        told = f"{_density(over_hull)} over its convex hull, where {low:g} to {high:,.0f} are usual"
+    if not low <= over_hull <= high:
+        told = f"{_density(over_hull)} over its convex hull, where {low:g} to {high:,.0f} are likely"
     elif not MIN_DENSITY <= over_mesh <= MAX_DENSITY:
         told = f"{_density(over_mesh)} over the volume of its mesh"
     else:
         return ""
-    return f"its stated mass of {_kilograms(mass)} does not fit its size: {told}"
+    instead = 'mass="volume" takes its volume times density'
+    return f"its stated mass of {_kilograms(mass)} does not fit its size: {told} ({instead})"
 
 
 def _kilograms(mass: float) -> str:

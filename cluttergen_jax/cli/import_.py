@@ -70,7 +70,7 @@ def print_report(report: ImportReport) -> None:
     from cluttergen_jax.cli.pool_table import pool_table
 
     if report.objects:
-        print(pool_table(report.objects))
+        print(with_flags(pool_table(report.objects), Import))
         made = len(report.objects) - report.num_cached
         print(
             f"{report.path}: {len(report.objects)} objects ({made} made, {report.num_cached} from the cache)"

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets import pool as pools
     from cluttergen_jax.assets.object import ObjectAsset
 
-_HEADER = ("object", "size mm", "mass kg", "friction", "licence", "what people call it")
+_HEADER = ("object", "size mm", "scale", "mass kg", "friction", "licence", "what people call it")
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,11 @@ def _show(pool: pools.Pool) -> None:
 
 
 def _row(asset: ObjectAsset) -> tuple[str, ...]:
-    size = " x ".join(f"{2000 * half:.0f}" for half in asset.half_extents)
+    from cluttergen_jax.cli.pool_table import size_text
+
     friction = "-" if asset.friction is None else f"{asset.friction:g}"
-    return asset.name, size, f"{asset.mass:.3f}", friction, asset.provenance.licence, asset.label
+    numbers = size_text(asset), f"{asset.scale:g}", f"{asset.mass:.3f}", friction
+    return asset.name, *numbers, asset.provenance.licence, asset.label
 
 
 def _flags(objects: Sequence[ObjectAsset]) -> Iterator[str]:

@@ -7,7 +7,10 @@ from collections.abc import Sequence
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.tables import aligned_table
 
-_HEADER = ("object", "parts", "vertices", "mass kg", "deviation", "cavity", "ball", "solo", "steps", "poses")
+_HEADER = (
+    *("object", "size mm", "scale", "mass kg", "parts", "vertices"),
+    *("deviation", "cavity", "ball", "solo", "steps", "poses"),
+)
 
 
 def pool_table(objects: Sequence[ObjectAsset]) -> str:
@@ -23,9 +26,11 @@ def _row(asset: ObjectAsset) -> tuple[str, ...]:
     ball = {None: "-", True: "held", False: "lost"}[quality.holds_ball]
     return (
         asset.name,
+        size_text(asset),
+        f"{asset.scale:g}",
+        f"{asset.mass:.3f}",
         str(len(asset.parts)),
         str(sum(len(part.vertices) for part in asset.parts)),
-        f"{asset.mass:.3f}",
         _percent(quality.deviation),
         _percent(quality.cavity_fill),
         ball,
@@ -33,6 +38,11 @@ def _row(asset: ObjectAsset) -> tuple[str, ...]:
         "-" if quality.solo_steps is None else f"{quality.solo_steps:.1f}",
         str(len(asset.resting)),
     )
+
+
+def size_text(asset: ObjectAsset) -> str:
+    """Its three sides in millimetres, in its resting pose."""
+    return " x ".join(f"{2000 * half:.0f}" for half in asset.half_extents)
 
 
 def _percent(share: float | None) -> str:

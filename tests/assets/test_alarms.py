@@ -1,6 +1,8 @@
 """Files that contradict themselves by a factor of three are flagged: what is seen, what collides, mass."""
 
+import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +12,13 @@ from cluttergen_jax.assets.deviation import size_alarm
 from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.modeller.catalog import POOLS, make_shape
+from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
 from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.assets.stated_mass import combined, mass_alarm
+from cluttergen_jax.cli.flags import with_flags
+from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.pool_table import pool_table
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing.readers import ReadOptions, read_source
 from tests.helpers.shapes import open_box_slabs, slab
 
@@ -53,10 +59,12 @@ def test_hollow_things_thin_shells_and_coarse_boxes_raise_no_alarm():
 @pytest.mark.parametrize(
     ("mass", "told"),
     [
-        (0.007, "9.11 kg/m^3 over its convex hull, where 75 to 3,000 are usual"),
+        (0.007, "9.11 kg/m^3 over its convex hull, where 50 to 8,000 are likely"),
+        (0.037, "48.2 kg/m^3 over its convex hull"),
         (0.1, ""),
         (0.4, ""),
         (6.0, ""),
+        (6.3, "8,203 kg/m^3 over its convex hull"),
         (8.0, "10,417 kg/m^3 over its convex hull"),
         (np.nan, ""),
         (-1.0, ""),
@@ -112,3 +120,31 @@ def test_whoever_gives_a_mass_has_looked(tmp_path):
     (tmp_path / "carton.xml").write_text(MJCF.replace(".09 .09 .12", ".04 .03 .08"))
     (shape,) = read_source(tmp_path / "carton.xml", ReadOptions(mass=0.5))
     assert make_object(shape, BodyConfig(tier="light")).flags == ()
+
+
+def test_a_mass_by_volume_is_asked_for_and_named(tmp_path):
+    (tmp_path / "carton.xml").write_text(MJCF.replace(".09 .09 .12", ".04 .03 .08"))
+    (shape,) = read_source(tmp_path / "carton.xml")
+    (flag,) = make_object(shape, BodyConfig(tier="light")).flags
+    assert "--mass volume takes its volume" in with_flags(flag, Import)
+    (shape,) = read_source(tmp_path / "carton.xml", ReadOptions(mass="volume", density=100))
+    asset = make_object(shape, BodyConfig(tier="light"))
+    assert asset.flags == ()
+    assert asset.mass == pytest.approx(0.08 * 0.06 * 0.16 * 100)
+    assert any("the mass that its file states is not asked for" in note for note in asset.notes)
+    with pytest.raises(ConfigError, match="mass = 'weight'"):
+        ReadOptions(mass="weight")
+
+
+def test_size_and_scale_stand_in_the_table_and_outlast_the_pools_files(tmp_path):
+    (tmp_path / "carton.xml").write_text(MJCF.replace(".09 .09 .12", ".04 .03 .08"))
+    (shape,) = read_source(tmp_path / "carton.xml", ReadOptions(scale=0.5))
+    asset = make_object(shape, BodyConfig(tier="light"))
+    write_object(tmp_path / "carton", asset)
+    again = read_object(tmp_path / "carton")
+    assert (again.scale, object_hash(again)) == (0.5, object_hash(asset))
+    heading, row, *_ = pool_table([again]).splitlines()
+    assert heading.split()[:6] == ["object", "size", "mm", "scale", "mass", "kg"]
+    assert row.startswith("carton  40 x 30 x 80    0.5    0.048")
+    # Objects that were not scaled keep the digest that they had.
+    assert "scale" not in json.loads(object_files(replace(asset, scale=1.0))["object.json"])

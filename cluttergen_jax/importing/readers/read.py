@@ -40,7 +40,11 @@ def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
     turn = rotation * options.scale
     notes = model.notes
     density = options.density if model.density is None else model.density
-    if source.kind != "mesh" and model.stated is None and options.mass is None:
+    mass, stated = (None, None) if options.mass == "volume" else (options.mass, model.stated)
+    if stated is not model.stated:
+        told = "the mass that its file states is not asked for"
+        notes = (*notes, f"{told}: it is its volume times {density:g} kg/m^3")
+    elif source.kind != "mesh" and stated is None and mass is None:
         what = "mass" if model.density is None else "mass but a density"
         notes = (*notes, f"its file states no {what}: it is its volume times {density:g} kg/m^3")
     pieces = tuple(_unfolded(piece) for piece in model.pieces)
@@ -52,10 +56,11 @@ def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
         pieces=tuple(piece.transformed(turn, np.zeros(3)) for piece in pieces),
         provenance=_provenance(source, options),
         parts=None if model.parts is None else _turned(model.parts, turn),
-        mass=options.mass,
+        mass=mass,
         density=density,
-        stated=None if model.stated is None else model.stated.scaled(rotation, options.scale, mass_scale),
+        stated=None if stated is None else stated.scaled(rotation, options.scale, mass_scale),
         friction=options.friction,
+        scale=options.scale,
         notes=notes,
         colliding=_turned(model.colliding, turn),
     )

@@ -13,7 +13,7 @@ from anyascii import anyascii
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.shape import Provenance
-from cluttergen_jax.config import check_positive
+from cluttergen_jax.config import ByVolume, check_positive
 from cluttergen_jax.importing.readers.axes import check_axes
 
 # File names of which one in a folder is the object that the folder is called after.
@@ -44,7 +44,8 @@ class ReadOptions:
       front: the file's axis that becomes the object's +x, at a right angle to `up`; "auto" takes x, or -y
         where x is up.
       density: kg/m^3, for objects whose mass is not known.
-      mass: kilograms for every object, instead of volume times density.
+      mass: kilograms for every object, instead of volume times density; "volume" takes the latter even where
+        a file states a mass.
       friction: sliding coefficient of the object; None leaves it to the contact's.
       licence, attribution: on which terms the object may be passed on; empty where the source says it.
       max_texture: pixels a side that an image may have; larger ones are shrunk.
@@ -53,7 +54,7 @@ class ReadOptions:
     scale: float = 1.0
     up: str = "auto"
     density: float = 500.0
-    mass: float | None = None
+    mass: float | ByVolume | None = None
     front: str = "auto"
     friction: float | None = None
     licence: str = ""
@@ -63,7 +64,7 @@ class ReadOptions:
     def __post_init__(self) -> None:
         check_positive(self, "scale", "density", "max_texture")
         for name in ("mass", "friction"):
-            if getattr(self, name) is not None:
+            if getattr(self, name) is not None and (name, getattr(self, name)) != ("mass", "volume"):
                 check_positive(self, name)
         check_axes(self.up, self.front)
 
