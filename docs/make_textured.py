@@ -249,7 +249,7 @@ def main(folder: Path) -> None:
         folder / "scenes", pool="printed", support=table, method="clear", num_objects=8, num_scenes=8
     )
     cg.render(bank.path, folder, sheet=True, picture=False, scenes=range(8), size=(400, 300), columns=4)
-    sheet = Image.open(folder / "sheet.png").convert("P", palette=Image.Palette.ADAPTIVE, colors=256)
+    sheet = Image.open(folder / "scenes-sheet.png").convert("P", palette=Image.Palette.ADAPTIVE, colors=256)
     sheet.save(HERE / "textured.png", optimize=True)
 
 

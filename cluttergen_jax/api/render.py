@@ -57,7 +57,7 @@ def render(
       scenes: numbers such as 0,3,7 or 0-9, or all; the first that stands if not given (12 of them on a
         sheet). In Python also a list.
       picture: draw a PNG of each scene.
-      sheet: all scenes on one contact sheet, sheet.png.
+      sheet: all scenes on one contact sheet, NAME-sheet.png, after the bank or what else the source is.
       turntable: a film once around the scene.
       replay: a film of the placement as it happened, failed attempts in red.
       figure: the closed-loop figure: an object's failed attempts ringed in red, until it stands.

@@ -183,7 +183,11 @@ def test_render_writes_what_is_asked_for(bank, source, tmp_path):
     with pytest.raises(ConfigError, match="views = 0"):
         render(bank, bop=True, views=0)
     assert main(["render", str(bank), "--sheet", *quick]) == 0
-    assert (tmp_path / "sheet.png").exists()
+    other = tmp_path / "other bank"
+    shutil.copytree(bank, other)
+    assert main(["render", str(other), "--sheet", *quick]) == 0
+    sheets = {each.name for each in tmp_path.glob("*sheet.png")}
+    assert sheets == {f"{bank.name}-sheet.png", "other-bank-sheet.png"}
 
 
 def test_a_figure_that_cannot_be_made_costs_nothing_else(bank, source, tmp_path, capsys):

@@ -106,7 +106,9 @@ class Rendering:
             for number in shown:
                 failures += self._make(work, number, made)
         if self._makes("sheet"):
-            made.append(save_png(self._sheet(opened, numbers), self.out / "sheet.png"))
+            # Called after its source: those of several lie in one folder.
+            path = self.out / f"{_plain(opened.name)}-sheet.png"
+            made.append(save_png(self._sheet(opened, numbers, path.name), path))
         return RenderReport(tuple(made), tuple(failures), notes)
 
     def _can_draw(self) -> tuple[bool, tuple[str, ...]]:
@@ -204,10 +206,10 @@ class Rendering:
         shown = tracked(frames, path.name, count, "frame")
         return save_film(shown, path, self.pace.fps)
 
-    def _sheet(self, source: SceneSource, numbers: list[int]) -> np.ndarray:
+    def _sheet(self, source: SceneSource, numbers: list[int], title: str) -> np.ndarray:
         picture = self._picture(_CELL, _QUICK if len(numbers) > _SHEET else _FINE)
         recordings = [source.still(number) for number in numbers]
-        shown = tracked(recordings, "sheet.png", len(recordings), "picture")
+        shown = tracked(recordings, title, len(recordings), "picture")
         images = [drawn(recording, picture) for recording in shown]
         captions = [
             f"{number:06d}" + ("" if recording.is_success else f" (failed: {recording.verdict})")
@@ -309,8 +311,13 @@ def _named(stem: Path, ending: str) -> Path:
 
 
 def _stem(source: SceneSource, number: int) -> str:
-    name = re.sub(r"[^\w.+-]+", "-", source.name)
+    name = _plain(source.name)
     return name if len(source.numbers) == 1 else f"{name}-{number:06d}"
+
+
+def _plain(name: str) -> str:
+    """A name in letters that file names can have."""
+    return re.sub(r"[^\w.+-]+", "-", name)
 
 
 def _written(path: Path, data: bytes) -> Path:
