@@ -78,6 +78,16 @@ class Progress:
         if note:
             self._bar.set_postfix_str(note, refresh=False)
         self._bar.update(number)
+        self._tell(note)
+
+    def note(self, text: str) -> None:
+        """What is being done: beside the bar, or in a log's lines, which then come while nothing gets done."""
+        if not self._is_log:
+            self._bar.set_postfix_str(text)
+        self._tell(text)
+
+    def _tell(self, note: str) -> None:
+        """A line in a log, where the last is long ago."""
         now = self._clock()
         if self._is_log and now - self._told >= EVERY:
             self._told = now

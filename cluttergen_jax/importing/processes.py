@@ -77,6 +77,7 @@ class Crew:
       num_processes: at a time.
       limit: seconds that a job may take, both tries together; None for as long as it likes.
       again: makes the second job.
+      watch: hears, every second or oftener, which jobs are at work, by index.
     """
 
     def __init__(
@@ -85,8 +86,10 @@ class Crew:
         num_processes: int,
         limit: float | None = None,
         again: Again | None = None,
+        watch: Callable[[list[int]], None] | None = None,
     ) -> None:
         self._function, self._num, self._limit, self._again = function, num_processes, limit, again
+        self._watch = watch
         self._workers: list[_Worker] = []
         self._waiting: deque[_Task] = deque()
         self._last: deque[_Task] = deque()
@@ -106,6 +109,8 @@ class Crew:
             if stop_asked.is_set():
                 raise KeyboardInterrupt
             self._hand_out()
+            if self._watch is not None:
+                self._watch([worker.task.index for worker in self._workers if worker.task is not None])
             for worker in self._heard():
                 if (task := self._over(worker)) is not None:
                     num_left -= 1

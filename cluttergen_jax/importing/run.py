@@ -27,6 +27,8 @@ from cluttergen_jax.importing.solo import measured_object
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.progress import Progress
 
+_MOST_NAMED = 4
+"""So many objects are named at a time as those at work."""
 _JITTER = 1e-4
 """Share of an object's size by which a second try moves the corners that its parts are cut from."""
 
@@ -92,12 +94,18 @@ def second_try(job: Job, fault: str) -> Job:
     return replace(job, fault=fault)
 
 
-def _outcomes(jobs: Sequence[Job], config: ImportConfig) -> Generator[tuple[int, Outcome], None, None]:
-    """What became of each job as they come, from processes of this machine or of a cluster."""
+Watch = Callable[[list[int]], None]
+"""Hears which jobs are at work, by index."""
+
+
+def _outcomes(
+    jobs: Sequence[Job], config: ImportConfig, watch: Watch | None = None
+) -> Generator[tuple[int, Outcome], None, None]:
+    """What became of each job as they come, from processes of this machine, or of a cluster unwatched."""
     if config.cluster is not None:
         yield from _outcomes_on(config.cluster, jobs, config.time_limit)
         return
-    crew = Crew(made, config.jobs or os.cpu_count() or 1, config.time_limit, second_try)
+    crew = Crew(made, config.jobs or os.cpu_count() or 1, config.time_limit, second_try, watch)
     with closing(crew):
         yield from crew.outcomes(jobs)
 
@@ -267,17 +275,28 @@ def _make(jobs: Sequence[Job], config: ImportConfig) -> tuple[list[Failure], dic
                 f"{min(num_processes, len(jobs))} at a time" if config.cluster is None else "on a cluster"
             )
             progress.say(f"importing {len(jobs)} objects, {at_once}")
-        with closing(_outcomes(jobs, config)) as outcomes:
-            for index, outcome in outcomes:
-                job, cost = jobs[index], Cost(outcome.seconds, outcome.cpu_seconds)
-                costs[job.source.name] = cost
-                reason = _kept(job, outcome)
-                if reason:
-                    reasons[index] = reason
-                say(_line(job.source.name, cost, outcome.result, reason))
-                if progress is not None:
-                    progress.update(note=job.source.name)
+        watch = None if progress is None else partial(_show_at_work, progress, jobs)
+        try:
+            with closing(_outcomes(jobs, config, watch)) as outcomes:
+                for index, outcome in outcomes:
+                    job, cost = jobs[index], Cost(outcome.seconds, outcome.cpu_seconds)
+                    costs[job.source.name] = cost
+                    reason = _kept(job, outcome)
+                    if reason:
+                        reasons[index] = reason
+                    say(_line(job.source.name, cost, outcome.result, reason))
+                    if progress is not None:
+                        progress.update()
+        except KeyboardInterrupt:
+            say(f"{len(costs) - len(reasons)} of {len(jobs)} objects were made and are kept")
+            raise
     return [Failure(jobs[index].source.name, reasons[index]) for index in sorted(reasons)], costs
+
+
+def _show_at_work(progress: Progress, jobs: Sequence[Job], indices: list[int]) -> None:
+    names = [jobs[index].source.name for index in indices]
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    progress.note(f"at work: {', '.join(names[:_MOST_NAMED])}{more}")
 
 
 def _kept(job: Job, outcome: Outcome) -> str:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from cluttergen_jax.importing.processes import Outcome
-from cluttergen_jax.importing.run import ImportConfig, Job, made
+from cluttergen_jax.importing.run import ImportConfig, Job, Watch, made
 
 
-def made_here(jobs: Sequence[Job], config: ImportConfig) -> Iterator[tuple[int, Outcome]]:
+def made_here(
+    jobs: Sequence[Job], config: ImportConfig, watch: Watch | None = None
+) -> Iterator[tuple[int, Outcome]]:
     """In place of `run._outcomes`: jobs are done in this process."""
     for index, job in enumerate(jobs):
         yield index, Outcome(made(job))

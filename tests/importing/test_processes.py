@@ -110,6 +110,17 @@ def test_a_lost_job_is_tried_once_more_in_another_way(how):
     assert found.seconds < 60
 
 
+def test_who_is_at_work_is_told():
+    heard = []
+    crew = Crew(sleep, 2, watch=heard.append)
+    try:
+        assert len(dict(crew.outcomes([0.1, 0.1, 0.1]))) == 3
+    finally:
+        crew.close()
+    assert heard[0] == [0, 1]
+    assert heard[-1] == [2]
+
+
 def test_workers_that_cannot_begin_end_the_run():
     with pytest.raises(ClutterGenError, match=r"status 7.*__main__"):
         outcomes([Unborn()])

@@ -37,6 +37,21 @@ def test_a_log_gets_a_line_every_ten_seconds_and_one_at_the_end():
     ]
 
 
+def test_what_is_at_work_is_named_while_nothing_gets_done():
+    log, terminal, clock = io.StringIO(), Terminal(), Clock()
+    with Progress("importing", 4, "object", file=log, clock=clock) as shown:
+        for _ in range(25):
+            clock.now += 1.0
+            shown.note("at work: mug")
+    assert log.getvalue().splitlines()[:2] == [
+        "importing: 0 of 4 objects, 10 s passed, at work: mug",
+        "importing: 0 of 4 objects, 20 s passed, at work: mug",
+    ]
+    with Progress("importing", 4, "object", file=terminal) as shown:
+        shown.note("at work: mug")
+    assert "at work: mug" in terminal.getvalue()
+
+
 def test_what_was_done_before_is_counted_but_sets_no_pace():
     log, clock = io.StringIO(), Clock()
     with Progress("learning", 100, "step", kept=90, file=log, clock=clock) as shown:
