@@ -81,7 +81,7 @@ class Progress:
         self._tell(note)
 
     def note(self, text: str) -> None:
-        """What is being done: beside the bar, or in a log's lines, which then come while nothing gets done."""
+        """What is being done: beside the bar; in a log, in lines that come while nothing gets done."""
         if not self._is_log:
             self._bar.set_postfix_str(text)
         self._tell(text)

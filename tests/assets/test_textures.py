@@ -51,14 +51,22 @@ def test_every_format_brings_its_image_the_right_way_up(way, tmp_path):
     assert_upright(piece)
 
 
-def test_the_colour_of_a_material_multiplies_its_image(tmp_path):
-    dim, black = (
-        read_source(textured.write_obj(tmp_path / kd[0], kd=kd))[0].pieces[0]
-        for kd in ("0.5 0.5 0.5", "0 0 0")
-    )
+def test_the_colour_of_a_gltf_material_multiplies_its_image(tmp_path):
+    path = textured.write_gltf(tmp_path, "slab.gltf")
+    document = json.loads(path.read_text())
+    # 0.214 is 0.5 as it is shown.
+    document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [0.214, 0.214, 0.214, 1.0]
+    path.write_text(json.dumps(document))
+    (dim,) = read_source(path)[0].pieces
     assert_upright(dim, 0.5)
     assert dim.rgba[0] != 0.5  # MuJoCo takes exactly this grey for no colour at all.
-    assert_upright(black)
+
+
+@pytest.mark.parametrize(("kd", "is_noted"), [("0.02 0.02 0.02", 0), ("0 0 0", 0), ("1 0.5 0", 1)])
+def test_an_image_is_drawn_as_it_is_whatever_kd_stands_beside_it(tmp_path, kd, is_noted):
+    (shape,) = read_source(textured.write_obj(tmp_path, kd=kd))
+    assert_upright(shape.pieces[0])
+    assert len([note for note in shape.notes if kd in note]) == is_noted
 
 
 def test_two_materials_of_a_file_stay_apart(tmp_path):

@@ -84,13 +84,17 @@ class Dresser:
         return Image.alpha_composite(white, clear)
 
     def _factor(self, material: Any) -> Rgba:
-        """What the image is multiplied by: MTL's Kd and d, glTF's base colour factor."""
+        """What the image is multiplied by: MTL's d, glTF's base colour factor.
+
+        Beside an image most programs write some Kd that they never draw: it darkens nothing.
+        """
         kept = getattr(material, "kwargs", None)
         if kept is not None:
-            colour = _numbers(kept.get("kd"), 3)
-            # Some programs write a black Kd beside an image.
-            colour = colour if colour is not None and max(colour) > 0 else [1.0, 1.0, 1.0]
-            return _rgba([*colour, (_numbers(kept.get("d"), 1) or [1.0])[0]])
+            colour = _numbers(kept.get("kd"), 3) or [1.0]
+            if max(colour) != min(colour):
+                told = " ".join(f"{each:g}" for each in colour)
+                self._note(f"an image is drawn as it is, without the colour beside it (Kd {told})")
+            return _rgba([1.0, 1.0, 1.0, (_numbers(kept.get("d"), 1) or [1.0])[0]])
         factor = getattr(material, "baseColorFactor", None)
         if factor is None:
             return (1.0, 1.0, 1.0, 1.0)
