@@ -8,7 +8,7 @@
 
 What a command does, one function does, with the same defaults:
 
-    import_pool, import_support    meshes, URDF, MJCF -> a pool, a support
+    import_pool, import_support    meshes, URDF, SDF, MJCF -> a pool, a support
     generate, verify, stats_of     scenes -> a bank on disk; which of them stand; what it holds
     train, train_suite, pretrain   a pool -> a policy; those of a suite; an encoder
     export, render, view           scenes -> other programs, pictures, a viewer

@@ -1,7 +1,7 @@
 # %% [markdown]
 # # From your own meshes to a pool
 # The first half of the guide from own meshes to own policy; 03 is the second. Any folder of OBJ, STL, PLY,
-# GLB, DAE, URDF or MJCF files will do. Here three meshes are made up, as if they had been downloaded.
+# GLB, DAE, URDF, SDF or MJCF files will do. Here three meshes are made up, as if they had been downloaded.
 
 # %%
 import os

@@ -118,7 +118,7 @@ def import_support(
 
     Args:
       path: instead of sources and a pool, the file of one table with a level top, 2 m across at most: a mesh,
-        URDF or MJCF, or a folder that holds one.
+        URDF, SDF or MJCF, or a folder that holds one.
       name: the new support's name; the file's own if not given.
 
     Returns:

@@ -24,7 +24,7 @@ _TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class StatedMass:
-    """What a URDF or MJCF file says of one rigid body, all its links taken together.
+    """What a URDF, SDF or MJCF file says of one rigid body, all its links taken together.
 
     Attributes:
       body: in the shape's authored frame.

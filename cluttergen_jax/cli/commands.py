@@ -29,7 +29,7 @@ COMMANDS = {
     "robot": "A robot arm in simulation: `robot grasps` and `robot place`.",
     "rearrange": "Let a simulated Franka Panda rearrange the objects of scenes (extra `robot`).",
     "import": (
-        "Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, MJCF, folders, or `ycb`."
+        "Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, SDF, MJCF, or `ycb`."
     ),
     "pool": "List pools, show what one holds, or remove pools of your own: cluttergen pool show mine.",
     "inspect": "Show what was measured about a pool's objects; draw each mesh beside its collision parts.",

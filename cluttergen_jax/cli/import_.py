@@ -1,4 +1,4 @@
-"""`cluttergen import`: from meshes, URDF, MJCF or YCB to a pool of measured bodies, or to a support."""
+"""`cluttergen import`: from meshes, URDF, SDF, MJCF or YCB to a pool of measured bodies, or to a support."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MOST_DEAR = 3
     licence=Annotated[str, arg(aliases=["--license"])],
 )
 class Import(Options):
-    """Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, MJCF, folders, or `ycb`.
+    """Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, SDF, MJCF, or `ycb`.
 
     Example: `cluttergen import my_meshes/ --pool mine --scale 0.001`
     """

@@ -1,5 +1,7 @@
 """COLLADA's units and images, and the material files of OBJ."""
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
@@ -135,3 +137,23 @@ def test_a_missing_material_file_is_named(tmp_path):
     (shape,) = read_source(tmp_path / "box.obj")
     assert shape.pieces[0].rgba == GREY
     assert shape.notes == ("box.obj names 'tab.mtl', which is not there",)
+
+
+QUADS = "0 1 3 2", "4 6 7 5", "0 4 5 1", "2 3 7 6", "0 2 6 4", "1 5 7 3"
+SAID = '<input semantic="VERTEX" source="#vv" offset="0"/>'
+LISTS = {
+    "polylist": f'<polylist count="6">{SAID}<vcount>4 4 4 4 4 4</vcount><p>{" ".join(QUADS)}</p></polylist>',
+    "polygons": f'<polygons count="6">{SAID}{"".join(f"<p>{each}</p>" for each in QUADS)}</polygons>',
+}
+
+
+@pytest.mark.parametrize("kind", LISTS)
+def test_collada_polygons_are_the_triangles_that_they_hold(tmp_path, kind):
+    path = tmp_path / "die.dae"
+    path.write_text(re.sub("<triangles.*</triangles>", LISTS[kind], DIE))
+    np.testing.assert_allclose(size_of(path), SIZES["inch_die"], atol=1e-5)
+    (shape,) = read_source(path)
+    assert shape.pieces[0].mesh.volume == pytest.approx(np.prod(SIZES["inch_die"]), rel=1e-3)
+    hole = f'<polygons count="1">{SAID}<ph><p>0 1 3 2</p><h>4 6 7</h></ph></polygons>'
+    path.write_text(path.read_text().replace("</mesh>", hole + "</mesh>"))
+    assert "1 polygons with holes (<ph>) are left out" in read_source(path)[0].notes

@@ -1,4 +1,4 @@
-"""What a URDF or MJCF file says of an object: more than its surfaces."""
+"""What a URDF, SDF or MJCF file says of an object: more than its surfaces."""
 
 from __future__ import annotations
 
