@@ -55,6 +55,7 @@ Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 Tier = Literal["standard", "light"]
 ByVolume = Literal["volume"]
 """Of a mass: volume times density, whatever a file states."""
+Collision = Literal["auto", "keep"]
 CameraName = Literal["overhead", "front", "side", "wrist"]
 FilmFormat = Literal["gif", "mp4"]
 PixelOrigin = Literal["center", "corner"]

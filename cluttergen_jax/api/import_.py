@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.assets.config import MAX_TEXTURE, NUM_TRIALS, TIME_LIMIT, DecompositionConfig
-from cluttergen_jax.config import Axis, ByVolume, Tier
+from cluttergen_jax.config import Axis, ByVolume, Collision, Tier
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.support import SupportAsset
@@ -33,6 +33,8 @@ def import_pool(
     licence: str = "",
     attribution: str = "",
     settings: str | Path | None = None,
+    set: str = "auto",
+    collision: Collision = "auto",
     add: bool = False,
     force: bool = False,
     progress: bool = True,
@@ -63,6 +65,10 @@ def import_pool(
       licence: on which terms the objects may be passed on, where their source does not say.
       attribution: whom to name, where the licence asks for it.
       settings: a TOML file of settings per object, in place of the objects.toml in each folder.
+      set: the published set that the folders are of, such as "robosuite": which files are its models, and
+        what they do not say; "auto" for what the folders show, "none" for no such knowledge.
+      collision: "keep" takes collision shapes that lie beside a mesh (mug_col.obj, collision/mug_0.obj) as
+        its parts; "auto" cuts the mesh itself.
       add: add to the pool, which exists; objects of equal names are refused, or replaced with `force`.
       force: make everything again, and replace a pool, a support, or with `add` objects of that name.
       progress: show a progress bar; the line that tells of each object, and what it cost, is written anyway.
@@ -93,10 +99,11 @@ def import_pool(
         licence=licence,
         attribution=attribution,
         max_texture=max_texture,
+        collision=collision,
     )
     config = ObjectConfig(read, BodyConfig(tier, decomposition or DecompositionConfig()), trials)
     file, place = None if settings is None else Path(settings), cluster_of(cluster, workers)
-    how = ImportConfig(config, jobs, force, progress, add, file, place, time_limit)
+    how = ImportConfig(config, jobs, force, progress, add, file, place, time_limit, set)
     return import_sources([sources] if isinstance(sources, str | Path) else sources, pool, how)
 
 

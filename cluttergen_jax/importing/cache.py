@@ -40,7 +40,7 @@ def source_digest(source: ObjectFile) -> str:
     Raises:
       OSError: a file cannot be read.
     """
-    files = {source.path.resolve()}
+    files = {file.resolve() for file in (source.path, *source.parts)}
     if source.kind != "mesh" and isinstance(model := model_file(source.path), ModelFile):
         files |= model.files | model.includes | {source.path.parent.resolve() / "label.json"}
     files |= {each.resolve() for file in files if file.is_file() for each in companions(file)}

@@ -10,12 +10,15 @@ from pathlib import Path
 from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, MissingExtraError
-from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped, survey
+from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped
 from cluttergen_jax.importing.readers.axes import AUTO, UpAxis, own_up
+from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import public_path
-from cluttergen_jax.importing.readers.source import named_apart
-from cluttergen_jax.importing.readers.tree import find_sources
+from cluttergen_jax.importing.readers.source import make_source, named_apart
+from cluttergen_jax.importing.readers.tree import find_sources, found_in
 from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
+from cluttergen_jax.importing.sets import AUTO as ANY_SET
+from cluttergen_jax.importing.sets import KnownSet, known_sets, told
 from cluttergen_jax.importing.settings import OF_READING, Settings, read_settings, settings_for
 
 YCB = "ycb"
@@ -28,12 +31,14 @@ class Planned:
     Attributes:
       up: the vertical axis of its file, and who says so.
       is_named: its name was chosen by the user, and stays.
+      out: why the layout of its set leaves it out; empty if it does not.
     """
 
     source: ObjectFile
     options: ReadOptions
     up: UpAxis
     is_named: bool = False
+    out: str = ""
 
 
 @dataclass(frozen=True)
@@ -46,20 +51,23 @@ class Failure:
 
 @dataclass(frozen=True)
 class Plan:
-    """Objects of distinct names, files that are no objects, and what cannot be read."""
+    """Objects of distinct names, files that are none, what cannot be read, and known sets, a line each."""
 
     objects: tuple[Planned, ...]
     skipped: tuple[Skipped, ...]
     failures: tuple[Failure, ...]
+    sets: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class _Group:
-    """What one of the sources holds, the folder that its settings speak of, and these."""
+    """What a folder or file holds, the folder that its settings speak of, these, and the sets it is of."""
 
     root: Path
     found: Found
     settings: Settings | None
+    sets: tuple[KnownSet, ...] = ()
+    is_folder: bool = True
 
 
 def plan_all(
@@ -67,12 +75,14 @@ def plan_all(
     options: ReadOptions,
     settings: Path | None = None,
     pool: Path | None = None,
+    layout: str = ANY_SET,
 ) -> Plan:
     """Looks through all sources; the word `ycb` stands for the YCB objects.
 
     Args:
       options: for every object, but for what its settings say.
       settings: a settings file for all sources, in place of the one in each folder.
+      layout: the set that the sources are of: a name in sets.yaml, "none", or "auto" for what they show.
       pool: a pool's folder; what it holds by names that earlier versions gave is called so again.
 
     Raises:
@@ -84,7 +94,7 @@ def plan_all(
     failures: list[Failure] = []
     for each in sources:
         try:
-            groups.append(_group(each, given))
+            groups.append(_group(each, given, layout))
         except AssetError as error:
             failures.append(Failure(str(each), str(error)))
     if given is not None:
@@ -96,36 +106,67 @@ def plan_all(
                 planned.append(_planned(source, group, options))
             except OSError as error:
                 failures.append(Failure(source.name, f"{source.path} cannot be read ({error.strerror})"))
+    kept = [_called_after_file(each, planned) for each in planned if not each.out]
     skipped = tuple(each for group in groups for each in group.found.skipped)
-    return Plan(_named_apart(_as_in_pool(planned, pool)), skipped, tuple(failures))
+    skipped += tuple(Skipped(_place(each.source), each.out) for each in planned if each.out)
+    lines = tuple(told([known for group in groups for known in group.sets]))
+    return Plan(_named_apart(_as_in_pool(kept, pool)), skipped, tuple(failures), lines)
 
 
-def _group(given: str | Path, settings: Settings | None) -> _Group:
+def _place(source: ObjectFile) -> str:
+    """A file, with the body where it holds several."""
+    return f"{public_path(source.path)}{'#' if source.body else ''}{source.body.removeprefix('#')}"
+
+
+def _called_after_file(each: Planned, planned: Sequence[Planned]) -> Planned:
+    """A body without a name, whose number says nothing where other bodies of its file are left out."""
+    path = each.source.path
+    is_unnamed = each.source.body.startswith("#") and not each.is_named
+    if not is_unnamed or not any(other.out and other.source.path == path for other in planned):
+        return each
+    file = make_source(path, each.source.kind)
+    return replace(each, source=replace(each.source, name=file.name, label=file.label))
+
+
+def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
     path = Path(given)
     if str(given) == YCB and not path.exists():
         found = Found(tuple(ycb_sources()))
         return _Group(found.sources[0].path.parent, found, settings)
-    found = survey(path)
+    found = found_in(path)
     root = path if path.is_dir() else path.parent
+    sets = known_sets(root, found.files if path.is_dir() else root.iterdir(), layout)
     if settings is None and (settings := settings_for(root)) is not None and path.is_dir():
         settings.check_used([(root, found)])
-    return _Group(root, found, settings)
+    return _Group(root, found, settings, sets, path.is_dir())
 
 
 def _planned(source: ObjectFile, group: _Group, options: ReadOptions) -> Planned:
-    """A source with the options of the command line, but for what the settings say."""
+    """A source with the options of the command line, but for what its set and the settings say."""
     values = {} if group.settings is None else group.settings.of(source, group.root)
     reading = {key: value for key, value in values.items() if key in OF_READING}
-    own = replace(options, **reading)
-    if own.up == AUTO:
-        up = own_up(source.path, source.kind)
-    elif group.settings is not None and "up" in reading:
-        up = UpAxis(own.up, f"as {group.settings.path.name} says")
-    else:
-        up = UpAxis(own.up, "as `up` says")
-    naming = {key: value for key, value in values.items() if key not in OF_READING}
+    known = next((each for each in group.sets if each.covers(source)), None)
+    from_set = {} if known is None else known.found(source)
+    own = replace(options if known is None else known.read(options, from_set), **reading)
+    label = {key: value for key, value in from_set.items() if key == "label"}
+    naming = {key: value for key, value in {**label, **values}.items() if key not in OF_READING}
     earlier = source.earlier[0], naming.get("label", source.earlier[1])
-    return Planned(replace(source, earlier=earlier, **naming), own, up, "name" in naming)
+    parts = collision_files(source.path) if own.collision == "keep" and source.kind == "mesh" else ()
+    own_source = replace(source, earlier=earlier, parts=parts, **naming)
+    # A file that is given itself is taken.
+    sets = group.sets if group.is_folder else ()
+    out = next((why for each in sets if (why := each.why_out(source))), "")
+    up = _up_axis(source, own, group if "up" in reading else None, known if options.up == AUTO else None)
+    return Planned(own_source, own, up, "name" in naming, out)
+
+
+def _up_axis(source: ObjectFile, own: ReadOptions, group: _Group | None, known: KnownSet | None) -> UpAxis:
+    """The vertical axis of a source, and who says so: the settings of the group, its set, or the user."""
+    if own.up == AUTO:
+        return own_up(source.path, source.kind)
+    if group is not None and group.settings is not None:
+        return UpAxis(own.up, f"as {group.settings.path.name} says")
+    return UpAxis(own.up, "as `up` says" if known is None else f"as in {known.layout.title}")
 
 
 def _as_in_pool(planned: list[Planned], folder: Path | None) -> list[Planned]:

@@ -141,6 +141,7 @@ class ImportConfig:
       settings: a file of settings per object, in place of the `objects.toml` in each folder.
       cluster: where objects are made; in processes of this machine if None.
       time_limit: seconds that an object may take, a second try included; then it is left out.
+      layout: the published set that the sources are of; "auto" for what they show, or "none".
     """
 
     object: ObjectConfig = field(default_factory=ObjectConfig)
@@ -151,6 +152,7 @@ class ImportConfig:
     settings: Path | None = None
     cluster: Cluster | None = None
     time_limit: float = TIME_LIMIT
+    layout: str = "auto"
 
     def __post_init__(self) -> None:
         check_workers("jobs", self.jobs)
@@ -169,6 +171,7 @@ class ImportReport:
       skipped: files that are no objects, and why.
       up_axes: by object, the vertical axis of its file, and who says so.
       costs: by object, what it cost now; those that failed among them, those from the cache not.
+      sets: a line for each published set that was recognised.
     """
 
     path: Path | None
@@ -178,6 +181,7 @@ class ImportReport:
     skipped: tuple[Skipped, ...] = ()
     up_axes: dict[str, UpAxis] = field(default_factory=dict)
     costs: dict[str, Cost] = field(default_factory=dict)
+    sets: tuple[str, ...] = ()
 
     @property
     def cost(self) -> Cost:
@@ -218,7 +222,7 @@ def import_sources(
         raise AssetError("nothing to import", f"files, folders, or {YCB!r}")
     old = read_pool(user_pool_folder(pool_name)) if config.add else None
     known = None if config.force and old is None else user_root() / pool_name
-    planned = plan_all(sources, config.object.read, config.settings, known)
+    planned = plan_all(sources, config.object.read, config.settings, known, config.layout)
     jobs, unreadable = _jobs(planned.objects, config.object)
     made: dict[str, ObjectAsset] = {} if config.force else _loaded(jobs)
     missing = [job for job in jobs if job.source.name not in made]
@@ -234,7 +238,7 @@ def import_sources(
     path = _write(pool_name, objects, old, config) if objects else None
     axes = {each.source.name: each.up for each in planned.objects}
     of_names = {name: axes[name] for name in names}
-    return ImportReport(path, objects, num_cached, failures, planned.skipped, of_names, costs)
+    return ImportReport(path, objects, num_cached, failures, planned.skipped, of_names, costs, planned.sets)
 
 
 def _check_name(name: str) -> None:

@@ -13,6 +13,7 @@ from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.axes import AUTO, own_up, turn_of
+from cluttergen_jax.importing.readers.kept_parts import with_kept_parts
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
 from cluttergen_jax.importing.readers.model import Model
@@ -84,7 +85,8 @@ def _model(source: ObjectFile, options: ReadOptions) -> tuple[Model, float]:
     if source.kind == "mjcf":
         return read_mjcf(source.path, source.body, options.max_texture), options.scale**3
     pieces, notes = read_mesh_file(source.path, options.max_texture)
-    return Model(pieces, None, None, notes), 1.0
+    model = Model(pieces, None, None, notes)
+    return with_kept_parts(model, source.parts) if source.parts else model, 1.0
 
 
 def read_source(path: str | Path, options: ReadOptions | None = None) -> list[Shape]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,12 +15,15 @@ from cluttergen_jax.importing.readers.places import folder_place, mesh_place
 from cluttergen_jax.importing.readers.sdf import CONFIG, config_of, models
 from cluttergen_jax.importing.readers.sdf import ROOTS as SDF_ROOTS
 from cluttergen_jax.importing.readers.stand_ins import stand_in
+from cluttergen_jax.importing.readers.text import utf8
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_xml, plain_tag
 
 _MADE_BY_MUJOCO = ("frame", "replicate", "attach")
 """Elements whose bodies hang on what the element hangs on."""
 _MODELS = (".sdf", ".urdf", ".xml")
+_SHOWS_NOTHING = ("light", "camera", "site")
 _FOLDERS = ("meshdir", "assetdir", "texturedir")
+_NAMED = re.compile(r"\bfile(?:name)?\s*=\s*[\"']([^\"'<>]+)")
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,7 @@ class ModelFile:
       bodies: names of the bodies that hang on the world body, "" where one has none, or of the models of an
         SDF; () of a URDF.
       is_whole: all that it names is there.
+      fault: why it is no object, though it names files: a part for others to include, or broken.
     """
 
     path: Path
@@ -42,12 +47,13 @@ class ModelFile:
     includes: frozenset[Path] = frozenset()
     bodies: tuple[str, ...] = ()
     is_whole: bool = True
+    fault: str = ""
 
 
 def model_file(path: Path) -> ModelFile | str:
-    """The model in a file, or why it holds none. One that is broken further down names nothing."""
+    """The model in a .urdf, .sdf or .xml file, or why it is none. One that is broken has a fault."""
     tag = _root_tag(path)
-    if tag == "mujoco":
+    if tag in ("mujoco", "mujocoinclude"):
         return _mjcf(path)
     if tag == "robot" or path.suffix.lower() == ".urdf":
         return _urdf(path)
@@ -55,7 +61,9 @@ def model_file(path: Path) -> ModelFile | str:
         return _sdf(path)
     if found := stand_in(path):
         return found[0]
-    return f"neither URDF, SDF nor MJCF: its root is <{tag}>" if tag else "not well-formed XML"
+    if not tag:
+        return ModelFile(path, "", _named_in_text(path), is_whole=False, fault="not well-formed XML")
+    return f"neither URDF, SDF nor MJCF: its root is <{tag}>"
 
 
 def _root_tag(path: Path) -> str:
@@ -68,7 +76,7 @@ def _root_tag(path: Path) -> str:
 def _urdf(path: Path) -> ModelFile:
     root = parse_xml(path)
     if root is None:
-        return ModelFile(path, "urdf", is_whole=False)
+        return ModelFile(path, "urdf", _named_in_text(path), is_whole=False)
     named = [each.get("filename", "") for each in root.iter() if plain_tag(each) in ("mesh", "texture")]
     files = {name: file for name in named if (file := mesh_place(path, name)) is not None}
     real = frozenset(file.resolve() for file in files.values())
@@ -105,14 +113,14 @@ def _mjcf(path: Path) -> ModelFile:
     root = _expanded(path, path.parent, includes)
     includes.discard(path.resolve())
     if root is None:
-        return ModelFile(path, "mjcf", is_whole=False)
+        return ModelFile(path, "mjcf", _named_in_text(path), is_whole=False)
     folders = {path.parent}
     for compiler in root.iter("compiler"):
         folders |= {path.parent / compiler.get(name, "") for name in _FOLDERS}
     files: set[Path] = set()
     is_whole = True
     for element in root.iter():
-        names = [value for name, value in element.items() if name.startswith("file")]
+        names = [value.replace("\\", "/") for name, value in element.items() if name.startswith("file")]
         there = {file.resolve() for name in names for file in _candidates(name, folders) if file.is_file()}
         is_whole &= bool(there) or not names
         if element.tag == "model":
@@ -123,7 +131,26 @@ def _mjcf(path: Path) -> ModelFile:
                 files |= inner.files
         else:
             files |= there
-    return ModelFile(path, "mjcf", frozenset(files), frozenset(includes), _bodies(path, root), is_whole)
+    fault = "" if _shows_something(root) else "a part of MJCF models, made to be included"
+    bodies = () if fault else _bodies(path, root)
+    return ModelFile(path, "mjcf", frozenset(files), frozenset(includes), bodies, is_whole, fault)
+
+
+def _shows_something(root: Element) -> bool:
+    """Whether a tree is a model, not a part of others: there is more than lights and cameras in its world."""
+    inside = [child.tag for world in root.iter("worldbody") for child in world]
+    is_missing_part = root.find(".//include") is not None
+    return root.tag == "mujoco" and (is_missing_part or any(tag not in _SHOWS_NOTHING for tag in inside))
+
+
+def _named_in_text(path: Path) -> frozenset[Path]:
+    """Real paths of what a file names that is no well-formed XML, as far as it is there."""
+    try:
+        text = utf8(path.read_bytes()).decode(errors="replace")
+    except OSError:
+        return frozenset()
+    places = (mesh_place(path, name) for name in dict.fromkeys(_NAMED.findall(text)))
+    return frozenset(each.resolve() for each in places if each is not None)
 
 
 def _bodies(path: Path, root: Element) -> tuple[str, ...]:
@@ -145,7 +172,9 @@ def _candidates(name: str, folders: set[Path]) -> Iterator[Path]:
 
 
 def _expanded(path: Path, main: Path, includes: set[Path]) -> Element | None:
-    """An MJCF tree with the content of included files in place of their <include>; None if it is broken.
+    """An MJCF tree with the content of included files, where they are there, in place of their <include>.
+
+    None if it is broken.
 
     Args:
       main: the main file's folder, which names are relative to.
@@ -158,12 +187,14 @@ def _expanded(path: Path, main: Path, includes: set[Path]) -> Element | None:
         for child in list(parent):
             if child.tag != "include":
                 continue
+            name = child.get("file", "").replace("\\", "/")
+            there = [file for file in (main / name, path.parent / name) if file.is_file()]
+            if not there:
+                continue
             place = list(parent).index(child)
             parent.remove(child)
-            for file in (main / child.get("file", ""), path.parent / child.get("file", "")):
-                if file.is_file() and file.resolve() not in includes:
-                    includes.add(file.resolve())
-                    inner = _expanded(file, main, includes)
-                    parent[place:place] = list(inner) if inner is not None else []
-                    break
+            if (file := next((each for each in there if each.resolve() not in includes), None)) is not None:
+                includes.add(file.resolve())
+                inner = _expanded(file, main, includes)
+                parent[place:place] = list(inner) if inner is not None else []
     return root

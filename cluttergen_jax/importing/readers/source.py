@@ -8,12 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
+from typing import get_args
 
 from anyascii import anyascii
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.shape import Provenance
-from cluttergen_jax.config import ByVolume, check_positive
+from cluttergen_jax.config import ByVolume, Collision, check_positive
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing.readers.axes import check_axes
 
 # File names of which one in a folder is the object that the folder is called after.
@@ -49,6 +51,8 @@ class ReadOptions:
       friction: sliding coefficient of the object; None leaves it to the contact's.
       licence, attribution: on which terms the object may be passed on; empty where the source says it.
       max_texture: pixels a side that an image may have; larger ones are shrunk.
+      collision: "keep" takes collision shapes that lie beside a mesh file (`pieces.collision_files`) as its
+        parts; "auto" cuts the mesh itself. Models have their own.
     """
 
     scale: float = 1.0
@@ -60,6 +64,7 @@ class ReadOptions:
     licence: str = ""
     attribution: str = ""
     max_texture: int = MAX_TEXTURE
+    collision: str = "auto"
 
     def __post_init__(self) -> None:
         check_positive(self, "scale", "density", "max_texture")
@@ -67,6 +72,8 @@ class ReadOptions:
             if getattr(self, name) is not None and (name, getattr(self, name)) != ("mass", "volume"):
                 check_positive(self, name)
         check_axes(self.up, self.front)
+        if self.collision not in get_args(Collision):
+            raise ConfigError(f"collision = {self.collision!r}", ", ".join(get_args(Collision)))
 
 
 @dataclass(frozen=True)
@@ -79,6 +86,7 @@ class ObjectFile:
       name: `[a-z0-9_-]+`, unique among the sources found together.
       label: what people call it.
       body: the body's or model's name, where an MJCF or SDF file holds several objects.
+      parts: files of collision shapes that are to be its parts.
       earlier: name and label that earlier versions gave, by which a pool of theirs has it.
       notes: known faults, passed on as flags.
     """
@@ -91,6 +99,7 @@ class ObjectFile:
     provenance: Provenance | None = None
     notes: tuple[str, ...] = ()
     earlier: tuple[str, str] = ("", "")
+    parts: tuple[Path, ...] = ()
 
 
 def make_source(path: Path, kind: str, title: str = "", behind: str = "") -> ObjectFile:

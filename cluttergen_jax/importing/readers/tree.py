@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.pieces import MESH_SUFFIXES, MSH, Belonging
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 from cluttergen_jax.importing.readers.sdf import CONFIG, config_of
 from cluttergen_jax.importing.readers.source import GENERIC, ObjectFile, label_of, make_source, named_apart
@@ -15,8 +16,6 @@ from cluttergen_jax.importing.readers.xacro import SUFFIX as XACRO
 from cluttergen_jax.importing.readers.xacro import how_to_process
 from cluttergen_jax.importing.readers.ycb_scans import best_scans
 
-# In order of preference where a folder offers one object in several formats.
-MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".ply", ".stl")
 MODEL_SUFFIXES = (".urdf", ".sdf", ".xml")
 SETTINGS = "objects.toml"
 """Settings of the objects in a folder (`importing.settings`)."""
@@ -41,8 +40,6 @@ _OTHER_FORMATS = re.compile(
     r"\.(fbx|blend|usd[acz]?|3ds|3mf|max|ma|mb|off|x3d|wrl|step|stp|iges|igs|drc|skp)"
 )
 _STANDS_IN = re.compile(GENERIC)
-# What published sets, such as PartNet-Mobility, call the pieces of a model.
-_PIECE = re.compile(r"(original|new)-\d+|visual|collision")
 
 
 @dataclass(frozen=True)
@@ -51,18 +48,21 @@ class Skipped:
 
     Attributes:
       name: its path, from the folder on that was searched.
+      is_piece: it belongs to an object, or to one that was left out.
     """
 
     name: str
     reason: str
+    is_piece: bool = False
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a path holds: objects with distinct names, in sorted order, and what was passed over."""
+    """What a path holds: objects in sorted order, what was passed over, and all files."""
 
     sources: tuple[ObjectFile, ...]
     skipped: tuple[Skipped, ...] = ()
+    files: tuple[Path, ...] = ()
 
 
 def find_sources(path: str | Path) -> list[ObjectFile]:
@@ -71,7 +71,13 @@ def find_sources(path: str | Path) -> list[ObjectFile]:
 
 
 def survey(path: str | Path) -> Found:
-    """Every object that `path` holds, and every file that is none.
+    """`found_in`, with distinct names."""
+    found = found_in(path)
+    return replace(found, sources=tuple(named_apart(found.sources)))
+
+
+def found_in(path: str | Path) -> Found:
+    """Every object that `path` holds, and every file that is none; several objects may have one name.
 
     The meshes that a URDF, SDF or MJCF file names are its pieces; all others are objects of their own. One
     object in several formats counts once. Each real folder is entered once, however many links lead there.
@@ -90,9 +96,10 @@ def survey(path: str | Path) -> Found:
         sources, others = best_scans(list(tree.sources()))
         for scan, best in others.items():
             tree.skip(scan, f"another scan of the object in {best.parent.name}")
-        found = Found(tuple(named_apart(sources)), tuple(tree.skipped))
+        files = tuple(file for here in tree.files.values() for file in here)
+        found = Found(tuple(sources), tuple(tree.skipped), files)
     else:
-        found = Found(tuple(named_apart(list(_from_file(path)))))
+        found = Found(tuple(_from_file(path)), files=(path,))
     if not found.sources:
         passed = ", ".join(each.name for each in found.skipped[:5])
         raise AssetError(
@@ -119,17 +126,6 @@ def _sources_of(model: ModelFile) -> Iterator[ObjectFile]:
     for index, name in enumerate(model.bodies):
         source = make_source(model.path, model.kind, name, behind="" if name else f"-{index}")
         yield replace(source, body=name or f"#{index}")
-
-
-def _why_a_piece(mesh: Path, model: ModelFile) -> str:
-    """Why a mesh that a model beside it does not name is a piece of it after all; empty if it is not."""
-    is_named_after_folder = _STANDS_IN.fullmatch(model.path.stem.lower()) is not None
-    if is_named_after_folder and not model.is_whole and mesh.parent == model.path.parent:
-        return f"perhaps one of the files that {model.path.name} names and that are missing"
-    stem = mesh.stem.lower()
-    if _PIECE.fullmatch(stem) or (is_named_after_folder and _STANDS_IN.fullmatch(stem)):
-        return f"by its name a piece of {model.path.name}, which does not use it"
-    return ""
 
 
 @dataclass
@@ -180,75 +176,89 @@ class _Tree:
             for file in files
             if file.suffix.lower() in MODEL_SUFFIXES
         }
+        readable = [model for model in models.values() if isinstance(model, ModelFile)]
         owner: dict[Path, ModelFile] = {}
-        for model in models.values():
-            if isinstance(model, ModelFile):
-                for file in model.files | model.includes:
-                    owner.setdefault(file, model)
+        for model in readable:
+            for file in model.files | model.includes:
+                owner.setdefault(file, model)
+        belonging = Belonging(self.files, readable, owner)
         for files in self.files.values():
             here = [models[file] for file in files if file in models]
             for file in files:
                 self._explain(file, models.get(file), owner)
-            yield from self._models(here, owner)
-            yield from self._meshes(files, [each for each in here if isinstance(each, ModelFile)], owner)
+            yield from self._models(here, owner, belonging)
+            yield from self._meshes(files, here, owner, belonging)
 
     def _explain(self, file: Path, model: ModelFile | str | None, owner: dict[Path, ModelFile]) -> None:
         """Says why a file that can be no object is none."""
         suffix = file.suffix.lower()
-        if isinstance(model, str):
+        fault = model.fault if isinstance(model, ModelFile) else model
+        if fault:
             part_of = owner.get(file.resolve())
-            self.skip(file, f"included by {part_of.path.name}" if part_of else model)
+            self.skip(
+                file, f"included by {part_of.path.name}" if part_of else fault, is_piece=part_of is not None
+            )
         elif suffix == XACRO:
             self.skip(file, f"an unprocessed xacro: `{how_to_process(file)}` makes URDF of it")
+        elif suffix == MSH:
+            if file.resolve() not in owner:
+                self.skip(file, "MSH is read where an MJCF file names it, and none does", is_piece=True)
         elif _OTHER_FORMATS.fullmatch(suffix):
             self.skip(file, f"{suffix[1:].upper()} is not read; Blender and others can save it as GLB")
         elif not (model or suffix in (*MESH_SUFFIXES, *_COMPANIONS) or file.name in _NOTES):
             self.skip(file, "not a mesh format")
 
-    def _models(self, here: list[ModelFile | str], owner: dict[Path, ModelFile]) -> Iterator[ObjectFile]:
+    def _models(
+        self, here: list[ModelFile | str], owner: dict[Path, ModelFile], belonging: Belonging
+    ) -> Iterator[ObjectFile]:
         first: dict[str, Path] = {}
         for model in here:
-            if isinstance(model, str):
+            if isinstance(model, str) or model.fault:
                 continue
             part_of = owner.get(model.path.resolve())
-            twin = first.setdefault(model.path.stem, model.path)
             if part_of is not None and part_of is not model:
-                self.skip(model.path, f"included by {part_of.path.name}")
-            elif twin is not model.path and len(model.bodies) < 2:
-                self.skip(model.path, f"the same object as {twin.name}")
+                self.skip(model.path, f"included by {part_of.path.name}", is_piece=True)
+                continue
+            if reason := belonging.why_model(model):
+                self.skip(model.path, reason, is_piece=True)
+                continue
+            twin = first.setdefault(model.path.stem, model.path)
+            if twin is not model.path and len(model.bodies) < 2:
+                self.skip(model.path, f"the same object as {twin.name}", is_piece=True)
             else:
                 yield from _sources_of(model)
 
     def _meshes(
-        self, files: list[Path], models: list[ModelFile], owner: dict[Path, ModelFile]
+        self,
+        files: list[Path],
+        here: list[ModelFile | str],
+        owner: dict[Path, ModelFile],
+        belonging: Belonging,
     ) -> Iterator[ObjectFile]:
         """Mesh files that no model names, one for each object."""
         meshes = [each for each in files if each.suffix.lower() in MESH_SUFFIXES]
         meshes.sort(
             key=lambda each: (each.stem == "collision", MESH_SUFFIXES.index(each.suffix.lower()), each.name)
         )
-        owned = {each: owner[each.resolve()] for each in meshes if each.resolve() in owner}
-        near = next(iter([*models, *owned.values()]), None)
-        best = {each.path.stem: each.path for each in models} | {each.stem: each for each in owned}
+        owned = {each for each in meshes if each.resolve() in owner}
+        models = [each.path for each in here if isinstance(each, ModelFile) and not each.fault]
+        best = {each.stem: each for each in (*models, *owned)}
         chosen = []
-        for mesh in meshes:
-            if mesh in owned:
+        for mesh in (each for each in meshes if each not in owned):
+            if reason := belonging.why_mesh(mesh):
+                self.skip(mesh, reason, is_piece=True)
                 continue
-            says_nothing = _STANDS_IN.fullmatch(mesh.stem.lower()) is not None
-            if near is not None and (reason := _why_a_piece(mesh, near)):
-                self.skip(mesh, reason)
-                continue
-            key = "" if says_nothing else mesh.stem
+            key = "" if _STANDS_IN.fullmatch(mesh.stem.lower()) else mesh.stem
             twin = best.setdefault(key, mesh)
             if twin is mesh:
                 chosen.append(mesh)
             else:
-                self.skip(mesh, f"the same object as {twin.name}")
+                self.skip(mesh, f"the same object as {twin.name}", is_piece=True)
         for mesh in sorted(chosen):
-            yield make_source(mesh, "mesh")
+            yield make_source(mesh, "mesh", belonging.title(mesh))
 
-    def skip(self, path: Path, reason: str) -> None:
-        self.skipped.append(Skipped(self._name(path), reason))
+    def skip(self, path: Path, reason: str, is_piece: bool = False) -> None:
+        self.skipped.append(Skipped(self._name(path), reason, is_piece))
 
     def _name(self, path: Path) -> str:
         return str(path.relative_to(self.root.parent))

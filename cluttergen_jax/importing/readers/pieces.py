@@ -1,0 +1,249 @@
+"""Which files are pieces of an object that does not name them: by their names, and by those of folders."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
+from pathlib import Path
+
+from cluttergen_jax.importing.readers.references import ModelFile
+from cluttergen_jax.importing.readers.source import GENERIC
+
+# In order of preference where a folder offers one object in several formats.
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".ply", ".stl")
+MSH = ".msh"
+"""MuJoCo's own format of meshes, read where an MJCF file names it."""
+
+_COLLIDES = (
+    "coacd",
+    "vhacd",
+    "cvx",
+    "convex(?:hull)?",
+    "decomp(?:osed)?",
+    "collisions?|collider|coll?",
+    "hulls?",
+)
+"""What collision shapes are called, the finest first."""
+_IS_SEEN = r"visuals?|vis|textured"
+_NUMBER = r"(?:parts?|pieces?)[-_. ]?\d+"
+_WORDS = rf"(?:{'|'.join(_COLLIDES)}|{_IS_SEEN}|{_NUMBER})"
+_PIECE = re.compile(
+    rf"(?P<whole>.+?)(?P<tail>[-_. ](?:{_WORDS}|sites?)\d*"
+    rf"(?:[-_. ](?:{_WORDS}|mesh|geom|parts?|pieces?)?\d*)*)"
+)
+_NUMBERED = re.compile(r"(?P<whole>.+)[-_. ]\d+")
+_PIECE_FOLDER = re.compile(
+    rf"(?:{'|'.join(_COLLIDES)}|{_IS_SEEN}|sites?)(?:[-_ ]?(?:mesh|geom|part)(?:es|s)?)?"
+)
+_SEEN_FOLDER = re.compile(rf"(?:{_IS_SEEN})(?:[-_ ]?mesh(?:es)?)?")
+_MESH_FOLDER = re.compile(r"(?:.*[-_ ])?(?:mesh(?:es)?|assets|geoms?|geometry)|textured_objs")
+_SAYS_NOTHING = re.compile(GENERIC)
+_ALONE_IN_ITS_FOLDER = ("model", "mobility")
+"""Models that are called so have a folder of their own."""
+_UNNAMED = re.compile(r"(original|new)-\d+|visual|collision")
+"""What published sets, such as PartNet-Mobility, call the pieces of a model."""
+
+
+@lru_cache(maxsize=1 << 16)
+def whole_of(stem: str) -> str:
+    """What a file is a piece of by its name: `mug` of `mug_coacd_3`; empty if the name does not say."""
+    named = _PIECE.fullmatch(stem.lower())
+    return named["whole"] if named else ""
+
+
+def _is_seen(stem: str) -> bool:
+    named = _PIECE.fullmatch(stem.lower())
+    return named is not None and re.search(rf"[-_. ](?:{_IS_SEEN})", named["tail"]) is not None
+
+
+class Belonging:
+    """The files of a tree, to tell of each whether it belongs to another.
+
+    Args:
+      files: by folder.
+      models: those among them that name files.
+      owner: by the real path of a file, a model that names it.
+    """
+
+    def __init__(
+        self, files: dict[Path, list[Path]], models: Iterable[ModelFile], owner: dict[Path, ModelFile]
+    ) -> None:
+        self._owners = {folder: _first_owner(here, owner) for folder, here in files.items()}
+        self._models: dict[Path, dict[str, ModelFile]] = {folder: {} for folder in files}
+        for model in models:
+            if not model.fault:
+                self._models[model.path.parent].setdefault(model.path.stem.lower(), model)
+        self._meshes = {folder: _by_stem(here) for folder, here in files.items()}
+        self._chosen = {folder: _chosen(meshes) for folder, meshes in self._meshes.items()}
+        self._seen: dict[Path, list[Path]] = {}
+        for folder in files:
+            if _is(folder, _SEEN_FOLDER):
+                self._seen.setdefault(folder.parent, []).append(folder)
+
+    def title(self, mesh: Path) -> str:
+        """What an object is called that only its pieces show: `mug` of `mug_vis`; else empty."""
+        whole = whole_of(mesh.stem)
+        is_chosen = self._chosen[mesh.parent].get(whole) == mesh
+        return whole if is_chosen and [*map(whole_of, self._meshes[mesh.parent])].count(whole) > 1 else ""
+
+    def why_model(self, model: ModelFile) -> str:
+        """Why a model is a piece of another; empty if it is not."""
+        stem, here = model.path.stem.lower(), self._models[model.path.parent]
+        whole = here.get(whole_of(stem)) or self._host(model.path.parent)
+        is_piece = whole is not None and _begins(stem, whole.path.stem.lower())
+        return _by_name(whole.path) if whole is not None and is_piece else ""
+
+    def why_mesh(self, mesh: Path) -> str:
+        """Why a mesh that no model names is a piece; empty if it is not."""
+        if (whole := self._named_whole(mesh)) is not None:
+            return _by_name(whole)
+        if (whole := self._beside(mesh)) is not None:
+            return f"by its folder a piece of {whole.name}"
+        if (host := self._host_of(mesh)) is not None:
+            return f"by its folder a piece of {host.path.name}, which does not use it"
+        owner = self._owners[mesh.parent]
+        near = next(iter(self._models[mesh.parent].values()), owner)
+        return _why_near(mesh, near, owner is not None) if near is not None else ""
+
+    def _named_whole(self, mesh: Path) -> Path | None:
+        """What a mesh is a piece of by its name."""
+        stem, folder = mesh.stem.lower(), mesh.parent
+        whole, numbered = whole_of(stem), _NUMBERED.fullmatch(stem)
+        for place in self._around(folder) if whole else ():
+            home = place.resolve().parent if _is(place, _PIECE_FOLDER) else place.resolve()
+            found = self._at(place, whole)
+            if found is None and whole == home.name.lower():
+                found = self._unnamed(place)
+            if found not in (None, mesh):
+                return found
+        if numbered is None or whole:
+            return None
+        model = self._models[folder].get(numbered["whole"])
+        is_of_folder = numbered["whole"] == folder.resolve().name.lower()
+        return model.path if model else self._meshes[folder].get(numbered["whole"]) if is_of_folder else None
+
+    def _around(self, folder: Path) -> list[Path]:
+        """A folder; of one called after pieces also that above it, and those there of what is seen."""
+        if not _is(folder, _PIECE_FOLDER) or folder.parent not in self._meshes:
+            return [folder]
+        sisters = [each for each in self._seen.get(folder.parent, ()) if each != folder]
+        return [folder, folder.parent, *(sisters if not _is(folder, _SEEN_FOLDER) else ())]
+
+    def _at(self, folder: Path, stem: str) -> Path | None:
+        model = self._models[folder].get(stem)
+        return model.path if model else self._meshes[folder].get(stem) or self._chosen[folder].get(stem)
+
+    def _objects(self, folder: Path) -> list[Path]:
+        """Models and meshes."""
+        return [*(each.path for each in self._models[folder].values()), *self._meshes[folder].values()]
+
+    def _unnamed(self, folder: Path) -> Path | None:
+        """An object whose name says nothing, so that it is called after its folder."""
+        return next(
+            (each for each in self._objects(folder) if _SAYS_NOTHING.fullmatch(each.stem.lower())), None
+        )
+
+    def _beside(self, mesh: Path) -> Path | None:
+        """An object beside the folder of a mesh, if that is called after pieces."""
+        found = next(filter(None, map(self._objects, self._around(mesh.parent)[1:])), [])
+        same = (each for each in found if each.stem.lower() == mesh.stem.lower())
+        return next(same, found[0] if found else None)
+
+    def _host(self, folder: Path) -> ModelFile | None:
+        """The model that a folder is called after, or made for."""
+        here = self._models.get(folder, {})
+        names = (folder.resolve().name.lower(), *_ALONE_IN_ITS_FOLDER)
+        return next((here[name] for name in names if name in here), None)
+
+    def _host_of(self, mesh: Path) -> ModelFile | None:
+        """The model in whose folder a mesh lies: called after it, or with nothing but its pieces in it."""
+        host = self._host(mesh.parent)
+        if host is not None:
+            stem = host.path.stem.lower()
+            is_its = stem in _ALONE_IN_ITS_FOLDER or _begins(mesh.stem.lower(), stem)
+            return host if is_its else None
+        is_inside = _is(mesh.parent, _PIECE_FOLDER) or _is(mesh.parent, _MESH_FOLDER)
+        return self._host(mesh.parent.parent) if is_inside else None
+
+
+def _begins(stem: str, whole: str) -> bool:
+    """Whether a name is another with something behind it."""
+    return stem.startswith(whole) and stem[len(whole) : len(whole) + 1] in tuple("-_. ")
+
+
+def _by_name(whole: Path) -> str:
+    return f"by its name a piece of {whole.name}"
+
+
+def _is(folder: Path, kind: re.Pattern[str]) -> bool:
+    return kind.fullmatch(folder.name.lower()) is not None
+
+
+def _first_owner(files: Iterable[Path], owner: dict[Path, ModelFile]) -> ModelFile | None:
+    """The model that names one of the meshes."""
+    meshes = (each.resolve() for each in files if each.suffix.lower() in (*MESH_SUFFIXES, MSH))
+    return next((owner[each] for each in meshes if each in owner), None)
+
+
+def _by_stem(files: Iterable[Path]) -> dict[str, Path]:
+    """Meshes by stem, of several formats the best."""
+    meshes = [each for each in files if each.suffix.lower() in MESH_SUFFIXES]
+    meshes.sort(key=lambda each: (MESH_SUFFIXES.index(each.suffix.lower()), each.name), reverse=True)
+    return {each.stem.lower(): each for each in meshes}
+
+
+def _chosen(meshes: dict[str, Path]) -> dict[str, Path]:
+    """By what is there in pieces alone, the one that stands for it: it is seen, or at least not numbered."""
+    chosen: dict[str, Path] = {}
+    order = sorted(meshes, key=lambda stem: (not _is_seen(stem), stem))
+    for stem in order:
+        if (whole := whole_of(stem)) and whole not in meshes and not stem[-1].isdigit():
+            chosen.setdefault(whole, meshes[stem])
+    return chosen
+
+
+def _why_near(mesh: Path, model: ModelFile, is_among_pieces: bool) -> str:
+    """Why a mesh is a piece of a model beside it, or of one that names a mesh beside it."""
+    is_named_after_folder = _SAYS_NOTHING.fullmatch(model.path.stem.lower()) is not None
+    if is_named_after_folder and not model.is_whole and mesh.parent == model.path.parent:
+        return f"perhaps one of the files that {model.path.name} names and that are missing"
+    stem = mesh.stem.lower()
+    if _UNNAMED.fullmatch(stem) or (is_named_after_folder and _SAYS_NOTHING.fullmatch(stem)):
+        return f"by its name a piece of {model.path.name}, which does not use it"
+    is_store = any(_is(each, _MESH_FOLDER) for each in (mesh.parent, mesh.parent.parent))
+    if is_among_pieces and is_store and model.path.parent != mesh.parent:
+        return f"beside pieces of {model.path.name}, and no model names it"
+    return ""
+
+
+def collision_files(mesh: Path) -> tuple[Path, ...]:
+    """The collision shapes that lie beside a mesh file, of several kinds the finest; () if there are none."""
+    stem = mesh.stem.lower()
+    says_nothing = _SAYS_NOTHING.fullmatch(stem) is not None
+    own = {stem, whole_of(stem), mesh.resolve().parent.name.lower() if says_nothing else ""} - {""}
+    found: dict[int, list[Path]] = {}
+    for file, folder in _files_around(mesh):
+        name = file.stem.lower()
+        numbered = _NUMBERED.fullmatch(name)
+        wholes = {whole_of(name), *((name, numbered["whole"] if numbered else "") if folder else ())}
+        is_alone = says_nothing and (folder or name.startswith("collision"))
+        rank = _fineness(folder or name.removeprefix(stem))
+        if rank is not None and (is_alone or wholes & own):
+            found.setdefault(rank, []).append(file)
+    return tuple(sorted(found[min(found)])) if found else ()
+
+
+def _files_around(mesh: Path) -> Iterator[tuple[Path, str]]:
+    """Meshes beside a mesh, and those in folders for collision shapes, with the folder's name."""
+    home = mesh.parent.parent if _is(mesh.parent, _SEEN_FOLDER) else mesh.parent
+    yield from ((file, "") for file in _by_stem(mesh.parent.iterdir()).values() if file != mesh)
+    for folder in home.iterdir():
+        if folder.is_dir() and _fineness(folder.name.lower()) is not None:
+            yield from ((file, folder.name.lower()) for file in _by_stem(folder.iterdir()).values())
+
+
+def _fineness(name: str) -> int | None:
+    """The place among `_COLLIDES` of the word that a name has; None if it has none of them."""
+    kinds = (i for i, word in enumerate(_COLLIDES) if re.search(rf"(?:^|[-_. ])(?:{word})(?![a-z])", name))
+    return next(kinds, None)

@@ -1,0 +1,177 @@
+"""Published sets of objects, known by what their folders hold; their layouts are data: sets.yaml.
+
+A layout says which files are models, what is no table-top object, and what the files themselves do not say
+(unit, axis, licence, label). Options and settings of the user go before it.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import os
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import yaml
+
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.importing.readers import ObjectFile, ReadOptions
+from cluttergen_jax.importing.readers.source import label_of
+from cluttergen_jax.importing.settings import did_you_mean
+from cluttergen_jax.schema import typed
+
+AUTO, NONE = "auto", "none"
+_DEFAULTS = ReadOptions()
+
+
+class Lookup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where an object's label or licence stands.
+
+    Attributes:
+      file: a JSON file, packed or not, from the object's file on; {stem} and {folder} are the latter's.
+      key: names in it, one below the other, with / between them.
+      folder: in place of a file, the name of a folder: 1 is the one above the object's own.
+    """
+
+    file: str = ""
+    key: str = ""
+    folder: int = 0
+
+
+class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One set, as sets.yaml explains it."""
+
+    title: str
+    signs: tuple[str, ...]
+    tried: str = ""
+    models: tuple[str, ...] = ()
+    leave_out: dict[str, tuple[str, ...]] = {}
+    values: dict[str, str | float] = {}
+    lookups: dict[str, Lookup] = {}
+
+
+@dataclass(frozen=True)
+class KnownSet:
+    """A set that was recognised, or that the user named.
+
+    Attributes:
+      home: the real folder that its patterns are relative to.
+    """
+
+    name: str
+    layout: Layout
+    home: Path
+
+    def covers(self, source: ObjectFile) -> bool:
+        """Whether an object lies in the set's home."""
+        return source.path.resolve().is_relative_to(self.home)
+
+    def why_out(self, source: ObjectFile) -> str:
+        """Why a source is no object of the set; empty if it is one, or none of the set's business."""
+        path = os.path.relpath(source.path.resolve(), self.home).replace(os.sep, "/")
+        names = (path, f"{path}#{source.body}")
+        for why, patterns in self.layout.leave_out.items():
+            if any(fnmatchcase(name, each) for name in names for each in patterns):
+                return f"{why} ({self.layout.title}; set=none takes it)"
+        is_model = not self.layout.models or any(fnmatchcase(path, each) for each in self.layout.models)
+        is_other = not is_model and self.covers(source)
+        return f"no model of {self.layout.title} (set=none takes it)" if is_other else ""
+
+    def read(self, options: ReadOptions, found: Mapping[str, str]) -> ReadOptions:
+        """Options with the set's values, and with what was found, wherever the user has left the default."""
+        values = {**self.layout.values, **{key: value for key, value in found.items() if key != "label"}}
+        free = {key: value for key, value in values.items() if _is_default(options, key)}
+        return replace(options, **free)  # type: ignore[arg-type]
+
+    def found(self, source: ObjectFile) -> dict[str, str]:
+        """What stands beside an object, or above it: its label, its licence."""
+        told = {key: _looked_up(each, source.path) for key, each in self.layout.lookups.items()}
+        return {key: value for key, value in told.items() if value}
+
+
+@cache
+def layouts() -> dict[str, Layout]:
+    """All layouts by name, in the order in which they are tried."""
+    document = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+    return typed(document, dict[str, Layout])
+
+
+def known_sets(root: Path, files: Iterable[Path], name: str = AUTO) -> tuple[KnownSet, ...]:
+    """The sets that files belong to.
+
+    Args:
+      root: the folder that the user gave: home of a set that is named and not recognised.
+      files: what lies in it, at any depth; folders above count as well.
+      name: "auto", "none", or the one set that it is.
+
+    Raises:
+      ConfigError: there is no layout of that name.
+    """
+    if name == NONE:
+        return ()
+    if name not in (AUTO, *layouts()):
+        allowed = ", ".join((AUTO, NONE, *layouts()))
+        raise ConfigError(f"set = {name!r}{did_you_mean(name, layouts())}", allowed)
+    real = [each.resolve() for each in files]
+    tried = layouts() if name == AUTO else {name: layouts()[name]}
+    found = tuple(KnownSet(key, each, home) for key, each in tried.items() for home in _homes(each, real))
+    return found or (() if name == AUTO else (KnownSet(name, layouts()[name], root.resolve()),))
+
+
+def told(sets: Sequence[KnownSet]) -> Iterator[str]:
+    """One line for each set."""
+    for name in dict.fromkeys(each.name for each in sets):
+        homes = [each.home.name for each in sets if each.name == name]
+        layout = layouts()[name]
+        where = f"{homes[0]}/" if len(homes) == 1 else f"{len(homes)} folders"
+        values = [f"{key} {value}" for key, value in layout.values.items() if key != "attribution"]
+        untried = () if layout.tried else ("known from public lists of files alone",)
+        yield f"recognised: {', '.join((f'{layout.title} in {where}', *values, *untried))}"
+
+
+def _homes(layout: Layout, files: Sequence[Path]) -> list[Path]:
+    """The folders that hold all signs of a set."""
+    homes: list[set[Path]] = []
+    for sign in layout.signs:
+        steps = [each.split("/") for each in sign.split("|")]
+        homes.append({home for each in steps for file in files if (home := _home(file, each)) is not None})
+    return sorted(set.intersection(*homes))
+
+
+def _home(file: Path, steps: list[str]) -> Path | None:
+    """What lies before the last steps of a path, if these fit."""
+    if not fnmatchcase(file.name, steps[-1]) or len(file.parts) <= len(steps):
+        return None
+    fits = all(fnmatchcase(*pair) for pair in zip(file.parts[-len(steps) :], steps, strict=True))
+    return file.parents[len(steps) - 1] if fits else None
+
+
+def _is_default(options: ReadOptions, key: str) -> bool:
+    return getattr(options, key) == getattr(_DEFAULTS, key)
+
+
+def _looked_up(where: Lookup, path: Path) -> str:
+    if where.folder:
+        return label_of(path.resolve().parents[where.folder].name)
+    words = {"stem": path.stem, "folder": path.resolve().parent.name}
+    file = path.resolve().parent / where.file.format(**words)
+    value = _json(file, file.stat().st_mtime_ns) if file.is_file() else None
+    for key in where.key.format(**words).split("/"):
+        value = value.get(key) if isinstance(value, dict) else None
+    return value.strip() if isinstance(value, str) else ""
+
+
+@lru_cache(maxsize=4)
+def _json(path: Path, time: int) -> Any:
+    """A JSON file's content as of a time; None if it cannot be read."""
+    try:
+        data = path.read_bytes()
+        return json.loads(gzip.decompress(data) if path.suffix == ".gz" else data)
+    except (OSError, ValueError, EOFError, RecursionError, zlib.error):
+        return None

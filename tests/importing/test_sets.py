@@ -1,0 +1,240 @@
+"""Published sets are known by what their folders hold: which files are models, and what they do not say."""
+
+import gzip
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from cluttergen_jax.cli.import_ import Import, print_report
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.importing.planning import plan_all
+from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
+from cluttergen_jax.importing.run import ImportReport
+from cluttergen_jax.importing.sets import layouts
+from cluttergen_jax.importing.settings import KEYS
+
+BODY = '<body name="{}"><geom type="box" size=".02 .02 .02"/></body>'
+MODELS = ["bottle", "bread", "can", "cereal", "lemon", "milk", "plate-with-hole", "round-nut", "square-nut"]
+
+
+def save_box(path):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    trimesh.creation.box((0.05, 0.05, 0.05)).export(path)
+
+
+def save_model(path, *bodies):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = "".join(map(BODY.format, bodies or ("object",)))
+    path.write_text(f"<mujoco><worldbody>{text}</worldbody></mujoco>")
+
+
+def robosuite(folder, objects="objects"):
+    """A folder laid out as robosuite's models/assets."""
+    for name in (*MODELS, "door", "door_lock", "bread-visual", "can-visual"):
+        save_model(folder / objects / f"{name}.xml")
+    save_box(folder / objects / "meshes" / "sphere8.obj")
+    save_model(folder / "robots" / "panda" / "robot.xml")
+    save_model(folder / "arenas" / "table_arena.xml")
+    save_model(folder / "base.xml")
+    return folder
+
+
+def names(folder, **kwargs):
+    return sorted(each.source.name for each in plan_all([folder], ReadOptions(), **kwargs).objects)
+
+
+@pytest.mark.parametrize(
+    ("objects", "given"),
+    [("objects", ""), ("objects", "objects"), ("renamed", "renamed"), ("objects", "../.."), ("things", "..")],
+)
+def test_robosuite_has_nine_models(tmp_path, objects, given):
+    folder = robosuite(tmp_path / "a" / "b", objects)
+    plan = plan_all([(folder / given).resolve()], ReadOptions())
+    assert sorted(each.source.name for each in plan.objects) == MODELS
+    assert {each.options.licence for each in plan.objects} == {"MIT"}
+    assert {(each.up.axis, each.up.reason) for each in plan.objects} == {("z", "as in robosuite's objects")}
+    (line,) = plan.sets
+    assert line.startswith(f"recognised: robosuite's objects in {objects}/, up z, licence MIT")
+    told = {Path(each.name).name: each.reason for each in plan.skipped}
+    assert "furniture" in told["door.xml"]
+    assert "set=none" in told["door_lock.xml"]
+
+
+def test_none_goes_by_the_general_rules(tmp_path):
+    folder = robosuite(tmp_path) / "objects"
+    assert names(folder, layout="none") == sorted([*MODELS, "door", "door_lock", "sphere8"])
+
+
+def test_a_set_that_is_named_needs_no_signs(tmp_path):
+    for name in ("can", "door"):
+        save_model(tmp_path / f"{name}.xml")
+    assert names(tmp_path) == ["can", "door"]
+    assert names(tmp_path, layout="robosuite") == ["can"]
+    with pytest.raises(ConfigError, match="did you mean 'robosuite'"):
+        names(tmp_path, layout="robosuit")
+
+
+def test_a_set_that_leaves_nothing_says_so(tmp_path):
+    save_model(tmp_path / "door.xml")
+    plan = plan_all([tmp_path], ReadOptions(), layout="robosuite")
+    assert not plan.objects
+    assert plan.skipped[0].reason == "furniture with joints (robosuite's objects; set=none takes it)"
+
+
+def test_a_file_that_is_given_itself_is_taken(tmp_path):
+    robosuite(tmp_path)
+    (planned,) = plan_all([tmp_path / "objects" / "door.xml"], ReadOptions()).objects
+    assert (planned.source.name, planned.options.licence) == ("door", "MIT")
+
+
+def test_what_the_user_says_goes_before_the_set(tmp_path):
+    robosuite(tmp_path)
+    settings = tmp_path / "s.toml"
+    settings.write_text('["can.xml"]\nup = "y"\nlicence = "mine"\nlabel = "a can"\n')
+    plan = plan_all([tmp_path], ReadOptions(licence="ours", scale=2.0), settings)
+    by_name = {each.source.name: each for each in plan.objects}
+    assert (by_name["can"].up.axis, by_name["can"].options.licence, by_name["can"].source.label) == (
+        *("y", "mine", "a can"),
+    )
+    assert (by_name["milk"].options.licence, by_name["milk"].options.scale) == ("ours", 2.0)
+
+
+def test_scenery_of_metaworld_is_left_out_and_what_is_left_is_called_after_its_file(tmp_path):
+    for name in ("basketballhoop", "soccer_goal", "mug", "puck"):
+        save_model(tmp_path / "objects" / f"{name}.xml", "tablelink", "RetainingWall", "")
+    (tmp_path / "objects" / "assets").mkdir()
+    (tmp_path / "objects" / "assets" / "xyz_base_dependencies.xml").write_text("<mujocoinclude/>")
+    assert names(tmp_path) == ["mug", "puck"]
+
+
+def test_labels_and_licences_stand_in_files_beside_objects(tmp_path):
+    uid = "0123456789abcdef" * 2
+    save_box(tmp_path / "o" / "glbs" / "000-023" / f"{uid}.glb")
+    (tmp_path / "o" / "metadata").mkdir()
+    record = {uid: {"name": "Teapot", "license": "by"}}
+    (tmp_path / "o" / "metadata" / "000-023.json.gz").write_bytes(gzip.compress(json.dumps(record).encode()))
+    (planned,) = plan_all([tmp_path / "o" / "glbs"], ReadOptions()).objects
+    assert (planned.source.label, planned.options.licence) == ("Teapot", "by")
+
+    folder = tmp_path / "p" / "3398"
+    save_box(folder / "textured_objs" / "original-1.obj")
+    mesh = '<visual><geometry><mesh filename="textured_objs/original-1.obj"/></geometry></visual>'
+    (folder / "mobility.urdf").write_text(f'<robot name="r"><link name="l">{mesh}</link></robot>')
+    (folder / "meta.json").write_text('{"model_cat": "Bottle"}')
+    (planned,) = plan_all([folder], ReadOptions()).objects
+    assert (planned.source.name, planned.source.label) == ("3398", "Bottle")
+    (folder / "meta.json").write_text("[")
+    (planned,) = plan_all([tmp_path / "p"], ReadOptions()).objects
+    assert planned.source.label == "3398"
+
+
+@pytest.mark.parametrize(
+    ("name", "files", "objects"),
+    [
+        (
+            "libero",
+            ["stable_hope_objects/milk/milk.xml", "articulated_objects/stove.xml", "scenes/a/a.xml"],
+            ["milk"],
+        ),
+        (
+            "robocasa",
+            ["objects/objaverse/apple/apple_0/model.xml", "fixtures/sinks/s/model.xml"],
+            ["apple_0"],
+        ),
+        ("gso", ["Mug/model.xml", "Mug/model.obj", "Mug/model_collision_0.obj", "Mug/texture.png"], ["mug"]),
+        (
+            "hope",
+            ["full/AlphabetSoup.obj", "full/BBQSauce.obj", "full/Ketchup.obj", "eval/Ketchup.obj"],
+            ["alphabetsoup", "bbqsauce", "ketchup"],
+        ),
+        ("bop", ["models/models_info.json", "models/obj_000001.ply"], ["obj_000001"]),
+        ("egad", ["e/A0.obj", "e/C3.obj", "e/G6.obj"], ["a0", "c3", "g6"]),
+        ("ycb", ["025_mug/google_16k/textured.obj", "025_mug/tsdf/nontextured.stl"], ["025_mug"]),
+        ("maniskill", ["mani_skill2_ycb/models/025_mug/textured.obj", "robots/panda.xml"], ["025_mug"]),
+        ("random-urdfs", ["000/000.urdf", "000/000.obj"], ["000"]),
+    ],
+)
+def test_sets_are_recognised(tmp_path, name, files, objects):
+    for file in files:
+        path = tmp_path / file
+        if path.suffix == ".xml":
+            save_model(path)
+        elif path.suffix in (".obj", ".ply", ".stl"):
+            save_box(path)
+        else:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            mesh = f'<visual><geometry><mesh filename="{path.stem}.obj"/></geometry></visual>'
+            path.write_text(f'<robot name="r"><link name="l">{mesh}</link></robot>')
+    plan = plan_all([tmp_path], ReadOptions())
+    assert layouts()[name].title in plan.sets[0]
+    assert sorted(each.source.name for each in plan.objects) == objects
+    scale = {"hope": 0.01, "bop": 0.001}.get(name, 1.0)
+    assert {each.options.scale for each in plan.objects} == {scale}
+
+
+def test_layouts_hold_nothing_but_what_settings_may(tmp_path):
+    for layout in layouts().values():
+        assert set(layout.values) <= set(KEYS)
+        assert set(layout.lookups) <= {"label", "licence"}
+
+
+def test_other_folders_are_of_no_set(tmp_path):
+    save_box(tmp_path / "mug.obj")
+    assert plan_all([tmp_path], ReadOptions()).sets == ()
+
+
+def test_a_set_is_told_in_one_line(capsys):
+    print_report(ImportReport(None, (), 0, (), sets=("recognised: YCB objects in ycb/, up z",)), Import)
+    assert "recognised: YCB objects in ycb/, up z (--set none" in capsys.readouterr().out
+
+
+def kept(folder, name, **options):
+    plan = plan_all([folder], ReadOptions(**options))
+    (planned,) = [each for each in plan.objects if each.source.name == name]
+    return read_shape(planned.source, planned.options)
+
+
+def test_collision_shapes_beside_a_mesh_are_kept_as_its_parts(tmp_path):
+    """The finest kind, each connected piece a part; scaled as the mesh is."""
+    save_box(tmp_path / "mug.obj")
+    save_box(tmp_path / "mug_col.obj")
+    halves = [trimesh.creation.box((0.02, 0.05, 0.05)).apply_translation((x, 0, 0)) for x in (-0.015, 0.015)]
+    trimesh.util.concatenate(halves).export(tmp_path / "mug_coacd.stl")
+    shape = kept(tmp_path, "mug", collision="keep", scale=2.0)
+    assert shape.parts is not None
+    np.testing.assert_allclose(
+        [np.ptp(each.bounds, axis=0) for each in shape.parts], [[0.04, 0.1, 0.1]] * 2, atol=1e-6
+    )
+    assert "its collision parts are those of mug_coacd.stl" in shape.notes
+    assert kept(tmp_path, "mug").parts is None
+
+
+@pytest.mark.parametrize(
+    ("mesh", "files"),
+    [
+        ("pot/textured.obj", ["pot/collision.obj"]),
+        ("pot.obj", ["collision/pot_0.obj", "collision/pot_1.obj", "collision/pan_0.obj"]),
+        ("visual/pot.obj", ["collision/pot_0.obj", "collision/pot_1.obj"]),
+        ("pot.obj", ["pot_convex_0.stl", "pot_convex_1.stl", "pot_hull.stl"]),
+    ],
+)
+def test_numbered_parts_are_found_together(tmp_path, mesh, files):
+    for file in (mesh, *files):
+        save_box(tmp_path / file)
+    (source,) = (each for each in find_sources(tmp_path) if each.name == "pot")
+    (planned,) = plan_all([source.path], ReadOptions(collision="keep")).objects
+    own = [tmp_path / file for file in files if "pan" not in file and "hull" not in file]
+    assert list(planned.source.parts) == own
+
+
+def test_shapes_that_are_not_convex_are_not_kept(tmp_path):
+    save_box(tmp_path / "mug.obj")
+    trimesh.creation.torus(0.03, 0.005).export(tmp_path / "mug_col.obj")
+    shape = kept(tmp_path, "mug", collision="keep")
+    assert shape.parts is None
+    assert any("were not kept: they are not convex" in note for note in shape.notes)
+    with pytest.raises(ConfigError, match="collision"):
+        ReadOptions(collision="all")
