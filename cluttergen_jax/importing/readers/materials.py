@@ -24,6 +24,8 @@ _PBR_MAPS = ("normalTexture", "metallicRoughnessTexture", "occlusionTexture", "e
 _MTL_MAP = re.compile(r"map_(?!k[ad]$).+|bump|norm|disp|decal|refl")
 _MANY = 0.02
 """Spread of vertex colours, of 1, above which one colour for all is a loss."""
+_LIGHT = 0.5
+"""A grey Kd from here on is what exporters write beside an image: nothing is told of it."""
 
 
 class Dresser:
@@ -86,14 +88,14 @@ class Dresser:
     def _factor(self, material: Any) -> Rgba:
         """What the image is multiplied by: MTL's d, glTF's base colour factor.
 
-        Beside an image most programs write some Kd that they never draw: it darkens nothing.
+        MTL's Kd beside an image is left over in most files, and Blender, MeshLab and others ignore it.
         """
         kept = getattr(material, "kwargs", None)
         if kept is not None:
-            colour = _numbers(kept.get("kd"), 3) or [1.0]
-            if max(colour) != min(colour):
+            colour = _numbers(kept.get("kd"), 3)
+            if colour is not None and (max(colour) < _LIGHT or max(colour) - min(colour) > _MANY):
                 told = " ".join(f"{each:g}" for each in colour)
-                self._note(f"an image is drawn as it is, without the colour beside it (Kd {told})")
+                self._note(f"an image is drawn as it is, not multiplied by its material's colour (Kd {told})")
             return _rgba([1.0, 1.0, 1.0, (_numbers(kept.get("d"), 1) or [1.0])[0]])
         factor = getattr(material, "baseColorFactor", None)
         if factor is None:

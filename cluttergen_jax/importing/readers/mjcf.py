@@ -14,6 +14,8 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.stated_mass import combined
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece, is_convex
+from cluttergen_jax.importing.readers.mjcf_missing import compiled_without_lost_pictures
+from cluttergen_jax.importing.readers.mjcf_pictures import picture_notes
 from cluttergen_jax.importing.readers.mjcf_roles import roles_of
 from cluttergen_jax.importing.readers.model import MAX_PARTS, Model, frozen, frozen_note
 
@@ -40,7 +42,7 @@ def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
       AssetError: MuJoCo cannot compile the file (its own message is kept), or nothing of the body is seen
         or collides.
     """
-    model = compiled(path)
+    model, of_pictures = compiled_with_notes(path)
     if model.nflex and not model.ngeom:
         raise AssetError(f"{path} holds soft bodies alone (flex)", "rigid bodies with geoms")
     data = mujoco.MjData(model)
@@ -55,13 +57,14 @@ def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
             f"{path}: nothing of body {model.body(root).name or body!r} can be an object: {told}",
             "geoms in groups 0 to 2 with an alpha above 0, or geoms that collide; planes do not count",
         )
+    of_pictures = (*of_pictures, *picture_notes(model, roles.surface))
     colliding = tuple(geom_mesh(model, data, i, 16) for i in roles.colliding)
     is_usable = 0 < len(colliding) <= MAX_PARTS and all(is_convex(model, i) for i in roles.colliding)
     return Model(
         pieces=[geom_piece(model, data, i, max_side) for i in roles.surface],
         parts=tuple(Mesh.points(each.vertices) for each in colliding) if is_usable else None,
         stated=combined([_body_mass(model, data, i) for i in bodies]),
-        notes=(*frozen_note(_frozen_joints(model, bodies)), *roles.notes),
+        notes=(*frozen_note(_frozen_joints(model, bodies)), *roles.notes, *dict.fromkeys(of_pictures)),
         colliding=colliding,
     )
 
@@ -83,19 +86,24 @@ def _body_mass(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> MassPro
 
 
 def compiled(path: Path) -> mujoco.MjModel:
-    """The model of an MJCF file, whose names are text.
+    """The first of `compiled_with_notes`."""
+    return compiled_with_notes(path)[0]
+
+
+def compiled_with_notes(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+    """The model of an MJCF file, whose names are text, and which pictures it has to do without.
 
     Raises:
       AssetError: MuJoCo cannot compile it (its own message is kept), or a name is not UTF-8.
     """
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        model, notes = compiled_without_lost_pictures(path)
         # MuJoCo takes any bytes for a name; they would come to light wherever one is first read.
         model.names.decode()
     except (ValueError, OSError) as error:
         told = " ".join(str(error).split())
         raise AssetError(f"{path} cannot be compiled as MJCF: {told}", "an MJCF file") from error
-    return model
+    return model, notes
 
 
 def world_bodies(model: mujoco.MjModel) -> list[int]:

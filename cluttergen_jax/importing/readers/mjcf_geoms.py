@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from PIL import Image
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import primitives
+from cluttergen_jax.importing.readers.mjcf_pictures import flat_colour, picture_id, with_picture
 
 _GEOM = mujoco.mjtGeom
 _FARTHEST = 1e6
@@ -44,37 +43,21 @@ def geom_rgba(model: mujoco.MjModel, geom: int) -> tuple[float, float, float, fl
 
 
 def geom_piece(model: mujoco.MjModel, data: mujoco.MjData, geom: int, max_side: int = MAX_TEXTURE) -> Piece:
-    """The geom's surface in the world frame, with its colour, and its image if it is a mesh with one.
+    """The geom's surface in the world frame, with its colour, and its picture as MuJoCo lays it on.
 
     What is asked for although its alpha is 0, because nothing else is seen, is drawn opaque.
-    Images that MuJoCo lays around a shape by itself (cube maps, no texture coordinates) are left out.
     """
     r, g, b, alpha = geom_rgba(model, geom)
-    colour = (r, g, b, alpha or 1.0)
-    texture, mesh = _texture(model, geom, max_side), int(model.geom_dataid[geom])
-    is_mesh = geom_kind(model, geom) == _GEOM.mjGEOM_MESH
-    if texture is None or not is_mesh or model.mesh_texcoordnum[mesh] == 0:
+    colour, picture = (r, g, b, alpha or 1.0), picture_id(model, geom)
+    if picture < 0:
         return Piece(geom_mesh(model, data, geom), colour)
-    whole = geom_mesh(model, data, geom)
-    first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    start, number = model.mesh_texcoordadr[mesh], model.mesh_texcoordnum[mesh]
-    uv = model.mesh_texcoord[start : start + number] * [1, -1] + [0, 1]
-    # A vertex may have another place in the image in each triangle: each triangle gets vertices of its own.
-    corners = Mesh(whole.vertices[whole.faces.ravel()], np.arange(3 * count))
-    return Piece(corners, colour, uv[model.mesh_facetexcoord[first : first + count].ravel()], texture)
-
-
-def _texture(model: mujoco.MjModel, geom: int, max_side: int) -> Texture | None:
-    material = int(model.geom_matid[geom])
-    index = model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB] if material >= 0 else -1
-    if index < 0 or model.tex_type[index] != mujoco.mjtTexture.mjTEXTURE_2D or model.tex_nchannel[index] < 3:
-        return None
-    height, width, channels = (
-        int(of[index]) for of in (model.tex_height, model.tex_width, model.tex_nchannel)
-    )
-    start = int(model.tex_adr[index])
-    pixels = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
-    return Texture.of(Image.fromarray(np.ascontiguousarray(pixels[..., :3])), max_side)
+    if (flat := flat_colour(model, picture)) is not None:
+        r, g, b = (flat * colour[:3]).tolist()
+        return Piece(geom_mesh(model, data, geom), (r, g, b, colour[3]))
+    if (found := with_picture(model, geom, _own_mesh(model, geom), picture, max_side)) is None:
+        return Piece(geom_mesh(model, data, geom), colour)
+    mesh, uv, texture = found
+    return Piece(_placed(model, data, geom, mesh), colour, uv, texture)
 
 
 def geom_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int, sections: int = 32) -> Mesh:
@@ -83,25 +66,33 @@ def geom_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int, sections: i
     Raises:
       AssetError: it is a plane, or out of all bounds.
     """
+    return _placed(model, data, geom, _own_mesh(model, geom, sections))
+
+
+def _own_mesh(model: mujoco.MjModel, geom: int, sections: int = 32) -> Mesh:
+    """The geom's surface in its own frame."""
     size, data_id = model.geom_size[geom], int(model.geom_dataid[geom])
     kind = geom_kind(model, geom)
     if kind in (_GEOM.mjGEOM_MESH, _GEOM.mjGEOM_SDF):
         # Of an SDF, MuJoCo makes a mesh when it compiles the file.
-        mesh = _mesh_asset(model, data_id)
-    elif kind == _GEOM.mjGEOM_HFIELD:
-        mesh = _height_field(model, data_id)
-    elif kind == _GEOM.mjGEOM_BOX:
-        mesh = primitives.box(size)
-    elif kind == _GEOM.mjGEOM_CYLINDER:
-        mesh = primitives.cylinder(size[0], size[1], sections)
-    elif kind == _GEOM.mjGEOM_CAPSULE:
-        mesh = primitives.capsule(size[0], size[1])
-    elif kind == _GEOM.mjGEOM_ELLIPSOID:
-        mesh = primitives.ellipsoid(size)
-    elif kind == _GEOM.mjGEOM_SPHERE:
-        mesh = primitives.ellipsoid(np.full(3, size[0]))
-    else:
-        raise AssetError(f"a geom of type {kind.name}", "geoms with an inside: all kinds but planes")
+        return _mesh_asset(model, data_id)
+    if kind == _GEOM.mjGEOM_HFIELD:
+        return _height_field(model, data_id)
+    if kind == _GEOM.mjGEOM_BOX:
+        return primitives.box(size)
+    if kind == _GEOM.mjGEOM_CYLINDER:
+        return primitives.cylinder(size[0], size[1], sections)
+    if kind == _GEOM.mjGEOM_CAPSULE:
+        return primitives.capsule(size[0], size[1])
+    if kind == _GEOM.mjGEOM_ELLIPSOID:
+        return primitives.ellipsoid(size)
+    if kind == _GEOM.mjGEOM_SPHERE:
+        return primitives.ellipsoid(np.full(3, size[0]))
+    raise AssetError(f"a geom of type {kind.name}", "geoms with an inside: all kinds but planes")
+
+
+def _placed(model: mujoco.MjModel, data: mujoco.MjData, geom: int, mesh: Mesh) -> Mesh:
+    """A mesh in the geom's frame, in the world frame; AssetError where that is out of all bounds."""
     mesh = mesh.transformed(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
     # A number that is NaN compares as no.
     if not (np.abs(mesh.vertices) <= _FARTHEST).all():

@@ -1,0 +1,261 @@
+"""MJCF pictures: where MuJoCo itself draws them, and what becomes of one that is not there."""
+
+import importlib.util
+import os
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from cluttergen_jax.assets.mesh import Mesh, cleaned
+from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers import read_source
+from cluttergen_jax.importing.readers.cube_maps import laid_around, one_image
+from cluttergen_jax.importing.readers.mjcf import read_mjcf
+from tests.helpers.drawing import needs_gl
+from tests.helpers.mujoco_pictures import beside
+from tests.helpers.textured import picture
+
+CASES = Path(__file__).parents[1] / "cases" / "import"
+SHAPES = {
+    "box": "type='box' size='.05 .03 .02'",
+    "cylinder": "type='cylinder' size='.04 .05'",
+    "capsule": "type='capsule' size='.03 .04'",
+    "ellipsoid": "type='ellipsoid' size='.05 .03 .02'",
+    "sphere": "type='sphere' size='.03'",
+    "blob": "type='mesh' mesh='blob'",
+    "brick": "type='mesh' mesh='brick'",
+}
+QUICK = [
+    ("box", "2d", True),
+    ("box", "cube", True),
+    ("cylinder", "2d", False),
+    ("brick", "2d", False),
+    ("blob", "cube", False),
+]
+ALL = [(shape, kind, uniform) for shape in SHAPES for kind in ("2d", "cube") for uniform in (False, True)]
+COLOURS = {
+    "right": (255, 0, 0),
+    "left": (0, 255, 0),
+    "up": (0, 0, 255),
+    "down": (255, 255, 0),
+    "front": (0, 255, 255),
+    "back": (255, 0, 255),
+}
+"""MuJoCo's names of the sides +x, -x, +y, -y, +z, -z."""
+
+BESIDE = (
+    "<keyframe><key qpos='.1'/></keyframe><actuator><motor joint='turn'/></actuator>"
+    "<sensor><jointpos joint='turn'/></sensor><equality><joint joint1='turn'/></equality>"
+    "<contact><exclude body1='all' body2='pb'/></contact>"
+    "<tendon><fixed name='f'><joint joint='turn' coef='1'/></fixed></tendon>"
+)
+"""What names bodies and joints."""
+
+
+def write_model(folder, texture, geoms, material="", more=""):
+    """A model of one body whose geoms wear `texture`."""
+    (folder / "thing.xml").write_text(
+        f"<mujoco><asset>{texture}<material name='m' texture='t' {material}/>{more}</asset>"
+        f"<worldbody><body euler='20 0 0'>{geoms}</body></worldbody></mujoco>"
+    )
+    return folder / "thing.xml"
+
+
+def write_shape(folder, shape, kind, is_uniform):
+    """A picture of four colours, repeated 3 x 2 times, on a box, ball, cylinder, or mesh without uv."""
+    picture().save(folder / "four.png")
+    trimesh.creation.icosphere(2, 0.03).apply_scale([1, 0.7, 1.3]).export(folder / "blob.stl")
+    trimesh.creation.box((0.1, 0.06, 0.04)).export(folder / "brick.stl")
+    meshes = "<mesh name='blob' file='blob.stl'/><mesh name='brick' file='brick.stl'/>"
+    repeat = "texrepeat='30 20' texuniform='true'" if is_uniform else "texrepeat='3 2'"
+    texture = f"<texture name='t' type='{kind}' file='four.png'/>"
+    geom = f"<geom {SHAPES[shape]} material='m'/>"
+    return write_model(folder, texture, geom, f"rgba='1 .8 1 1' {repeat}", meshes)
+
+
+@needs_gl
+@pytest.mark.parametrize(
+    ("shape", "kind", "is_uniform"),
+    [pytest.param(*each, marks=() if each in QUICK else pytest.mark.slow) for each in ALL],
+)
+def test_a_picture_is_where_mujoco_draws_it(shape, kind, is_uniform, tmp_path):
+    path = write_shape(tmp_path, shape, kind, is_uniform)
+    source, pieces = mujoco.MjModel.from_xml_path(str(path)), read_mjcf(path).pieces
+    differing, overlap = beside(source, pieces)
+    # The rest are pixels at the edges between two colours.
+    assert differing < 0.07
+    assert overlap > 0.9
+
+
+def robosuite_objects():
+    """The folder of robosuite's objects: named by CLUTTERGEN_ROBOSUITE, or of the installed package."""
+    if named := os.environ.get("CLUTTERGEN_ROBOSUITE"):
+        return Path(named)
+    spec = importlib.util.find_spec("robosuite")
+    return Path(spec.origin).parent / "models" / "assets" / "objects" if spec and spec.origin else None
+
+
+@needs_gl
+@pytest.mark.slow
+@pytest.mark.skipif(robosuite_objects() is None, reason="needs robosuite's objects")
+@pytest.mark.parametrize(
+    "name", ["bottle", "bread", "cereal", "milk", "plate-with-hole", "round-nut", "square-nut"]
+)
+def test_objects_of_robosuite_look_as_in_mujoco(name):
+    path = robosuite_objects() / f"{name}.xml"
+    # With images of full size: MuJoCo's own way of shrinking them is a little darker.
+    source, pieces = mujoco.MjModel.from_xml_path(str(path)), read_mjcf(path, max_side=4096).pieces
+    assert all(piece.texture is not None for piece in pieces)
+    differing, overlap = beside(source, pieces)
+    assert differing < 0.01
+    assert overlap > 0.95
+
+
+@pytest.mark.parametrize("name", ["nut_2d", "nut_cube"])
+def test_a_box_is_wooden_on_all_sides(name):
+    (shape,) = read_source(CASES / "15_mjcf_texture_without_uv" / "objects" / f"{name}.xml")
+    (piece,) = shape.pieces
+    wood = np.asarray(piece.texture.image).reshape(-1, 3) / 255
+    corners = piece.mesh.corners
+    for normal in np.concatenate([np.eye(3), -np.eye(3)]):
+        is_side = (corners @ normal >= (corners @ normal).max() - 1e-9).all(1)
+        shown = piece.texture.at(piece.uv[piece.mesh.faces[is_side]].mean(1))
+        assert np.ptp(piece.uv[piece.mesh.faces[is_side]].reshape(-1, 2), axis=0).min() > 0.9
+        assert ((shown >= wood.min(0)) & (shown <= wood.max(0))).all()
+
+
+def test_each_side_of_a_cube_map_shows_its_own_picture(tmp_path):
+    for side, colour in COLOURS.items():
+        Image.new("RGB", (16, 16), colour).save(tmp_path / f"{side}.png")
+    files = " ".join(f"file{side}='{side}.png'" for side in COLOURS)
+    path = write_model(
+        tmp_path,
+        f"<texture name='t' type='cube' {files}/>",
+        "<geom type='box' size='.05 .03 .02' material='m'/>",
+    )
+    path.write_text(path.read_text().replace("euler='20 0 0'", ""))
+    (piece,) = read_mjcf(path).pieces
+    faces = piece.mesh.faces
+    shown = np.round(255 * piece.texture.at(piece.uv[faces].mean(1)))
+    unit = piece.mesh.vertices[faces].mean(1) / [0.05, 0.03, 0.02]
+    side = 2 * np.abs(unit).argmax(1) + (unit[np.arange(len(unit)), np.abs(unit).argmax(1)] < 0)
+    np.testing.assert_array_equal(shown, np.array(list(COLOURS.values()))[side])
+
+
+@pytest.mark.parametrize("size", [(1, 1, 1), (0.3, 0.2, 0.05), (0.04, 0.04, 0.5)])
+@pytest.mark.parametrize("make", [trimesh.creation.box, trimesh.creation.icosphere, trimesh.creation.annulus])
+def test_what_is_cut_for_a_cube_map_stays_closed_and_shows_the_right_places(make, size):
+    solid = make(0.5, 1, 1) if make is trimesh.creation.annulus else make()
+    solid.apply_scale(size)
+    mesh, uv = laid_around(Mesh(solid.vertices, solid.faces), np.asarray(solid.vertices), True, 512)
+    whole = cleaned(mesh)
+    tri = trimesh.Trimesh(whole.vertices, whole.faces, process=False)
+    assert tri.is_watertight
+    assert tri.volume == pytest.approx(solid.volume, rel=1e-6)
+    assert tri.area == pytest.approx(solid.area, rel=1e-6)
+    weights = np.random.default_rng(0).dirichlet((1, 1, 1), len(mesh.faces))
+    points = (mesh.corners * weights[..., None]).sum(1)
+    found = (uv[mesh.faces] * weights[..., None]).sum(1)
+    np.testing.assert_allclose(found, seen(points), atol=0.05)
+
+
+def seen(points):
+    """f64[N, 2]: OpenGL's places of directions on a cube map's side, right and up."""
+    x, y, z = points.T
+    axis = np.abs(points).argmax(1)
+    plus = points[np.arange(len(points)), axis] > 0
+    across = np.choose(axis, [np.where(plus, -z, z), x, np.where(plus, x, -x)])
+    down = np.choose(axis, [-y, np.where(plus, z, -z), -y])
+    away = np.abs(points).max(1)
+    return np.column_stack([across / away + 1, 1 - down / away]) / 2
+
+
+def test_six_equal_pictures_are_one():
+    sides = np.random.default_rng(0).integers(0, 255, (6, 4, 4, 3), np.uint8)
+    assert one_image(sides).shape == (8, 12, 3)
+    np.testing.assert_array_equal(one_image(sides)[4:, :4], sides[3])
+    assert one_image(np.broadcast_to(sides[:1], sides.shape)).shape == (4, 4, 3)
+
+
+@pytest.mark.parametrize("kind", ["2d", "cube"])
+def test_a_picture_of_one_colour_is_a_colour(kind, tmp_path):
+    texture = (
+        f"<texture name='t' type='{kind}' builtin='flat' rgb1='1 .5 0' rgb2='1 .5 0' width='8' height='8'/>"
+    )
+    path = write_model(tmp_path, texture, "<geom size='.05' material='m'/>", "rgba='.5 1 1 1'")
+    (piece,) = read_mjcf(path).pieces
+    assert piece.texture is None
+    np.testing.assert_allclose(piece.rgba, (0.5, 0.5, 0, 1), atol=0.01)
+
+
+def test_a_missing_picture_costs_the_picture_alone():
+    (shape,) = read_source(CASES / "14_mjcf_missing_image" / "objects" / "tin" / "tin.xml")
+    assert [piece.texture for piece in shape.pieces] == [None]
+    assert any("'label.png' cannot be read" in note for note in shape.notes)
+
+
+def test_of_several_pictures_those_that_are_there_are_kept(tmp_path):
+    """Beside pictures that are missing, empty or stand-ins of Git LFS, on a cube's side and in a part."""
+    (tmp_path / "images").mkdir()
+    picture().save(tmp_path / "images" / "good.png")
+    (tmp_path / "images" / "empty.png").write_bytes(b"")
+    (tmp_path / "images" / "lfs.png").write_text("version https://git-lfs.github.com/spec/v1\n")
+    (tmp_path / "child.xml").write_text(
+        "<mujoco><asset><texture name='t' type='2d' file='inner.png'/>"
+        "<material name='m' texture='t'/></asset>"
+        "<worldbody><body name='b'><geom size='.01' material='m'/></body></worldbody></mujoco>"
+    )
+    files = {"a": "file='good.png'", "b": "file='empty.png'", "c": "file='lfs.png'", "d": "fileup='gone.png'"}
+    looks = "".join(
+        f"<texture name='{name}' type='{'cube' if name == 'd' else '2d'}' {file}/>"
+        f"<material name='{name}' texture='{name}' rgba='0 1 0 1'/>"
+        for name, file in files.items()
+    )
+    geoms = "".join(
+        f"<geom size='.01' pos='{k / 50} 0 0' material='{name}'/>" for k, name in enumerate(files)
+    )
+    path = tmp_path / "thing.xml"
+    path.write_text(
+        f"<mujoco><compiler texturedir='images'/>{BESIDE}"
+        f"<asset>{looks}<model name='child' file='child.xml'/></asset>"
+        f"<worldbody><body name='all'><joint name='turn'/>{geoms}<attach model='child' body='b' prefix='p'/>"
+        "</body></worldbody></mujoco>"
+    )
+    model = read_mjcf(path)
+    assert [piece.texture is not None for piece in model.pieces] == [True, False, False, False, False]
+    assert [piece.rgba for piece in model.pieces][1:4] == [(0, 1, 0, 1)] * 3
+    for name in ("empty", "lfs", "gone", "inner"):
+        assert any(f"'{name}.png' cannot be read" in note for note in model.notes)
+
+
+@pytest.mark.parametrize(
+    ("more", "geom", "told"),
+    [
+        ("<mesh name='q' file='lost.obj'/>", "type='mesh' mesh='q'", r"lost\.obj"),
+        ("", "type='cylinder' size='0 0'", "size"),
+    ],
+)
+def test_what_else_is_wrong_is_told(more, geom, told, tmp_path):
+    texture = f"<texture name='t' type='2d' file='gone.png'/>{more}"
+    path = write_model(tmp_path, texture, f"<geom {geom} material='m'/>")
+    with pytest.raises(AssetError, match=f"cannot be compiled as MJCF: Error: .*{told}"):
+        read_mjcf(path)
+
+
+def test_what_mujoco_draws_otherwise_is_noted(tmp_path):
+    """An image marked as sRGB comes out darker; of a mesh's own coordinates texrepeat is no part."""
+    from PIL.PngImagePlugin import PngInfo
+
+    info = PngInfo()
+    info.add(b"sRGB", b"\0")
+    Image.new("RGB", (8, 8), (188, 188, 188)).save(tmp_path / "grey.png", pnginfo=info)
+    path = write_model(
+        tmp_path, "<texture name='t' type='2d' file='grey.png'/>", "<geom size='.05' material='m'/>"
+    )
+    model = read_mjcf(path)
+    np.testing.assert_allclose(model.pieces[0].rgba[:3], 0.5, atol=0.01)
+    assert any("sRGB" in note for note in model.notes)
