@@ -114,10 +114,10 @@ def test_who_is_at_work_is_told():
     heard = []
     crew = Crew(sleep, 2, watch=heard.append)
     try:
-        assert len(dict(crew.outcomes([0.1, 0.1, 0.1]))) == 3
+        assert len(dict(crew.outcomes([0.1, 0.1, 1.0]))) == 3
     finally:
         crew.close()
-    assert heard[0] == [0, 1]
+    assert [0, 1] in heard
     assert heard[-1] == [2]
 
 
