@@ -216,6 +216,7 @@ def test_collision_shapes_beside_a_mesh_are_kept_as_its_parts(tmp_path):
     ("mesh", "files"),
     [
         ("pot/textured.obj", ["pot/collision.obj"]),
+        ("pot.obj", ["pot_collision.obj", "pot_hull.obj"]),
         ("pot.obj", ["collision/pot_0.obj", "collision/pot_1.obj", "collision/pan_0.obj"]),
         ("visual/pot.obj", ["collision/pot_0.obj", "collision/pot_1.obj"]),
         ("pot.obj", ["pot_convex_0.stl", "pot_convex_1.stl", "pot_hull.stl"]),

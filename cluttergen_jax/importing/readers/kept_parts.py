@@ -22,7 +22,7 @@ def with_kept_parts(model: Model, files: Sequence[Path]) -> Model:
     Raises:
       AssetError: a file cannot be read.
     """
-    told = files[0].name if len(files) == 1 else f"{files[0].name} and {len(files) - 1} others"
+    told = files[0].name if len(files) == 1 else f"{len(files)} files like {files[0].name}"
     shapes = [
         shape for file in files for shape in _connected([piece.mesh for piece in read_mesh_file(file).pieces])
     ]

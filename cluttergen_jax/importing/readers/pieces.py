@@ -21,7 +21,8 @@ _COLLIDES = (
     "cvx",
     "convex(?:hull)?",
     "decomp(?:osed)?",
-    "collisions?|collider|coll?",
+    "collisions?|collider",
+    "coll?",
     "hulls?",
 )
 """What collision shapes are called, the finest first."""
