@@ -6,7 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.assets.config import MAX_TEXTURE, NUM_TRIALS, TIME_LIMIT, DecompositionConfig
+from cluttergen_jax.assets.config import (
+    MAX_MASS,
+    MAX_SIZE,
+    MAX_TEXTURE,
+    NUM_TRIALS,
+    TIME_LIMIT,
+    DecompositionConfig,
+)
 from cluttergen_jax.config import Axis, ByVolume, Collision, Tier
 
 if TYPE_CHECKING:
@@ -35,6 +42,9 @@ def import_pool(
     settings: str | Path | None = None,
     set: str = "auto",
     collision: Collision = "auto",
+    max_size: float = MAX_SIZE,
+    max_mass: float = MAX_MASS,
+    take_all: bool = False,
     add: bool = False,
     force: bool = False,
     progress: bool = True,
@@ -69,6 +79,9 @@ def import_pool(
         what they do not say; "auto" for what the folders show, "none" for no such knowledge.
       collision: "keep" takes collision shapes that lie beside a mesh (mug_col.obj, collision/mug_0.obj) as
         its parts; "auto" cuts the mesh itself.
+      max_size: metres; what has a side of as much is left out, as it does not fit the usual table.
+      max_mass: kilograms; what is heavier is left out.
+      take_all: take what is too large or too heavy, and scenery, robots and copies of objects, as well.
       add: add to the pool, which exists; objects of equal names are refused, or replaced with `force`.
       force: make everything again, and replace a pool, a support, or with `add` objects of that name.
       progress: show a progress bar; the line that tells of each object, and what it cost, is written anyway.
@@ -78,8 +91,8 @@ def import_pool(
       workers: worker processes on the cluster; 0 takes as many as it has room for.
 
     Returns:
-      What was made (`pool`), skipped, and what failed, and why: a file that is damaged fails alone; and what
-      each object cost (`costs`).
+      What was made (`pool`), skipped, left out (`left_out`), and what failed, and why: a file that is
+      damaged fails alone; and what each object cost (`costs`).
 
     Raises:
       ConfigError, PoolError, AssetError, MissingExtraError: see `importing.run.import_sources`.
@@ -88,6 +101,7 @@ def import_pool(
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.importing.readers import ReadOptions
     from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
+    from cluttergen_jax.importing.table_top import Limits
 
     read = ReadOptions(
         scale=scale,
@@ -103,7 +117,8 @@ def import_pool(
     )
     config = ObjectConfig(read, BodyConfig(tier, decomposition or DecompositionConfig()), trials)
     file, place = None if settings is None else Path(settings), cluster_of(cluster, workers)
-    how = ImportConfig(config, jobs, force, progress, add, file, place, time_limit, set)
+    limits = Limits(max_size, max_mass)
+    how = ImportConfig(config, jobs, force, progress, add, file, place, time_limit, set, limits, take_all)
     return import_sources([sources] if isinstance(sources, str | Path) else sources, pool, how)
 
 

@@ -12,6 +12,7 @@ from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose
 from cluttergen_jax.assets.deviation import deviation, size_alarm
 from cluttergen_jax.assets.facing import faced
+from cluttergen_jax.assets.gaps import gap_alarm
 from cluttergen_jax.assets.hollow import MAX_FILL, Hollow, find_hollow, holds_ball, known_hollow
 from cluttergen_jax.assets.inertia import MassProperties, mass_properties
 from cluttergen_jax.assets.mesh import joined
@@ -98,6 +99,20 @@ def make_object(shape: Shape, config: BodyConfig | None = None) -> ObjectAsset:
     return next(object_variants(shape, config))
 
 
+def weighed(shape: Shape) -> tuple[Shape, Solid, MassProperties]:
+    """The shape with a note on its mass if that is not taken as stated, its solid, and its mass.
+
+    Raises:
+      AssetError: nothing with a volume can be made of the surfaces.
+    """
+    solid = solid_of([piece.mesh for piece in shape.pieces])
+    mass = mass_properties(solid.mesh, shape.density, shape.mass)
+    if shape.mass is None and shape.stated is not None:
+        mass, refusal = believed(shape.stated, solid.mesh, mass, shape.density)
+        shape = replace(shape, notes=(*shape.notes, *([refusal] if refusal else ())))
+    return shape, solid, mass
+
+
 def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[ObjectAsset]:
     """`make_object`'s body, then the same with ever fewer corners on the plane on which it stands.
 
@@ -105,11 +120,7 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
     to step. They are yielded as they are made; the parts are found only once.
     """
     config = config or BodyConfig()
-    solid = solid_of([piece.mesh for piece in shape.pieces])
-    mass = mass_properties(solid.mesh, shape.density, shape.mass)
-    if shape.mass is None and shape.stated is not None:
-        mass, refusal = believed(shape.stated, solid.mesh, mass, shape.density)
-        shape = replace(shape, notes=(*shape.notes, *([refusal] if refusal else ())))
+    shape, solid, mass = weighed(shape)
     best: _Candidate | None = None
     for raw in _proposals(shape, solid, config):
         candidate = _candidate(raw, shape, solid, mass, config)
@@ -250,6 +261,8 @@ def _alarms(shape: Shape, solid: Solid) -> Iterator[str]:
     """Where an object's file contradicts itself: what it holds may not be the object that is meant."""
     colliding = shape.colliding or shape.parts
     if colliding and (alarm := size_alarm(solid.surface.vertices, joined(colliding).vertices)):
+        yield alarm
+    if alarm := gap_alarm(solid):
         yield alarm
     if shape.mass is None and shape.stated is not None and (alarm := mass_alarm(shape.stated, solid.mesh)):
         yield alarm

@@ -14,6 +14,10 @@ ALARM_FACTOR = 3.0
 """What a file says twice may differ by this much: what is seen and what collides, mass and size."""
 NUM_TRIALS = 256
 """Placements by which an object's solo stability is measured."""
+MAX_SIZE = 0.60
+"""Metres that the largest side of an object stays below: the shorter side of the usual table."""
+MAX_MASS = 20.0
+"""Kilograms that an object may weigh: what one lifts onto a table with two hands."""
 TIME_LIMIT = 120.0
 """Seconds that the import of one object may take."""
 

@@ -39,6 +39,10 @@ class Solid:
         """Cubic metres."""
         return _as_manifold(self.mesh).volume()
 
+    def shells(self) -> list[manifold3d.Manifold]:
+        """Its pieces that do not touch one another; the surfaces of hollows inside are none."""
+        return [each for each in _as_manifold(self.mesh).decompose() if each.volume() > 0]
+
     @property
     def diagonal(self) -> float:
         """Metres across the bounding box of what was given."""

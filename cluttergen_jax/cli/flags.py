@@ -10,7 +10,7 @@ from typing import Any, get_args
 from cluttergen_jax.config import REMOVED, Method, Preset, Variant, no_such
 from cluttergen_jax.errors import ConfigError
 
-FLAGS = {"max_attempts": "attempts", "num_threads": "threads", "is_private": "private"}
+FLAGS = {"max_attempts": "attempts", "num_threads": "threads", "is_private": "private", "take_all": "all"}
 """Arguments whose option is called otherwise."""
 _VALUE = r"""'[^']*'|"[^"]*"|\([^()]*\)|\[[^][]*\]|[\w.+-]*[\w+-]"""
 

@@ -27,7 +27,7 @@ class Import(Options):
     """
 
     def run(self) -> int:
-        """Runs the command: 0, or 1 if an object could not be imported."""
+        """Runs the command: 0, or 1 if an object could not be imported, or none was."""
         if self.path is not None:
             return self._import_support()
         if self.pool is None or self.name is not None:
@@ -37,7 +37,7 @@ class Import(Options):
             )
         report = self.call(import_pool)
         print_report(report, Import)
-        return 1 if report.failures else 0
+        return 1 if report.failures or not report.objects else 0
 
     def _import_support(self) -> int:
         if self.sources or self.pool is not None:

@@ -8,6 +8,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from cluttergen_jax.cli.flags import with_flags
+from cluttergen_jax.cli.left_out import left_out_text
 
 if TYPE_CHECKING:
     from cluttergen_jax.importing.run import ImportReport
@@ -17,7 +18,7 @@ _MOST_DEAR = 3
 
 
 def print_report(report: ImportReport, command: Any) -> None:
-    """What was made, which axes were taken for up, what was skipped, and what failed, and why.
+    """What was made, which axes were taken for up, what was skipped, left out, and what failed, and why.
 
     Args:
       command: the class of the command, whose flags are named.
@@ -49,6 +50,7 @@ def print_report(report: ImportReport, command: Any) -> None:
         print(f"{len(others)} skipped:")
         for (reason,), names in _grouped([(each.reason, each.name) for each in others]):
             print(f"  {with_flags(reason, command)}: {names}")
+    print(with_flags(left_out_text(report.left_out), command), end="")
     if report.failures:
         print(f"{len(report.failures)} failed:", file=sys.stderr)
         for failure in report.failures:

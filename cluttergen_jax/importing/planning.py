@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,12 +15,21 @@ from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Ski
 from cluttergen_jax.importing.readers.axes import AUTO, UpAxis, own_up
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import public_path
-from cluttergen_jax.importing.readers.source import make_source, named_apart
+from cluttergen_jax.importing.readers.source import named_apart
 from cluttergen_jax.importing.readers.tree import find_sources, found_in
 from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
+from cluttergen_jax.importing.scenery import why_no_objects
 from cluttergen_jax.importing.sets import AUTO as ANY_SET
 from cluttergen_jax.importing.sets import KnownSet, known_sets, told
-from cluttergen_jax.importing.settings import OF_READING, Settings, read_settings, settings_for
+from cluttergen_jax.importing.settings import (
+    OF_READING,
+    TAKE,
+    Settings,
+    place_of,
+    read_settings,
+    settings_for,
+)
+from cluttergen_jax.importing.table_top import LeftOut
 
 YCB = "ycb"
 
@@ -32,6 +42,8 @@ class Planned:
       up: the vertical axis of its file, and who says so.
       is_named: its name was chosen by the user, and stays.
       out: why the layout of its set leaves it out; empty if it does not.
+      place: its file from the searched folder on, with "#" and the body where it holds several.
+      take: whether the user's settings take it or leave it out; None if they do not say.
     """
 
     source: ObjectFile
@@ -39,6 +51,8 @@ class Planned:
     up: UpAxis
     is_named: bool = False
     out: str = ""
+    place: str = ""
+    take: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -51,12 +65,13 @@ class Failure:
 
 @dataclass(frozen=True)
 class Plan:
-    """Objects of distinct names, files that are none, what cannot be read, and known sets, a line each."""
+    """Objects of distinct names, files that are none, what cannot be read, known sets, what is left out."""
 
     objects: tuple[Planned, ...]
     skipped: tuple[Skipped, ...]
     failures: tuple[Failure, ...]
     sets: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -76,6 +91,7 @@ def plan_all(
     settings: Path | None = None,
     pool: Path | None = None,
     layout: str = ANY_SET,
+    take_all: bool = False,
 ) -> Plan:
     """Looks through all sources; the word `ycb` stands for the YCB objects.
 
@@ -84,6 +100,7 @@ def plan_all(
       settings: a settings file for all sources, in place of the one in each folder.
       layout: the set that the sources are of: a name in sets.yaml, "none", or "auto" for what they show.
       pool: a pool's folder; what it holds by names that earlier versions gave is called so again.
+      take_all: scenery and actors (`scenery`) as well.
 
     Raises:
       ConfigError: settings are wrong, fit no object, or give one name to several.
@@ -106,26 +123,35 @@ def plan_all(
                 planned.append(_planned(source, group, options))
             except OSError as error:
                 failures.append(Failure(source.name, f"{source.path} cannot be read ({error.strerror})"))
-    kept = [_called_after_file(each, planned) for each in planned if not each.out]
     skipped = tuple(each for group in groups for each in group.found.skipped)
-    skipped += tuple(Skipped(_place(each.source), each.out) for each in planned if each.out)
     lines = tuple(told([known for group in groups for known in group.sets]))
-    return Plan(_named_apart(_as_in_pool(kept, pool)), skipped, tuple(failures), lines)
+    kept, left_out = _objects_among(planned, take_all)
+    return Plan(named_anew(_as_in_pool(kept, pool)), skipped, tuple(failures), lines, left_out)
 
 
-def _place(source: ObjectFile) -> str:
-    """A file, with the body where it holds several."""
-    return f"{public_path(source.path)}{'#' if source.body else ''}{source.body.removeprefix('#')}"
+def _objects_among(planned: list[Planned], take_all: bool) -> tuple[list[Planned], tuple[LeftOut, ...]]:
+    """What is an object, and what is left out."""
+    why = {index: ("as the settings say", "") for index, each in enumerate(planned) if each.take is False}
+    if not take_all:
+        why |= {i: (each.out, "") for i, each in enumerate(planned) if each.out and each.take is None}
+        rest = [index for index in range(len(planned)) if index not in why]
+        found = why_no_objects([planned[index].source for index in rest])
+        why |= {rest[i]: reason for i, reason in found.items() if not planned[rest[i]].take}
+    left_out = tuple(LeftOut(planned[index].place, *why[index]) for index in sorted(why))
+    files = {planned[index].source.path for index in why}
+    kept = [each for index, each in enumerate(planned) if index not in why]
+    return [_called_after_file(each, kept) if each.source.path in files else each for each in kept], left_out
 
 
-def _called_after_file(each: Planned, planned: Sequence[Planned]) -> Planned:
-    """A body without a name, whose number says nothing where other bodies of its file are left out."""
-    path = each.source.path
-    is_unnamed = each.source.body.startswith("#") and not each.is_named
-    if not is_unnamed or not any(other.out and other.source.path == path for other in planned):
-        return each
-    file = make_source(path, each.source.kind)
-    return replace(each, source=replace(each.source, name=file.name, label=file.label))
+def _called_after_file(planned: Planned, kept: Sequence[Planned]) -> Planned:
+    """The only body without a name that is left of its file, without the number that it had there."""
+    source = planned.source
+    unnamed = [each for each in kept if each.source.path == source.path and each.source.body.startswith("#")]
+    if unnamed != [planned] or planned.is_named:
+        return planned
+    number = source.body.replace("#", "-")
+    plain = source.plain.removesuffix(number)
+    return replace(planned, source=replace(source, plain=plain, label=source.label.removesuffix(number)))
 
 
 def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
@@ -144,6 +170,7 @@ def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
 def _planned(source: ObjectFile, group: _Group, options: ReadOptions) -> Planned:
     """A source with the options of the command line, but for what its set and the settings say."""
     values = {} if group.settings is None else group.settings.of(source, group.root)
+    take = values.pop(TAKE, None)
     reading = {key: value for key, value in values.items() if key in OF_READING}
     known = next((each for each in group.sets if each.covers(source)), None)
     from_set = {} if known is None else known.found(source)
@@ -157,7 +184,7 @@ def _planned(source: ObjectFile, group: _Group, options: ReadOptions) -> Planned
     sets = group.sets if group.is_folder else ()
     out = next((why for each in sets if (why := each.why_out(source))), "")
     up = _up_axis(source, own, group if "up" in reading else None, known if options.up == AUTO else None)
-    return Planned(own_source, own, up, "name" in naming, out)
+    return Planned(own_source, own, up, "name" in naming, out, place_of(source, group.root), take)
 
 
 def _up_axis(source: ObjectFile, own: ReadOptions, group: _Group | None, known: KnownSet | None) -> UpAxis:
@@ -170,44 +197,49 @@ def _up_axis(source: ObjectFile, own: ReadOptions, group: _Group | None, known: 
 
 
 def _as_in_pool(planned: list[Planned], folder: Path | None) -> list[Planned]:
-    """The objects, those that a pool has by the names of earlier versions with these names and labels."""
-    if all(_is_as_before(each.source) or each.is_named for each in planned) or folder is None:
-        return planned
+    """The objects, those that a pool has already with the names, and labels, that it has them by."""
     try:
-        held = {asset.name: asset.provenance.source for asset in read_pool(folder).objects}
+        held = {} if folder is None else {a.name: a.provenance.source for a in read_pool(folder).objects}
     except ClutterGenError:
         return planned
-    before = _named_apart([each if each.is_named else _as_before(each) for each in planned])
-    return [
-        replace(old, is_named=True) if held.get(old.source.name) == public_path(old.source.path) else each
-        for each, old in zip(planned, before, strict=True)
-    ]
+    free = {name: source for name, source in held.items() if name not in _chosen_names(planned)}
+    return [each if each.is_named else _as_held(each, free) for each in planned]
 
 
-def _is_as_before(source: ObjectFile) -> bool:
-    return (source.name, source.label) == source.earlier or not source.earlier[0]
+def _as_held(planned: Planned, free: dict[str, str]) -> Planned:
+    """The object by a pool's name for it, in the letters of earlier versions or of this; that is used up."""
+    source, here = planned.source, public_path(planned.source.path)
+    for plain, label in (source.earlier, (source.plain, source.label)):
+        fitting = re.compile(re.escape(plain) + r"(-\d+)?")
+        for name in [each for each, path in free.items() if path == here and fitting.fullmatch(each)]:
+            del free[name]
+            return replace(planned, source=replace(source, name=name, label=label), is_named=True)
+    return planned
 
 
-def _as_before(planned: Planned) -> Planned:
-    """The object as an earlier version called it."""
-    name, label = planned.source.earlier
-    return replace(planned, source=replace(planned.source, name=name, label=label)) if name else planned
+def _chosen_names(planned: Sequence[Planned]) -> list[str]:
+    return [each.source.name for each in planned if each.is_named]
 
 
-def _named_apart(planned: Sequence[Planned]) -> tuple[Planned, ...]:
-    """Distinct names; those that the user chose stay.
+def named_anew(planned: Sequence[Planned]) -> tuple[Planned, ...]:
+    """Distinct names, with numbers only where these objects share one; those that the user chose stay.
 
     Raises:
       ConfigError: the user chose one for several objects.
     """
-    chosen = [each.source.name for each in planned if each.is_named]
+    chosen = _chosen_names(planned)
     if twice := sorted({name for name in chosen if chosen.count(name) > 1}):
         raise ConfigError(
             f"settings with name = {twice[0]!r} for {chosen.count(twice[0])} objects", "a name for one object"
         )
     order = sorted(range(len(planned)), key=lambda index: not planned[index].is_named)
-    names = dict(zip(order, named_apart([planned[index].source for index in order]), strict=True))
+    plain = [planned[i].source if planned[i].is_named else _without_number(planned[i].source) for i in order]
+    names = dict(zip(order, named_apart(plain), strict=True))
     return tuple(replace(each, source=names[index]) for index, each in enumerate(planned))
+
+
+def _without_number(source: ObjectFile) -> ObjectFile:
+    return replace(source, name=source.plain or source.name)
 
 
 # Scans that do not show the object as it is.

@@ -19,11 +19,12 @@ from cluttergen_jax.cluster import MOST_DEATHS, Cluster, each_on
 from cluttergen_jax.config import check_positive, check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.importing import cache
-from cluttergen_jax.importing.planning import YCB, Failure, Planned, plan_all
+from cluttergen_jax.importing.planning import YCB, Failure, Planned, named_anew, plan_all
 from cluttergen_jax.importing.processes import Crew, Outcome
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, read_shape
 from cluttergen_jax.importing.readers.axes import UpAxis
 from cluttergen_jax.importing.solo import measured_object
+from cluttergen_jax.importing.table_top import LeftOut, Limits
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.progress import Progress
 
@@ -57,12 +58,16 @@ class Job:
 
     Attributes:
       fault: how a first try was lost; empty at the first.
+      limits: what is left out once it is read; None leaves nothing out.
+      place: see `LeftOut.name`.
     """
 
     source: ObjectFile
     key: str
     config: ObjectConfig
     fault: str = ""
+    limits: Limits | None = None
+    place: str = ""
 
 
 @dataclass(frozen=True)
@@ -73,12 +78,15 @@ class Cost:
     cpu_seconds: float
 
 
-def made(job: Job) -> ObjectAsset | str:
-    """The object, or why it could not be made."""
+def made(job: Job) -> ObjectAsset | LeftOut | str:
+    """The object, or what is said of it if it is beyond the limits, or why it could not be made."""
     try:
         # Rest and ball test look at the poses themselves, so MuJoCo's own log has nothing to add.
         with silent_log():
             shape = read_shape(job.source, job.config.read)
+            beyond = job.limits and job.limits.beyond_as_read(job.place, shape)
+            if beyond:
+                return beyond
             body = replace(job.config.body, jitter=_JITTER if job.fault else 0.0)
             asset = measured_object(shape, body, job.config.trials)
             second = (f"made on a second try, its surface minutely roughened: at first {job.fault}",)
@@ -142,6 +150,8 @@ class ImportConfig:
       cluster: where objects are made; in processes of this machine if None.
       time_limit: seconds that an object may take, a second try included; then it is left out.
       layout: the published set that the sources are of; "auto" for what they show, or "none".
+      limits: of what is left out as too large or too heavy for a table.
+      take_all: scenery, actors, and what is beyond the limits as well.
     """
 
     object: ObjectConfig = field(default_factory=ObjectConfig)
@@ -153,6 +163,8 @@ class ImportConfig:
     cluster: Cluster | None = None
     time_limit: float = TIME_LIMIT
     layout: str = "auto"
+    limits: Limits = field(default_factory=Limits)
+    take_all: bool = False
 
     def __post_init__(self) -> None:
         check_workers("jobs", self.jobs)
@@ -172,6 +184,7 @@ class ImportReport:
       up_axes: by object, the vertical axis of its file, and who says so.
       costs: by object, what it cost now; those that failed among them, those from the cache not.
       sets: a line for each published set that was recognised.
+      left_out: bodies that could be read and are no objects for a table, and why.
     """
 
     path: Path | None
@@ -182,6 +195,7 @@ class ImportReport:
     up_axes: dict[str, UpAxis] = field(default_factory=dict)
     costs: dict[str, Cost] = field(default_factory=dict)
     sets: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
 
     @property
     def cost(self) -> Cost:
@@ -197,7 +211,8 @@ class ImportReport:
           AssetError: no object could be made.
         """
         if self.path is None:
-            raise AssetError(f"nothing was imported: {'; '.join(each.reason for each in self.failures)}")
+            why = [*(each.reason for each in self.failures), *(each.reason for each in self.left_out)]
+            raise AssetError(f"nothing was imported: {'; '.join(dict.fromkeys(why))}")
         return read_pool(self.path)
 
 
@@ -222,23 +237,45 @@ def import_sources(
         raise AssetError("nothing to import", f"files, folders, or {YCB!r}")
     old = read_pool(user_pool_folder(pool_name)) if config.add else None
     known = None if config.force and old is None else user_root() / pool_name
-    planned = plan_all(sources, config.object.read, config.settings, known, config.layout)
-    jobs, unreadable = _jobs(planned.objects, config.object)
+    planned = plan_all(sources, config.object.read, config.settings, known, config.layout, config.take_all)
+    jobs, unreadable = _jobs(planned.objects, config)
     made: dict[str, ObjectAsset] = {} if config.force else _loaded(jobs)
     missing = [job for job in jobs if job.source.name not in made]
-    num_cached = len(made)
+    cached = set(made)
     if config.force:
         for job in missing:
             cache.drop(job.key)
-    lost, costs = _make(missing, config)
-    failures = (*planned.failures, *unreadable, *lost)
+    lost, beyond, costs = _make(missing, config)
     made |= _loaded(missing)
-    names = [each.source.name for each in planned.objects if each.source.name in made]
-    objects = tuple(made[name] for name in names)
+    # What was made by other limits is in the cache.
+    beyond |= _beyond_as_made(jobs, made)
+    kept = [each for each in planned.objects if each.source.name in made.keys() - beyond.keys()]
+    failures = (*planned.failures, *unreadable, *lost)
+    called = _called(planned.objects, kept)
+    objects = tuple(replace(made[name], name=called[name]) for name in (each.source.name for each in kept))
     path = _write(pool_name, objects, old, config) if objects else None
-    axes = {each.source.name: each.up for each in planned.objects}
-    of_names = {name: axes[name] for name in names}
-    return ImportReport(path, objects, num_cached, failures, planned.skipped, of_names, costs, planned.sets)
+    return ImportReport(
+        path,
+        objects,
+        len(cached & {each.source.name for each in kept}),
+        tuple(replace(each, name=called.get(each.name, each.name)) for each in failures),
+        planned.skipped,
+        {called[each.source.name]: each.up for each in kept},
+        {called[name]: cost for name, cost in costs.items()},
+        planned.sets,
+        (*planned.left_out, *beyond.values()),
+    )
+
+
+def _called(planned: Sequence[Planned], kept: Sequence[Planned]) -> dict[str, str]:
+    """What each object is called in the end, by its name of before: only those that were made share numbers.
+
+    Of the others, one whose name is taken now is told with its file.
+    """
+    names = {old.source.name: new.source.name for old, new in zip(kept, named_anew(kept), strict=True)}
+    taken = set(names.values())
+    others = {each.source.name: each.place for each in planned if each.source.name not in names}
+    return names | {name: f"{name} ({place})" if name in taken else name for name, place in others.items()}
 
 
 def _check_name(name: str) -> None:
@@ -249,13 +286,15 @@ def _check_name(name: str) -> None:
         )
 
 
-def _jobs(planned: Sequence[Planned], config: ObjectConfig) -> tuple[list[Job], list[Failure]]:
+def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], list[Failure]]:
     """What there is to make, and the files that cannot be read."""
     jobs, failures = [], []
     for each in planned:
-        own = replace(config, read=each.options)
+        own = replace(config.object, read=each.options)
+        limits = None if config.take_all or each.take else config.limits
         try:
-            jobs.append(Job(each.source, cache.cache_key(each.source, own), own))
+            key = cache.cache_key(each.source, own)
+            jobs.append(Job(each.source, key, own, limits=limits, place=each.place))
         except OSError as error:
             failures.append(Failure(each.source.name, f"{error.filename} cannot be read ({error.strerror})"))
     return jobs, failures
@@ -266,9 +305,22 @@ def _loaded(jobs: Sequence[Job]) -> dict[str, ObjectAsset]:
     return {name: asset for name, asset in pairs if asset is not None}
 
 
-def _make(jobs: Sequence[Job], config: ImportConfig) -> tuple[list[Failure], dict[str, Cost]]:
-    """Runs the jobs; those that failed, in the order of the jobs, and what each cost."""
+def _beyond_as_made(jobs: Sequence[Job], made: dict[str, ObjectAsset]) -> dict[str, LeftOut]:
+    """By name, what is said of bodies beyond the limits."""
+    told = {}
+    for job in jobs:
+        asset = made.get(job.source.name)
+        if job.limits is not None and asset is not None:
+            told[job.source.name] = job.limits.beyond_as_made(job.place, asset)
+    return {name: each for name, each in told.items() if each is not None}
+
+
+def _make(
+    jobs: Sequence[Job], config: ImportConfig
+) -> tuple[list[Failure], dict[str, LeftOut], dict[str, Cost]]:
+    """Runs the jobs; those that failed, in the order of the jobs, what is left out, and what each cost."""
     reasons: dict[int, str] = {}
+    beyond: dict[str, LeftOut] = {}
     costs: dict[str, Cost] = {}
     num_processes = config.jobs or os.cpu_count() or 1
     is_shown = config.progress and bool(jobs)
@@ -288,13 +340,15 @@ def _make(jobs: Sequence[Job], config: ImportConfig) -> tuple[list[Failure], dic
                     reason = _kept(job, outcome)
                     if reason:
                         reasons[index] = reason
+                    elif isinstance(outcome.result, LeftOut):
+                        beyond[job.source.name] = outcome.result
                     say(_line(job.source.name, cost, outcome.result, reason))
                     if progress is not None:
                         progress.update()
         except KeyboardInterrupt:
             say(f"{len(costs) - len(reasons)} of {len(jobs)} objects were made and are kept")
             raise
-    return [Failure(jobs[index].source.name, reasons[index]) for index in sorted(reasons)], costs
+    return [Failure(jobs[index].source.name, reasons[index]) for index in sorted(reasons)], beyond, costs
 
 
 def _show_at_work(progress: Progress, jobs: Sequence[Job], indices: list[int]) -> None:
@@ -304,11 +358,13 @@ def _show_at_work(progress: Progress, jobs: Sequence[Job], indices: list[int]) -
 
 
 def _kept(job: Job, outcome: Outcome) -> str:
-    """Stores the object that was made in the cache. The empty string, or why there is none."""
+    """Stores the object that was made in the cache. The empty string, or why it failed."""
     if outcome.fault:
         return str(AssetError(f"{job.source.path}: {outcome.fault}", hint=_hint(outcome)))
     if isinstance(outcome.result, str):
         return outcome.result
+    if isinstance(outcome.result, LeftOut):
+        return ""
     try:
         cache.store(job.key, outcome.result)
     except OSError as error:
@@ -324,9 +380,11 @@ def _hint(outcome: Outcome) -> str:
     return "a mesh without pieces that cross, or of fewer triangles"
 
 
-def _line(name: str, cost: Cost, asset: ObjectAsset | str | None, reason: str) -> str:
+def _line(name: str, cost: Cost, asset: ObjectAsset | LeftOut | str | None, reason: str) -> str:
     """One object's line in a log."""
     took = f"{cost.seconds:.1f} s, {cost.cpu_seconds:.1f} CPU-seconds"
+    if isinstance(asset, LeftOut) and not reason:
+        return f"{name}: left out after {took}: {asset.reason}: {asset.detail}"
     if reason or not isinstance(asset, ObjectAsset):
         return f"{name}: failed after {took}: {reason}"
     parts = "1 part" if len(asset.parts) == 1 else f"{len(asset.parts)} parts"

@@ -12,6 +12,9 @@ friction = 0.2
 
 ["kitchen.xml#pan"]       # one body of an MJCF file
 name = "frying_pan"
+
+["kitchen.xml#stove"]
+take = true               # or false: whether it is an object, whatever the import makes of it
 """
 
 from __future__ import annotations
@@ -32,7 +35,8 @@ from cluttergen_jax.importing.readers.tree import SETTINGS
 DEFAULT = "default"
 OF_READING = tuple(each.name for each in fields(ReadOptions))
 _OF_NAMING = ("name", "label")
-KEYS = (*OF_READING, *_OF_NAMING)
+TAKE = "take"
+KEYS = (*OF_READING, *_OF_NAMING, TAKE)
 _OTHER_SPELLING = {"license": "licence"}
 
 
@@ -111,6 +115,8 @@ def _checked(path: Path, pattern: str, table: Any) -> dict[str, Any]:
             raise ConfigError(f"{where}: key {key!r}{did_you_mean(key, KEYS)}", ", ".join(KEYS), hint)
         if key in ("licence", "attribution", *_OF_NAMING) and not (isinstance(value, str) and value.strip()):
             raise ConfigError(f"{where}: {key} = {value!r}", "a text")
+    if not isinstance(values.get(TAKE, True), bool):
+        raise ConfigError(f"{where}: {TAKE} = {values[TAKE]!r}", "true, false")
     if "name" in values and (pattern == DEFAULT or not NAME_PATTERN.fullmatch(values["name"])):
         raise ConfigError(f"{where}: name = {values['name']!r}", "one object's name of a-z, 0-9, '_' and '-'")
     try:
@@ -126,10 +132,15 @@ def settings_for(folder: Path) -> Settings | None:
     return read_settings(file) if file.is_file() else None
 
 
+def place_of(source: ObjectFile, root: Path) -> str:
+    """A source's path from the folder `root` on, with "#" and the body where its file holds several."""
+    path = source.path.relative_to(root).as_posix() if source.path.is_relative_to(root) else source.path.name
+    return f"{path}#{source.body.removeprefix('#')}" if source.body else path
+
+
 def _names(source: ObjectFile, root: Path) -> list[str]:
     """What a pattern may fit: path from the folder on and plain name, with and without the body."""
-    path = source.path.relative_to(root).as_posix() if source.path.is_relative_to(root) else source.path.name
-    names = [path, source.path.name]
+    names = [place_of(replace(source, body=""), root), source.path.name]
     return names + [f"{name}#{source.body.removeprefix('#')}" for name in names if source.body]
 
 

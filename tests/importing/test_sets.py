@@ -58,7 +58,7 @@ def test_robosuite_has_nine_models(tmp_path, objects, given):
     assert {(each.up.axis, each.up.reason) for each in plan.objects} == {("z", "as in robosuite's objects")}
     (line,) = plan.sets
     assert line.startswith(f"recognised: robosuite's objects in {objects}/, up z, licence MIT")
-    told = {Path(each.name).name: each.reason for each in plan.skipped}
+    told = {Path(each.name).name: each.reason for each in plan.left_out}
     assert "furniture" in told["door.xml"]
     assert "set=none" in told["door_lock.xml"]
 
@@ -81,7 +81,7 @@ def test_a_set_that_leaves_nothing_says_so(tmp_path):
     save_model(tmp_path / "door.xml")
     plan = plan_all([tmp_path], ReadOptions(), layout="robosuite")
     assert not plan.objects
-    assert plan.skipped[0].reason == "furniture with joints (robosuite's objects; set=none takes it)"
+    assert plan.left_out[0].reason == "furniture with joints (robosuite's objects; set=none takes it)"
 
 
 def test_a_file_that_is_given_itself_is_taken(tmp_path):
@@ -103,8 +103,10 @@ def test_what_the_user_says_goes_before_the_set(tmp_path):
 
 
 def test_scenery_of_metaworld_is_left_out_and_what_is_left_is_called_after_its_file(tmp_path):
-    for name in ("basketballhoop", "soccer_goal", "mug", "puck"):
-        save_model(tmp_path / "objects" / f"{name}.xml", "tablelink", "RetainingWall", "")
+    for number, name in enumerate(("basketballhoop", "soccer_goal", "mug", "puck"), start=3):
+        path = tmp_path / "objects" / f"{name}.xml"
+        save_model(path, "tablelink", "RetainingWall", "")
+        path.write_text(path.read_text().replace('size=".02', f'size=".0{number}'))
     (tmp_path / "objects" / "assets").mkdir()
     (tmp_path / "objects" / "assets" / "xyz_base_dependencies.xml").write_text("<mujocoinclude/>")
     assert names(tmp_path) == ["mug", "puck"]

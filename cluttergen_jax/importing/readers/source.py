@@ -88,6 +88,7 @@ class ObjectFile:
       body: the body's or model's name, where an MJCF or SDF file holds several objects.
       parts: files of collision shapes that are to be its parts.
       earlier: name and label that earlier versions gave, by which a pool of theirs has it.
+      plain: the name without the number that sets it apart from others.
       notes: known faults, passed on as flags.
     """
 
@@ -100,6 +101,7 @@ class ObjectFile:
     notes: tuple[str, ...] = ()
     earlier: tuple[str, str] = ("", "")
     parts: tuple[Path, ...] = ()
+    plain: str = ""
 
 
 def make_source(path: Path, kind: str, title: str = "", behind: str = "") -> ObjectFile:
@@ -113,7 +115,8 @@ def make_source(path: Path, kind: str, title: str = "", behind: str = "") -> Obj
     if not title or _SAYS_NOTHING.fullmatch(title.lower()):
         title = telling_name(path) + behind
     names = _with_allowed_letters(earlier), label_of(earlier)
-    return ObjectFile(path, kind, plain_name(title), label_of(title), earlier=names)
+    name = plain_name(title)
+    return ObjectFile(path, kind, name, label_of(title), earlier=names, plain=name)
 
 
 def telling_name(path: Path) -> str:

@@ -1,0 +1,82 @@
+"""What is no object for a table: larger or heavier than the limits, or no object of its file (`scenery`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cluttergen_jax.assets.body import weighed
+from cluttergen_jax.assets.config import MAX_MASS, MAX_SIZE
+from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.shape import Shape
+from cluttergen_jax.config import check_positive
+
+_HAIR = 1e-4
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A body that could be read and is no object for a table.
+
+    Attributes:
+      name: its file, from the folder on that was searched, and "#" with the body where it holds several.
+      reason: why it was left out, in words; the same for all of a kind.
+      detail: what is to be said of this one; may be empty.
+    """
+
+    name: str
+    reason: str
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What an object on a table may be.
+
+    The largest side of its box is what counts, whichever way it points: an object is turned, and laid on any
+    of its sides, and what is as long as the table is wide cannot lie across it.
+
+    Attributes:
+      size: metres that its largest side stays below.
+      mass: kilograms, at most.
+    """
+
+    size: float = MAX_SIZE
+    mass: float = MAX_MASS
+
+    def __post_init__(self) -> None:
+        check_positive(self, "size", "mass")
+
+    def beyond(self, name: str, sides: np.ndarray, mass: float = 0.0) -> LeftOut | None:
+        """What is said of an object that is too large or too heavy; None if it is neither.
+
+        Args:
+          name: see `LeftOut`.
+          sides: f64[3], of its box, metres.
+          mass: kilograms; 0 if not known.
+        """
+        detail = " x ".join(f"{side:.2f}" for side in sides) + " m"
+        detail += f", {mass:,.4g} kg" if mass > 0 else ""
+        if sides.max() > self.size - _HAIR:
+            reason = f"too large for the usual table: a side of {self.size:g} m or more (`max_size`)"
+            return LeftOut(name, reason, detail)
+        if mass > self.mass:
+            return LeftOut(name, f"too heavy for a table: more than {self.mass:g} kg (`max_mass`)", detail)
+        return None
+
+    def beyond_as_read(self, name: str, shape: Shape) -> LeftOut | None:
+        """The same of a shape before a body is made of it; it is weighed only where it may be too heavy."""
+        whole = joined([piece.mesh for piece in shape.pieces])
+        sides = np.ptp(whole.vertices[np.unique(whole.faces)], axis=0)
+        stated = 0.0 if shape.stated is None else shape.stated.body.mass
+        mass = stated if shape.mass is None else shape.mass
+        is_light = max(mass, sides.prod() * shape.density) <= self.mass
+        if sides.max() <= self.size - _HAIR and not is_light:
+            mass = weighed(shape)[2].mass
+        return self.beyond(name, sides, mass)
+
+    def beyond_as_made(self, name: str, asset: ObjectAsset) -> LeftOut | None:
+        """The same of a body."""
+        return self.beyond(name, 2 * np.asarray(asset.half_extents), asset.mass)

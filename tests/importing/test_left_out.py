@@ -1,0 +1,301 @@
+"""What is no object for a table: scenery, actors, ghosts, copies, and what is too large or too heavy."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from cluttergen_jax.assets.gaps import gap_alarm, piece_gaps
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.shape import Piece, Provenance, Shape
+from cluttergen_jax.assets.solid import solid_of
+from cluttergen_jax.cli.import_ import Import
+from cluttergen_jax.cli.import_report import print_report
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.importing import run
+from cluttergen_jax.importing.planning import plan_all
+from cluttergen_jax.importing.readers import ReadOptions, read_shape
+from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
+from cluttergen_jax.importing.table_top import Limits
+from tests.helpers.cases import CASES
+from tests.helpers.shapes import make_box
+
+BOX = '<geom type="box" size=".03 .03 .03" mass=".1"/>'
+MOTOR = '<actuator><motor joint="j"/></actuator>'
+
+
+def write(path, *bodies, rest=""):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"<mujoco><worldbody>{''.join(bodies)}</worldbody>{rest}</mujoco>")
+
+
+def body(name, inside=BOX, free=False):
+    return f'<body name="{name}">{"<freejoint/>" if free else ""}{inside}</body>'
+
+
+def arm(joints):
+    """A chain of bodies with one hinge each."""
+    inside = BOX
+    for _ in range(joints):
+        inside = f'<body><joint type="hinge"/>{inside}</body>'
+    return inside
+
+
+def planned(folder, **options):
+    """Names of the objects, and by place what was left out and why."""
+    plan = plan_all([folder], ReadOptions(), **options)
+    return [each.source.name for each in plan.objects], {each.name: each.reason for each in plan.left_out}
+
+
+def test_scenery_in_every_file_and_mocap_bodies_are_no_objects():
+    names, left = planned(CASES / "19_scenery_in_every_file" / "objects")
+    assert names == ["brick", "mug"]
+    assert {place.split("#")[1] for place in left} == {"tablelink", "wall", "mocap"}
+    assert "mocap" in left["mug.xml#mocap"]
+    assert "fixed to the world" in left["brick.xml#tablelink"]
+    everything, nothing = planned(CASES / "19_scenery_in_every_file" / "objects", take_all=True)
+    assert (len(everything), nothing) == (8, {})
+
+
+@pytest.mark.parametrize("name", ["tin-visual.xml", "seen.xml"])
+def test_a_ghost_is_no_object_whatever_it_is_called(tmp_path, name):
+    shutil.copytree(CASES / "18_ghost_twin" / "objects", tmp_path / "set")
+    (tmp_path / "set" / "tin-visual.xml").rename(tmp_path / "set" / name)
+    plan = plan_all([tmp_path / "set"], ReadOptions())
+    assert [each.source.name for each in plan.objects] == ["tin"]
+    if name == "seen.xml":
+        assert [(each.name, each.detail) for each in plan.left_out] == [(name, "of tin.xml")]
+
+
+def test_what_most_files_have_is_scenery_and_what_few_have_is_one_object(tmp_path):
+    table = body("table", '<geom type="box" size=".3 .3 .02"/>')
+    for index, name in enumerate(("cup", "bowl", "pan", "jug", "pot")):
+        shape = f'<geom type="box" size=".0{index + 2} .03 .03"/>'
+        write(tmp_path / f"{name}.xml", table, body(name, shape))
+    write(tmp_path / "pan_again.xml", table, body("pan", '<geom type="box" size=".04 .03 .03"/>'))
+    names, left = planned(tmp_path)
+    assert names == ["bowl", "cup", "jug", "pan", "pot"]
+    assert {why for place, why in left.items() if place.endswith("#table")} == {
+        "stands alike in several files"
+    }
+    assert left["pan_again.xml#pan"] == "alike in another file"
+
+
+def test_two_versions_of_one_file_lose_nothing(tmp_path):
+    bodies = body("cup"), body("bowl", '<geom size=".04"/>')
+    write(tmp_path / "a.xml", *bodies)
+    write(tmp_path / "b.xml", *bodies)
+    assert planned(tmp_path)[0] == ["cup", "bowl"]
+
+
+def test_the_same_form_in_two_colours_is_two_objects(tmp_path):
+    for colour in ("1 0 0 1", "0 0 1 1"):
+        block = f'<geom type="box" size=".03 .03 .03" rgba="{colour}"/>'
+        write(tmp_path / f"{colour[0]}.xml", body("block", block, free=True), body("ball", free=True))
+    assert sorted(planned(tmp_path)[0]) == ["ball", "block", "block-2"]
+
+
+@pytest.mark.parametrize("free", [True, False])
+@pytest.mark.parametrize("joints", [1, 3, 4])
+def test_chains_of_four_joints_are_robots_and_shorter_ones_are_not(tmp_path, joints, free):
+    write(tmp_path / "thing.xml", body("thing", arm(joints), free))
+    assert planned(tmp_path)[0] == (["thing"] if joints < 4 else [])
+
+
+@pytest.mark.parametrize(
+    ("rest", "is_object"),
+    [
+        ("", True),
+        (MOTOR, False),
+        ('<equality><weld body1="lid" body2="hand"/></equality>', False),
+    ],
+)
+def test_what_motors_or_mocap_bodies_move_is_an_actor(tmp_path, rest, is_object):
+    lid = f'<body name="lid"><joint name="j"/>{BOX}</body>'
+    hand = f'<body name="hand" mocap="true">{BOX}</body>'
+    write(tmp_path / "pot.xml", body("pot", lid), hand, rest=rest)
+    assert planned(tmp_path)[0] == (["pot"] if is_object else [])
+
+
+def test_fixed_bodies_are_scenery_only_beside_free_ones(tmp_path):
+    drawer = body("drawer", f'<body><joint type="slide"/>{BOX}</body>')
+    write(tmp_path / "fixed" / "a.xml", drawer, body("shelf", '<geom size=".05"/>'))
+    write(tmp_path / "free" / "b.xml", drawer, body("mug", '<geom size=".04"/>', free=True))
+    held = body("pin", '<geom size=".02"/>', free=True)
+    tie = '<equality><weld body1="pin"/></equality>'
+    write(tmp_path / "held" / "c.xml", held, body("cup", '<geom size=".03"/>', free=True), rest=tie)
+    names, left = planned(tmp_path)
+    assert sorted(names) == ["cup", "drawer", "mug", "shelf"]
+    assert set(left) == {"free/b.xml#drawer", "held/c.xml#pin"}
+
+
+def test_a_robot_that_is_free_makes_no_scenery_of_what_stands_beside_it(tmp_path):
+    write(tmp_path / "scene.xml", body("robot", arm(4), free=True), body("vase"))
+    assert planned(tmp_path)[0] == ["vase"]
+
+
+def test_markers_and_empty_bodies_are_no_objects(tmp_path):
+    goal = body("goal", '<geom size=".02" contype="0" conaffinity="0"/>')
+    write(tmp_path / "task.xml", body("puck"), goal, body("frame", "<site/>"))
+    names, left = planned(tmp_path)
+    assert names == ["puck"]
+    assert "marker" in left["task.xml#goal"]
+    assert "seen" in left["task.xml#frame"]
+    # Alone in its file it is what the file is for, whatever it collides with.
+    write(tmp_path / "alone" / "picture.xml", goal)
+    assert len(planned(tmp_path / "alone")[0]) == 1
+
+
+@pytest.mark.parametrize("is_weighed", [True, False])
+def test_urdf_robots_state_masses_and_lamps_do_not(tmp_path, is_weighed):
+    inertial = '<inertial><mass value="1"/></inertial>' if is_weighed else ""
+    links = "".join(f'<link name="{i}">{inertial}</link>' for i in range(5))
+    joints = "".join(
+        f'<joint name="j{i}" type="revolute"><parent link="{i}"/><child link="{i + 1}"/></joint>'
+        for i in range(4)
+    )
+    (tmp_path / "lamp.urdf").write_text(f'<robot name="r">{links}{joints}</robot>')
+    assert planned(tmp_path)[0] == ([] if is_weighed else ["lamp"])
+
+
+def test_settings_take_one_body_and_leave_another(tmp_path):
+    shutil.copytree(CASES / "19_scenery_in_every_file" / "objects", tmp_path / "set")
+    settings = tmp_path / "set" / "objects.toml"
+    settings.write_text('["mug.xml#wall"]\ntake = true\n["brick.xml#brick"]\ntake = false\n')
+    names, left = planned(tmp_path / "set")
+    assert sorted(names) == ["mug", "wall"]
+    assert left["brick.xml#brick"] == "as the settings say"
+    settings.write_text('["mug.xml"]\ntake = "yes"\n')
+    with pytest.raises(ConfigError, match="take"):
+        planned(tmp_path / "set")
+
+
+def test_the_only_body_left_of_a_file_is_called_after_it(tmp_path):
+    for name, size in (("hammer", 2), ("plug", 3)):
+        unnamed = f'<body><freejoint/><geom size=".0{size}"/></body>'
+        write(tmp_path / f"{name}.xml", body("table"), body("wall"), unnamed)
+    assert planned(tmp_path)[0] == ["hammer", "plug"]
+
+
+# Size and mass
+
+
+def shape_of(size, density=500.0, mass=None):
+    box = trimesh.creation.box(size)
+    piece = Piece(Mesh(box.vertices, box.faces))
+    return Shape("box", "box", (piece,), Provenance("none", "none"), density=density, mass=mass)
+
+
+@pytest.mark.parametrize(
+    ("size", "density", "mass", "word"),
+    [
+        ((0.05, 0.05, 0.59), 500, None, None),
+        ((0.05, 0.05, 0.60), 500, None, "large"),
+        ((0.35, 0.35, 0.35), 500, None, "heavy"),
+        ((0.35, 0.35, 0.35), 300, None, None),
+        ((0.35, 0.35, 0.35), 500, 3.0, None),
+        ((0.05, 0.05, 0.05), 500, 21.0, "heavy"),
+    ],
+)
+def test_limits_of_size_and_mass(size, density, mass, word):
+    left = Limits().beyond_as_read("box", shape_of(size, density, mass))
+    assert (left is None) if word is None else (word in left.reason)
+
+
+def test_limits_are_asked_for():
+    shape = shape_of((0.7, 0.1, 0.1), mass=25.0)
+    assert "large" in Limits(0.65).beyond_as_read("box", shape).reason
+    assert "heavy" in Limits(0.8).beyond_as_read("box", shape).reason
+    assert Limits(0.8, 30.0).beyond_as_read("box", shape) is None
+    with pytest.raises(ConfigError):
+        Limits(size=0.0)
+
+
+CONFIG = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
+
+
+def at_once(jobs, config):
+    """The jobs one by one in this process: no test here is about processes."""
+    for index, job in enumerate(jobs):
+        yield index, run.Outcome(run.made(job))
+
+
+def plain_body(shape, config, trials):
+    """A box as large as the shape, in place of a body that takes a second to make."""
+    size = np.ptp(shape.pieces[0].mesh.vertices, axis=0)
+    return replace(make_box(shape.name, tuple(size / 2)), provenance=shape.provenance)
+
+
+@pytest.fixture
+def quick_import(tmp_path, monkeypatch):
+    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
+    monkeypatch.setattr(run, "_outcomes", at_once)
+    monkeypatch.setattr(run, "measured_object", plain_body)
+
+
+def test_what_is_too_large_is_told_in_one_block(quick_import, capsys):
+    folder = CASES / "17_not_table_top"
+    report = import_sources([folder], "t", CONFIG)
+    assert [each.name for each in report.objects] == ["small_0", "small_1", "small_2"]
+    assert not report.failures
+    print_report(report, Import)
+    block = capsys.readouterr().out.partition("2 left out")[2]
+    assert all(
+        word in block
+        for word in ("unit_cube", "1.00 x 1.00", "unit_cylinder", "0.6 m", "--max-size", "--all")
+    )
+    # What was taken once lies in the cache, and is beyond the limits as before.
+    cube = folder / "objects" / "unit_cube.obj"
+    assert import_sources([cube], "all_of_it", ImportConfig(CONFIG.object, take_all=True)).objects
+    assert [each.name for each in import_sources([cube], "again", CONFIG).left_out] == ["unit_cube.obj"]
+
+
+def test_names_get_numbers_among_what_was_made(quick_import, tmp_path):
+    for number in (1, 2, 3):
+        path = tmp_path / "set" / str(number) / "mug.obj"
+        path.parent.mkdir(parents=True)
+        trimesh.creation.box((0.05, 0.05, 0.05 + 0.01 * number)).export(path)
+    (tmp_path / "set" / "1" / "mug.obj").write_text("v 0 0 0\n")
+    report = import_sources([tmp_path / "set"], "t", CONFIG)
+    assert [each.name for each in report.objects] == ["mug", "mug-2"]
+    assert [each.name for each in report.failures] == ["mug (1/mug.obj)"]
+    assert set(report.costs) == {"mug", "mug-2", "mug (1/mug.obj)"}
+    # A pool keeps its names, with the first one mended.
+    trimesh.creation.box((0.05, 0.05, 0.04)).export(tmp_path / "set" / "1" / "mug.obj")
+    again = import_sources(
+        [tmp_path / "set"], "t", ImportConfig(CONFIG.object, jobs=1, progress=False, add=True)
+    )
+    sizes = {each.name: round(float(2 * each.half_extents[2]), 3) for each in again.pool.objects}
+    assert sizes == {"mug": 0.07, "mug-2": 0.08, "mug-3": 0.04}
+
+
+# Pieces apart
+
+
+def boxes(*places):
+    meshes = [trimesh.creation.box((0.04, 0.04, 0.04)).apply_translation(place) for place in places]
+    return solid_of([Mesh(each.vertices, each.faces) for each in meshes])
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.001, 0.01, 0.1])
+def test_the_gap_between_pieces_is_measured(gap):
+    gaps = piece_gaps(boxes((0, 0, 0), (0.04 + gap, 0, 0)))
+    assert np.allclose(gaps, [gap] if gap > 0.005 else [], atol=1e-6)
+
+
+def test_a_row_of_pieces_has_a_gap_each_and_what_lies_inside_has_none():
+    assert np.allclose(sorted(piece_gaps(boxes((0, 0, 0), (0.06, 0, 0), (0.14, 0, 0)))), [0.02, 0.04])
+    inside = trimesh.creation.box((0.01, 0.01, 0.01))
+    hollow = trimesh.creation.box((0.03, 0.03, 0.03))
+    hollow.invert()
+    shell = trimesh.util.concatenate(trimesh.creation.box((0.04, 0.04, 0.04)), hollow)
+    assert piece_gaps(solid_of([Mesh(each.vertices, each.faces) for each in (shell, inside)])) == []
+
+
+@pytest.mark.parametrize(("name", "gap"), [("planks", "90 mm"), ("knob_and_handle", "85 mm")])
+def test_pieces_that_do_not_touch_are_flagged(name, gap):
+    plan = plan_all([CASES / "16_pieces_apart" / "objects" / f"{name}.obj"], ReadOptions())
+    shape = read_shape(plan.objects[0].source)
+    assert gap in gap_alarm(solid_of([piece.mesh for piece in shape.pieces]))
