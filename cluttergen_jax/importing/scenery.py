@@ -22,7 +22,7 @@ from cluttergen_jax.importing.readers.bodies import BodyFacts, is_limbed, world_
 
 MIN_CHAIN = 4
 """Joints one after another: doors, drawers, phones and lids have fewer, arms and legs more."""
-_ROBOT = f"limbs of {MIN_CHAIN} joints or more, as robots have"
+_ROBOT = f"limbs as robots have: {MIN_CHAIN} joints in a row, or three limbs of {MIN_CHAIN - 1}"
 _GHOST = re.compile(r"[-_ ](visual|vis|ghost)$")
 
 
