@@ -9,6 +9,7 @@
 What a command does, one function does, with the same defaults:
 
     import_pool, import_support    meshes, URDF, SDF, MJCF -> a pool, a support
+    pool_poses, set_pose           the poses in which an object of a pool can stand; another one for it
     generate, verify, stats_of     scenes -> a bank on disk; which of them stand; what it holds
     train, train_suite, pretrain   a pool -> a policy; those of a suite; an encoder
     export, render, view           scenes -> other programs, pictures, a viewer
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.support_file import list_supports
     from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler, stream_bank
     from cluttergen_jax.generation.environments import make_env, make_gym_env, make_sb3_env, make_vector_env
+    from cluttergen_jax.importing.poses import pool_poses, set_pose
     from cluttergen_jax.placement.region import KeepOut, make_region
     from cluttergen_jax.placement.rollout.replay import Replay
     from cluttergen_jax.placement.scenes import SceneBatch
@@ -96,6 +98,7 @@ __all__ = [
     "placer_data",
     "placer_eval",
     "placer_train",
+    "pool_poses",
     "pretrain",
     "pull_bank",
     "push_bank",
@@ -106,6 +109,7 @@ __all__ = [
     "render",
     "robot_grasps",
     "robot_place",
+    "set_pose",
     "stats_of",
     "stats_text",
     "stream_bank",
@@ -120,6 +124,7 @@ _MODULES = {
     "assets.pool": ("list_pools", "remove_pool"),
     "assets.support": ("Rectangle",),
     "assets.support_file": ("list_supports",),
+    "importing.poses": ("pool_poses", "set_pose"),
     "scene": ("Scene",),
     "scene.bank": ("Bank", "read_bank"),
     "scene.bank.scene": ("read_scenes",),

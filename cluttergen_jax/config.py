@@ -52,6 +52,7 @@ Rearrangement = Literal["paper", "occupied", "blocked", "eight", "stacked"]
 LayoutRule = Literal["clearance", "reach", "similar"]
 PickOrder = Literal["graph", "lowest"]
 Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
+Up = Literal["auto", "file", "x", "y", "z", "-x", "-y", "-z"]
 Tier = Literal["standard", "light"]
 ByVolume = Literal["volume"]
 """Of a mass: volume times density, whatever a file states."""

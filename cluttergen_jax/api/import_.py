@@ -14,7 +14,7 @@ from cluttergen_jax.assets.config import (
     TIME_LIMIT,
     DecompositionConfig,
 )
-from cluttergen_jax.config import Axis, ByVolume, Collision, Tier
+from cluttergen_jax.config import Axis, ByVolume, Collision, Tier, Up
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.support import SupportAsset
@@ -27,7 +27,7 @@ def import_pool(
     *,
     tier: Tier = "standard",
     scale: float = 1.0,
-    up: Axis = "auto",
+    up: Up = "auto",
     front: Axis = "auto",
     density: float = 500.0,
     mass: float | ByVolume | None = None,
@@ -61,7 +61,8 @@ def import_pool(
       pool: the new pool's name.
       tier: "standard" (up to 32 convex parts), or "light" (one hull) for MJX in pure JAX.
       scale: factor from the files' unit to metres.
-      up: the files' vertical axis; "auto" is y for GLTF, what a DAE file says, and z for all others.
+      up: the files' vertical axis; "file" is y for GLTF, what a DAE file says, and z for all others. "auto"
+        begins with that, and turns an object that people put in another way, such as a can that lies.
       front: the files' axis that becomes the objects' +x; "auto" is x, or -y where x is up.
       density: kg/m^3, where the mass is not known.
       mass: kilograms for every object, such as the paper's 0.1; or "volume", to take volume times density
@@ -127,7 +128,7 @@ def import_support(
     name: str | None = None,
     *,
     scale: float = 1.0,
-    up: Axis = "auto",
+    up: Up = "auto",
     front: Axis = "auto",
     max_texture: int = MAX_TEXTURE,
     licence: str = "",

@@ -19,10 +19,11 @@ from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
 from cluttergen_jax.assets.parts import MAX_BASE_CORNERS, as_meshes, finished, hull_of
 from cluttergen_jax.assets.pieces import drawn
-from cluttergen_jax.assets.rest import resting_poses, settled_turn, tilt_of
+from cluttergen_jax.assets.rest import resting_poses, settled_turn, tilt_of, upright_turn
 from cluttergen_jax.assets.shape import Provenance, Shape
 from cluttergen_jax.assets.solid import Solid, solid_of
 from cluttergen_jax.assets.stated_mass import believed, mass_alarm
+from cluttergen_jax.assets.upright import usual_poses
 from cluttergen_jax.errors import AssetError, ConfigError
 
 MAX_DEVIATION = 0.05
@@ -31,6 +32,9 @@ _FLAT = np.radians(0.5)
 # Scans are drawn with fewer triangles than they have; below this share it is said.
 _MUCH_FEWER = 0.5
 _FEWER_CORNERS = (8, 6, 5, 4)
+# How flags begin that hold for the pose alone.
+NOT_STABLE = "placed alone it is stable in"
+_OF_POSE = ("does not stand as authored", "its parts ", "a 10 mm ball", NOT_STABLE)
 _NOWHERE = Provenance("draft", "none")
 
 
@@ -121,6 +125,10 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
     """
     config = config or BodyConfig()
     shape, solid, mass = weighed(shape)
+    if shape.is_pose_free and (turn := _usual_turn(solid, mass)) is not None:
+        rotation, note = turn
+        shape = replace(shape.turned(rotation), notes=(*shape.notes, note))
+        solid, mass = _turned(solid, rotation), mass.moved(rotation, np.zeros(3))
     best: _Candidate | None = None
     for raw in _proposals(shape, solid, config):
         candidate = _candidate(raw, shape, solid, mass, config)
@@ -135,6 +143,51 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
         fewer = _candidate(best.raw, shape, solid, mass, config, corners)
         if best.rank[:3] == fewer.rank[:3]:
             yield _asset(shape, solid, mass, fewer, config)
+
+
+def turned_variants(asset: ObjectAsset, rotation: np.ndarray) -> Iterator[ObjectAsset]:
+    """The same body set down after a turn, its bottom made flat there; then with ever fewer corners on it.
+
+    Args:
+      rotation: f64[3, 3], takes the direction of the object frame that is to point up to z.
+
+    Raises:
+      AssetError: it does not stand so.
+    """
+    config = BodyConfig(tier=asset.tier)
+    still = np.zeros(3)
+    shape = Shape(asset.name, asset.label, asset.pieces, asset.provenance).turned(rotation)
+    solid = solid_of([piece.mesh for piece in shape.pieces])
+    mass = MassProperties(asset.mass, asset.center_of_mass, asset.inertia).moved(rotation, still)
+    raw = [part.vertices @ rotation.T for part in asset.parts]
+    flags = tuple(flag for flag in asset.flags if not flag.startswith(_OF_POSE))
+    loose = replace(asset, pieces=shape.pieces, cloud=asset.cloud @ rotation.T, flags=flags)
+    for corners in (MAX_BASE_CORNERS, *_FEWER_CORNERS):
+        candidate = _candidate(raw, shape, solid, mass, config, corners)
+        if tilt_of(candidate.rotation) > MAX_TILT:
+            raise AssetError(f"{asset.name!r} does not stand so", "another of its poses")
+        kept = asset.quality.deviation
+        best = candidate if kept is None else replace(candidate, deviation=kept)
+        yield _set_down(loose, mass, best, config)
+
+
+def _usual_turn(solid: Solid, mass: MassProperties) -> tuple[np.ndarray, str] | None:
+    """The turn into the pose in which people put an object, and what is told of it; None to stay as authored.
+
+    A pose is taken if the object's hull stays there in plain MuJoCo.
+    """
+    choice = usual_poses(solid, mass.center)
+    for stance, _ in () if choice.is_kept else choice.poses:
+        if stance is choice.authored:
+            break
+        turn = upright_turn(stance.up)
+        hull = finished([solid.mesh.vertices @ turn.T], MAX_BASE_CORNERS)
+        if tilt_of(settled_turn(_draft(hull, mass.moved(turn, np.zeros(3))))) <= MAX_TILT:
+            heights = [f"{1000 * each.height:.0f}" for each, _ in choice.poses if each is not stance]
+            others = f"; it would rest {', '.join(heights[:4])} mm tall as well" if heights else ""
+            told = f"turned by {np.degrees(tilt_of(turn)):.0f} degrees, as people put it"
+            return turn, f"{told}: {1000 * stance.height:.0f} mm tall{others}"
+    return None
 
 
 def _proposals(shape: Shape, solid: Solid, config: BodyConfig) -> Iterator[list[np.ndarray]]:
@@ -225,34 +278,47 @@ def _turned(solid: Solid, rotation: np.ndarray) -> Solid:
 def _asset(
     shape: Shape, solid: Solid, mass: MassProperties, best: _Candidate, config: BodyConfig
 ) -> ObjectAsset:
-    vertices = np.concatenate(best.parts)
-    shift = -(vertices.min(0) + vertices.max(0)) / 2
-    rotation = best.rotation
-    moved = mass.moved(rotation, shift)
     surfaces = drawn(shape.pieces)
     num_drawn = sum(len(piece.mesh.faces) for piece in surfaces)
     notes = shape.notes
     if num_drawn < _MUCH_FEWER * len(solid.surface.faces):
         notes = (*notes, f"drawn with {num_drawn:,} of its {len(solid.surface.faces):,} triangles")
-    pieces = (piece.transformed(rotation, shift) for piece in faced(surfaces, solid))
-    cloud = surface_cloud(solid, config.seed) @ rotation.T + shift
-    asset = replace(
-        _draft([points + shift for points in best.parts], moved),
+    loose = replace(
+        _draft([], mass),
         name=shape.name,
         label=shape.label,
-        pieces=tuple(pieces),
-        cloud=cloud.astype(np.float32),
+        pieces=faced(surfaces, solid),
+        cloud=surface_cloud(solid, config.seed),
         provenance=shape.provenance,
         tier=config.tier,
+        flags=tuple(_alarms(shape, solid)),
+        notes=notes,
+        friction=shape.friction,
+        scale=shape.scale,
+    )
+    return _set_down(loose, mass, best, config)
+
+
+def _set_down(loose: ObjectAsset, mass: MassProperties, best: _Candidate, config: BodyConfig) -> ObjectAsset:
+    """The asset whose surfaces are given, with the parts of a candidate, in the pose of that."""
+    vertices = np.concatenate(best.parts)
+    shift = -(vertices.min(0) + vertices.max(0)) / 2
+    rotation = best.rotation
+    moved = mass.moved(rotation, shift)
+    asset = replace(
+        loose,
+        pieces=tuple(piece.transformed(rotation, shift) for piece in loose.pieces),
+        parts=as_meshes([points + shift for points in best.parts]),
+        mass=moved.mass,
+        center_of_mass=moved.center,
+        inertia=moved.inertia,
+        cloud=(loose.cloud @ rotation.T + shift).astype(np.float32),
         quality=Quality(
             deviation=round(best.deviation, 5),
             cavity_fill=None if best.fill is None else round(best.fill, 4),
             holds_ball=best.holds,
         ),
-        flags=(*_alarms(shape, solid), *_faults(best, config)),
-        notes=notes,
-        friction=shape.friction,
-        scale=shape.scale,
+        flags=(*loose.flags, *_faults(best, config)),
     )
     return replace(asset, resting=resting_poses(asset, config.seed))
 

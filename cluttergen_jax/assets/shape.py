@@ -108,6 +108,7 @@ class Shape:
       notes: what its reader decided on the user's behalf, in words.
       colliding: all that collides according to its file, whether or not it can serve as `parts`.
       scale: by what factor its reader was told to multiply the file's lengths.
+      is_pose_free: whether its authored pose may give way to the one in which people put it (`upright`).
     """
 
     name: str
@@ -123,3 +124,24 @@ class Shape:
     notes: tuple[str, ...] = ()
     colliding: tuple[Mesh, ...] = ()
     scale: float = 1.0
+    is_pose_free: bool = False
+
+    def turned(self, rotation: np.ndarray) -> Shape:
+        """The shape with every point p at rotation @ p."""
+        still = np.zeros(3)
+        cavity = self.cavity
+        if cavity is not None:
+            x, y, z = (rotation @ cavity.mouth).tolist()
+            cavity = Cavity(cavity.solid.transformed(rotation, still), (x, y, z))
+        return replace(
+            self,
+            pieces=tuple(piece.transformed(rotation, still) for piece in self.pieces),
+            parts=None if self.parts is None else _transformed(self.parts, rotation),
+            cavity=cavity,
+            stated=None if self.stated is None else self.stated.scaled(rotation, 1.0),
+            colliding=_transformed(self.colliding, rotation),
+        )
+
+
+def _transformed(meshes: tuple[Mesh, ...], rotation: np.ndarray) -> tuple[Mesh, ...]:
+    return tuple(mesh.transformed(rotation, np.zeros(3)) for mesh in meshes)

@@ -31,7 +31,10 @@ COMMANDS = {
     "import": (
         "Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, SDF, MJCF, or `ycb`."
     ),
-    "pool": "List pools, show what one holds, or remove pools of your own: cluttergen pool show mine.",
+    "pool": (
+        "List pools, show what one holds, remove your own, or change how objects stand: "
+        "cluttergen pool show mine."
+    ),
     "inspect": "Show what was measured about a pool's objects; draw each mesh beside its collision parts.",
     "list": "List pools and their objects, supports and checkpoints.",
     "doctor": "Show versions, devices, renderers and extras.",

@@ -39,8 +39,11 @@ def print_report(report: ImportReport, command: Any) -> None:
         [(each.axis, each.reason, n) for n, each in report.up_axes.items()]
     ):
         print(f"up is {axis} ({with_flags(reason, command)}): {names}")
-    if any(each.axis == "y" for each in report.up_axes.values()):
-        print('  (an object that lies on its side: --up z, or up = "z" for its file in objects.toml)')
+    if report.objects:
+        print(
+            "  (an object in a pose that you do not want: `cluttergen pool pose POOL OBJECT` lists its poses\n"
+            '  and changes it; --up file, or up = "file" in objects.toml, keeps those of the files)'
+        )
     pieces = [each for each in report.skipped if each.is_piece]
     if pieces:
         are = "file is a piece" if len(pieces) == 1 else "files are pieces"

@@ -12,7 +12,7 @@ from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, MissingExtraError
 from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped
-from cluttergen_jax.importing.readers.axes import AUTO, UpAxis, own_up
+from cluttergen_jax.importing.readers.axes import AXES, UpAxis, own_up
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import public_path
 from cluttergen_jax.importing.readers.source import named_apart
@@ -183,13 +183,13 @@ def _planned(source: ObjectFile, group: _Group, options: ReadOptions) -> Planned
     # A file that is given itself is taken.
     sets = group.sets if group.is_folder else ()
     out = next((why for each in sets if (why := each.why_out(source))), "")
-    up = _up_axis(source, own, group if "up" in reading else None, known if options.up == AUTO else None)
+    up = _up_axis(source, own, group if "up" in reading else None, known if options.up not in AXES else None)
     return Planned(own_source, own, up, "name" in naming, out, place_of(source, group.root), take)
 
 
 def _up_axis(source: ObjectFile, own: ReadOptions, group: _Group | None, known: KnownSet | None) -> UpAxis:
     """The vertical axis of a source, and who says so: the settings of the group, its set, or the user."""
-    if own.up == AUTO:
+    if own.up not in AXES:
         return own_up(source.path, source.kind)
     if group is not None and group.settings is not None:
         return UpAxis(own.up, f"as {group.settings.path.name} says")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 
-from cluttergen_jax.assets.body import MAX_TILT, BodyConfig, object_variants
+from cluttergen_jax.assets.body import MAX_TILT, NOT_STABLE, BodyConfig, object_variants, turned_variants
 from cluttergen_jax.assets.config import NUM_TRIALS
 from cluttergen_jax.assets.mjcf import add_object, add_support, new_spec
 from cluttergen_jax.assets.object import ObjectAsset
@@ -32,16 +33,29 @@ def measured_object(shape: Shape, config: BodyConfig | None = None, trials: int 
       AssetError: nothing with a volume can be made of the surfaces.
     """
     config = config or BodyConfig()
+    return _steadiest(object_variants(shape, config), trials, config.seed)
+
+
+def turned_object(asset: ObjectAsset, rotation: np.ndarray) -> ObjectAsset:
+    """The object set down after a turn of its frame, f64[3, 3]; measured as at first.
+
+    Raises:
+      AssetError: it does not stand so.
+    """
+    return _steadiest(turned_variants(asset, rotation), asset.quality.solo_trials or NUM_TRIALS, 0)
+
+
+def _steadiest(variants: Iterable[ObjectAsset], trials: int, seed: int) -> ObjectAsset:
     best: ObjectAsset | None = None
     best_rate = -1.0
-    for asset in object_variants(shape, config):
-        rate, _ = solo_stability(asset, max(trials // 4, 8), config.seed + 1)
+    for asset in variants:
+        rate, _ = solo_stability(asset, max(trials // 4, 8), seed + 1)
         if rate > best_rate:
             best, best_rate = asset, rate
         if rate == 1.0:
             break
     assert best is not None
-    return with_solo(best, trials, config.seed)
+    return with_solo(best, trials, seed)
 
 
 def with_solo(asset: ObjectAsset, trials: int = NUM_TRIALS, seed: int = 0) -> ObjectAsset:
@@ -55,7 +69,7 @@ def with_solo(asset: ObjectAsset, trials: int = NUM_TRIALS, seed: int = 0) -> Ob
     quality = replace(asset.quality, solo_rate=rate, solo_trials=trials, solo_steps=steps)
     flags = asset.flags
     if rate < MIN_RATE:
-        flags = (*flags, f"placed alone it is stable in {100 * rate:.1f} % of {trials} trials")
+        flags = (*flags, f"{NOT_STABLE} {100 * rate:.1f} % of {trials} trials")
     return replace(asset, quality=quality, flags=flags)
 
 

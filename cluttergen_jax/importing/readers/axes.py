@@ -11,6 +11,7 @@ import numpy as np
 from cluttergen_jax.errors import ConfigError
 
 AUTO = "auto"
+FILE = "file"
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 _VECTORS = {
     sign + name: (-1.0 if sign else 1.0) * np.eye(3)[index]
@@ -49,9 +50,10 @@ def own_up(path: Path, kind: str) -> UpAxis:
 def check_axes(up: str, front: str) -> None:
     """Raises ConfigError if these are no axes, or not at a right angle."""
     for name, axis in (("up", up), ("front", front)):
-        if axis not in (AUTO, *AXES):
-            raise ConfigError(f"{name} = {axis!r}", ", ".join((AUTO, *AXES)))
-    if AUTO not in (up, front) and up[-1] == front[-1]:
+        words = (AUTO, FILE) if name == "up" else (AUTO,)
+        if axis not in (*words, *AXES):
+            raise ConfigError(f"{name} = {axis!r}", ", ".join((*words, *AXES)))
+    if {up, front} <= set(AXES) and up[-1] == front[-1]:
         raise ConfigError(f"up = {up!r} with front = {front!r}", "two axes at a right angle")
 
 

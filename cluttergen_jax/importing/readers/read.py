@@ -12,7 +12,7 @@ from cluttergen_jax.assets.folds import without_folds
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.axes import AUTO, own_up, turn_of
+from cluttergen_jax.importing.readers.axes import AUTO, AXES, own_up, turn_of
 from cluttergen_jax.importing.readers.kept_parts import with_kept_parts
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
@@ -36,7 +36,7 @@ def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
     """
     options = options or ReadOptions()
     model, mass_scale = _model(source, options)
-    up = own_up(source.path, source.kind).axis if options.up == AUTO else options.up
+    up = options.up if options.up in AXES else own_up(source.path, source.kind).axis
     rotation = turn_of(up, options.front)
     turn = rotation * options.scale
     notes = model.notes
@@ -64,6 +64,7 @@ def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
         scale=options.scale,
         notes=notes,
         colliding=_turned(model.colliding, turn),
+        is_pose_free=options.up == options.front == AUTO,
     )
     _check_size(shape, source.path)
     return shape

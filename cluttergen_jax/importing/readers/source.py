@@ -41,10 +41,11 @@ class ReadOptions:
 
     Attributes:
       scale: factor from the file's unit to metres.
-      up: the file's axis that points up: x, y, z, -x, -y or -z; "auto" takes what the file or its format
-        says (`axes.own_up`).
-      front: the file's axis that becomes the object's +x, at a right angle to `up`; "auto" takes x, or -y
-        where x is up.
+      up: the file's axis that points up: x, y, z, -x, -y or -z; "file" takes what the file or its format says
+        (`axes.own_up`). All of these keep the authored pose; "auto" begins with the file's axis, and turns an
+        object into the pose in which people put it where that is another (`assets.upright`).
+      front: the file's axis that becomes the object's +x, at a right angle to `up`, and keeps the pose too;
+        "auto" takes x, or -y where x is up.
       density: kg/m^3, for objects whose mass is not known.
       mass: kilograms for every object, instead of volume times density; "volume" takes the latter even where
         a file states a mass.
