@@ -89,7 +89,7 @@ class _Faces:
         return _Faces(points[hull.simplices], planes[:, :3], -planes[:, 3], hull.neighbors)
 
     def rests(self) -> np.ndarray:
-        """i64[F]: the face on which a body comes to rest that is set down on each, always rolling downwards."""
+        """i64[F]: the face on which a body that is set down on each comes to rest, rolling downwards."""
         faces = np.arange(len(self.normals))
         below = self.normals * self.heights[:, None]
         outside = np.empty((len(faces), 3))

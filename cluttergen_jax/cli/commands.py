@@ -32,8 +32,7 @@ COMMANDS = {
         "Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, SDF, MJCF, or `ycb`."
     ),
     "pool": (
-        "List pools, show what one holds, remove your own, or change how objects stand: "
-        "cluttergen pool show mine."
+        "List pools, show what one holds, remove your own, or change how objects stand: cluttergen pool list."
     ),
     "inspect": "Show what was measured about a pool's objects; draw each mesh beside its collision parts.",
     "list": "List pools and their objects, supports and checkpoints.",

@@ -16,6 +16,11 @@ if TYPE_CHECKING:
 _MOST_DEAR = 3
 """So many objects are named for what they cost."""
 
+_OF_POSES = (
+    "  (an object in a pose that you do not want: `cluttergen pool pose POOL OBJECT` lists its\n"
+    '  poses and changes it; --up file, or up = "file" in objects.toml, keeps those of the files)'
+)
+
 
 def print_report(report: ImportReport, command: Any) -> None:
     """What was made, which axes were taken for up, what was skipped, left out, and what failed, and why.
@@ -40,10 +45,7 @@ def print_report(report: ImportReport, command: Any) -> None:
     ):
         print(f"up is {axis} ({with_flags(reason, command)}): {names}")
     if report.objects:
-        print(
-            "  (an object in a pose that you do not want: `cluttergen pool pose POOL OBJECT` lists its poses\n"
-            '  and changes it; --up file, or up = "file" in objects.toml, keeps those of the files)'
-        )
+        print(_OF_POSES)
     pieces = [each for each in report.skipped if each.is_piece]
     if pieces:
         are = "file is a piece" if len(pieces) == 1 else "files are pieces"

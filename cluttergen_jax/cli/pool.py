@@ -1,8 +1,7 @@
-"""`cluttergen pool`: what there is, what it holds, how its objects stand, and away with what is not needed."""
+"""`cluttergen pool`: what there is, what it holds, how its objects stand, and away with what is old."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -20,7 +19,7 @@ _HEADER = ("object", "size mm", "scale", "mass kg", "friction", "licence", "what
 
 @dataclass(frozen=True)
 class Pool:
-    """List pools, show what one holds, remove your own, or change how objects stand: cluttergen pool show mine.
+    """List pools, show what one holds, remove your own, or change how objects stand: cluttergen pool list.
 
     Example: `cluttergen pool show dining+study`. `cluttergen pool pose mine mug` lists the poses of a mug,
     `cluttergen pool pose mine mug 1` puts it into the first other one.
@@ -45,7 +44,9 @@ class Pool:
         if self.action == "list":
             _list()
         elif self.action == "pose":
-            _pose(*self._pose_names())
+            from cluttergen_jax.cli.pool_poses import pose
+
+            pose(self.names)
         elif self.action == "show":
             from cluttergen_jax.assets.pool import find_pool
 
@@ -54,43 +55,6 @@ class Pool:
         else:
             _remove(self.names)
         return 0
-
-    def _pose_names(self) -> tuple[str, str, int | None]:
-        pool, *rest = self.names
-        if len(rest) == 1:
-            return pool, rest[0], None
-        if len(rest) == 2 and rest[1].isdecimal():
-            return pool, rest[0], int(rest[1])
-        raise ConfigError(
-            f"pool pose {' '.join(self.names)}",
-            "a pool, one of its objects, and the number of a pose to change it",
-            "cluttergen pool pose POOL OBJECT",
-        )
-
-
-def _pose(pool: str, name: str, pose: int | None) -> None:
-    """Lists an object's poses, after it was put into another if one is asked for."""
-    from cluttergen_jax.importing.poses import pool_poses, set_pose
-    from cluttergen_jax.tables import aligned_table
-
-    if pose is not None:
-        asset = set_pose(pool, name, pose)
-        rate = 100 * (asset.quality.solo_rate or 0.0)
-        tall = 2000 * asset.half_extents[2]
-        print(f"{name} now stands so: {tall:.0f} mm tall, stable in {rate:.1f} % of trials")
-        for flag in asset.flags:
-            print(f"  ! {flag}")
-    rows = [
-        (
-            str(number) if number else "0 (now)",
-            f"{1000 * each.height:.0f}",
-            f"{math.degrees(math.acos(max(-1.0, min(1.0, each.up[2])))):.0f}" if number else "0",
-            f"{each.tip:.0f}",
-            f"{100 * each.likelihood:.0f} %",
-        )
-        for number, each in enumerate(pool_poses(pool, name))
-    ]
-    print(aligned_table(("pose", "mm tall", "degrees from now", "tips over at", "of random falls"), rows))
 
 
 def _list() -> None:

@@ -55,7 +55,7 @@ def _poses(asset: ObjectAsset) -> tuple[Pose, ...]:
 
 
 def set_pose(pool: str, name: str, pose: int) -> ObjectAsset:
-    """Puts an object of one of the user's own pools into another of its `pool_poses`; the pool is written anew.
+    """Puts an object of one of the user's own pools into another of its `pool_poses`; writes the pool anew.
 
     Parts stay, but for their flat bottom; what depends on the pose is measured again. Cached objects stay as
     they were imported. The pool has another hash after it.
