@@ -6,7 +6,7 @@ Every pose gets marks; more is better. It counts
   where it bears a tilt of 15 degrees, nothing below 9);
 - that it opens upward: the water that it would hold, over its convex hull (2.5, in full from 30 % on), and
   the same with small holes stopped and narrow clefts filled (1.5, from 15 % on);
-- that it has a vertical plane of symmetry (0.75) or axis (0.25), handles and spouts aside;
+- that it has a vertical plane of symmetry (0.75) or axis of four turns (0.3), handles and spouts aside;
 - that it has a broad base: the outline of what touches the table, over that of its shadow (4, from 70 % on);
 - that its centre of mass is low (minus half its height over that of the object).
 
@@ -39,7 +39,7 @@ _NUM_POINTS, _NUM_TURNED = 6000, 400
 # Shares of the object's size: how far a surface may lie off its mirror image, and how thick the base is.
 _ALIKE, _BASE = 0.03, 0.01
 _PLANES = np.radians(np.arange(0, 180, 3))
-_TURNS = np.radians([45, 90, 135, 180, 200])
+_TURNS = np.radians([90, 180])
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ class _Look:
             + 2.5 * min(water / 0.3, 1)
             + 1.5 * min(kept / 0.15, 1)
             + 0.75 * np.clip((mirror - 0.85) / 0.15, 0, 1)
-            + 0.25 * np.clip((axis - 0.5) / 0.4, 0, 1)
+            + 0.3 * np.clip((axis - 0.5) / 0.4, 0, 1)
             + 4 * min(_base(corners, lowest + _BASE * self._size), 0.7)
             + 0.5 * lowest / stance.height
         )

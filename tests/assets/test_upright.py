@@ -1,0 +1,92 @@
+"""The poses in which a body rests, and which of them is the usual one."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.solid import solid_of
+from cluttergen_jax.assets.stances import stances
+from cluttergen_jax.assets.upright import usual_poses
+
+TURN = Rotation.random(random_state=3).as_matrix()
+
+
+def box(*sides):
+    return trimesh.creation.box(sides)
+
+
+def can(radius, height):
+    return trimesh.creation.cylinder(radius, height, sections=48)
+
+
+def up_of(mesh, turn):
+    """Where up is, in the frame of the mesh, after it was turned and set down as people put it."""
+    solid = solid_of([Mesh(np.asarray(mesh.vertices) @ turn.T, np.asarray(mesh.faces))])
+    choice = usual_poses(solid, turn @ np.asarray(mesh.center_mass))
+    return turn.T @ (np.array([0, 0, 1.0]) if choice.is_kept else choice.poses[0][0].up)
+
+
+def test_a_box_rests_on_each_side_and_tips_over_an_edge():
+    a, b, c = sides = 0.06, 0.1, 0.16
+    found = stances(np.asarray(box(*sides).vertices), np.zeros(3))
+    assert len(found) == 6
+    for each in found:
+        height = sides[np.abs(each.up).argmax()]
+        shorter = min(side for side in sides if side != height)
+        assert each.height == pytest.approx(height)
+        assert each.tip == pytest.approx(np.arctan2(shorter, height))
+    # The solid angle of a box's side, seen from its middle, in closed form.
+    share = np.arctan(b * c / (a * np.sqrt(a**2 + b**2 + c**2))) / np.pi
+    widest = [each.likelihood for each in found if each.height == pytest.approx(a)]
+    assert sum(widest) == pytest.approx(2 * share)
+    assert sum(each.likelihood for each in found) == pytest.approx(1)
+
+
+def test_what_rolls_does_not_rest():
+    assert not stances(np.asarray(trimesh.creation.icosphere(3, 0.04).vertices), np.zeros(3))
+    ups = [each.up for each in stances(np.asarray(can(0.03, 0.1).vertices), np.zeros(3))]
+    assert sorted(up[2] for up in ups) == pytest.approx([-1, 1])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_poses_turn_with_the_body(seed):
+    points = np.random.default_rng(seed).normal(size=(40, 3)) * (0.03, 0.05, 0.02)
+    turn = Rotation.random(random_state=seed).as_matrix()
+    before, after = stances(points, np.zeros(3)), stances(points @ turn.T, np.zeros(3))
+    np.testing.assert_allclose([each.tip for each in before], [each.tip for each in after], atol=1e-6)
+    np.testing.assert_allclose([turn @ each.up for each in before], [each.up for each in after], atol=1e-6)
+
+
+LIES = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+
+
+@pytest.mark.parametrize(
+    ("mesh", "axis"),
+    [
+        (can(0.033, 0.1), 2),
+        (can(0.043, 0.033), 2),
+        (box(0.07, 0.07, 0.2), 2),
+        (box(0.2, 0.15, 0.03), 2),
+        (box(0.19, 0.025, 0.012), 2),
+    ],
+    ids=["soup can", "tuna can", "carton", "book", "thin thing"],
+)
+@pytest.mark.parametrize("turn", [np.eye(3), TURN, LIES], ids=["upright", "anyhow", "on its side"])
+def test_cans_and_cartons_stand_and_thin_things_lie(mesh, axis, turn):
+    if len(mesh.vertices) == 8 and np.ptp(mesh.vertices, axis=0)[2] < 0.04 and turn is LIES:
+        pytest.skip("on a long edge, which such a thing does not bear or people do as well")
+    assert abs(up_of(mesh, turn)[axis]) > np.cos(np.radians(15))
+
+
+@pytest.mark.parametrize("name", ["mug", "bowl", "wine_glass", "bottle", "dinner_plate", "fork"])
+def test_objects_of_a_pool_come_back(name):
+    asset = find_pool("dining")[name]
+    mesh = trimesh.util.concatenate(
+        [trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces) for piece in asset.pieces]
+    )
+    mesh.center_mass = asset.center_of_mass
+    assert up_of(mesh, np.eye(3))[2] > np.cos(np.radians(15))
+    assert up_of(mesh, TURN)[2] > np.cos(np.radians(15))
