@@ -46,7 +46,7 @@ class BodyConfig:
       tier: "standard", or "light": one hull of at most 32 vertices.
       decomposition: CoACD's parameters.
       seed: of samples, clouds and random releases.
-      jitter: see `decompose`; 0 but for a second try.
+      jitter: see `decompose`; 0 but where a try was lost.
     """
 
     tier: str = "standard"
@@ -198,6 +198,9 @@ def _proposals(shape: Shape, solid: Solid, config: BodyConfig) -> Iterator[list[
     own = [part.vertices for part in shape.parts or () if hull_of(part.vertices) is not None]
     if own:
         yield own
+    if config.decomposition.max_parts == 1:
+        yield decompose(solid, config.decomposition)
+        return
     yield decompose(solid, config.decomposition, config.jitter)
     yield decompose(solid, config.decomposition.finer, config.jitter)
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.deviation import hull_deviation
+from cluttergen_jax.assets.merging import merged
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.solid import Solid, simplified
@@ -14,7 +15,7 @@ from cluttergen_jax.errors import AssetError
 
 
 def decompose(solid: Solid, config: DecompositionConfig, jitter: float = 0.0) -> list[np.ndarray]:
-    """Convex parts, f64[V, 3] each, in the solid's frame, as many vertices as CoACD gives them.
+    """Convex parts, f64[V, 3] each, in the solid's frame, as many vertices as CoACD and merging give them.
 
     Args:
       jitter: share of the diagonal by which each vertex that CoACD sees is moved at most, always in the same
@@ -44,7 +45,8 @@ def _run(solid: Solid, config: DecompositionConfig, jitter: float) -> list[np.nd
     found = coacd.run_coacd(
         coacd.Mesh(mesh.vertices, mesh.faces),
         threshold=config.threshold,
-        max_convex_hull=config.max_parts,
+        # Its own merging by number changes the object more than `merged` does.
+        max_convex_hull=-1,
         preprocess_mode="off",
         resolution=config.resolution,
         mcts_nodes=config.nodes,
@@ -54,4 +56,5 @@ def _run(solid: Solid, config: DecompositionConfig, jitter: float) -> list[np.nd
     )
     # CoACD now and then returns a sliver that Qhull refuses; the rest is whole without it.
     parts = [np.asarray(vertices, np.float64) for vertices, _ in found]
-    return [points for points in parts if hull_of(points) is not None]
+    parts = [points for points in parts if hull_of(points) is not None]
+    return merged(parts, solid, config.merge, config.max_parts)

@@ -18,8 +18,8 @@ from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.progress import stop_asked
 
 _LONGEST_WAIT = 1.0
-_FIRST_SHARE = 2 / 3
-"""Of a job's time limit, what its first try may take where there is another one."""
+_SHARE = 2 / 3
+"""Of the time that a job has left, what a try may take where there is another one."""
 _KILLED = -9
 _MOST_UNBORN = 3
 """So many workers may end, one after another, before they take a job."""
@@ -69,14 +69,15 @@ class Crew:
 
     A worker that dies takes one job with it. If something outside has killed it, for want of memory
     perhaps, the job is tried a second time when all others are done, alone. After any other death, and
-    after a job over its limit, which is ended with its worker, the second try is what `again` makes of the
+    after a job over its time, which is ended with its worker, the next try is what `again` makes of the
     job, if that is given.
 
     Args:
       function: of a job, for all workers; it and the jobs are pickled.
       num_processes: at a time.
-      limit: seconds that a job may take, both tries together; None for as long as it likes.
-      again: makes the second job.
+      limit: seconds that a job may take, all tries together; None for as long as it likes.
+      again: makes the next job.
+      most_tries: of a job, where `again` is given.
       watch: hears, every second or oftener, which jobs are at work, by index.
     """
 
@@ -86,9 +87,11 @@ class Crew:
         num_processes: int,
         limit: float | None = None,
         again: Again | None = None,
+        most_tries: int = 2,
         watch: Callable[[list[int]], None] | None = None,
     ) -> None:
         self._function, self._num, self._limit, self._again = function, num_processes, limit, again
+        self._most_tries = most_tries if again is not None else 1
         self._watch = watch
         self._workers: list[_Worker] = []
         self._waiting: deque[_Task] = deque()
@@ -153,8 +156,8 @@ class Crew:
     def _time_of(self, task: _Task | None) -> float:
         if self._limit is None or task is None:
             return float("inf")
-        is_first = self._again is not None and task.tries == 0
-        return self._limit * _FIRST_SHARE if is_first else max(self._limit - task.spent, 1.0)
+        left = self._limit - task.spent
+        return left * _SHARE if task.tries < self._most_tries - 1 else max(left, 1.0)
 
     def _over(self, worker: _Worker) -> _Task | None:
         """The task of a worker, if it is over for good, with what became of it."""
@@ -196,7 +199,7 @@ class Crew:
             if is_late
             else death(worker.exit_code)
         )
-        if task.tries > 1 or not (task.is_killed or self._again):
+        if task.tries >= (2 if task.is_killed else self._most_tries):
             return task
         if task.is_killed:
             self._last.append(task.again(task.job, is_alone=True))

@@ -30,8 +30,13 @@ from cluttergen_jax.progress import Progress
 
 _MOST_NAMED = 4
 """So many objects are named at a time as those at work."""
-_JITTER = 1e-4
+_JITTER = 1e-5
 """Share of an object's size by which a second try moves the corners that its parts are cut from."""
+_WAYS = (
+    "",
+    "made on a second try, its surface minutely roughened",
+    "its parts are one hull: CoACD was lost over it, and over its surface minutely roughened",
+)
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,8 @@ class Job:
     """One object to be made and stored in the cache under `key`.
 
     Attributes:
-      fault: how a first try was lost; empty at the first.
+      fault: how the try before was lost; empty at the first.
+      num_lost: tries before.
       limits: what is left out once it is read; None leaves nothing out.
       place: see `LeftOut.name`.
     """
@@ -66,6 +72,7 @@ class Job:
     key: str
     config: ObjectConfig
     fault: str = ""
+    num_lost: int = 0
     limits: Limits | None = None
     place: str = ""
 
@@ -87,19 +94,27 @@ def made(job: Job) -> ObjectAsset | LeftOut | str:
             beyond = job.limits and job.limits.beyond_as_read(job.place, shape)
             if beyond:
                 return beyond
-            body = replace(job.config.body, jitter=_JITTER if job.fault else 0.0)
-            asset = measured_object(shape, body, job.config.trials)
-            second = (f"made on a second try, its surface minutely roughened: at first {job.fault}",)
-            return replace(asset, flags=(*job.source.notes, *(second if job.fault else ()), *asset.flags))
+            asset = measured_object(shape, _body(job), job.config.trials)
+            lost = (f"{_WAYS[job.num_lost]}: before, {job.fault}",) if job.num_lost else ()
+            return replace(asset, flags=(*job.source.notes, *lost, *asset.flags))
     except ClutterGenError as error:
         return str(error)
     except Exception as error:  # One object that nobody foresaw must not end a run of hundreds.
         return f"{job.source.path}: {type(error).__name__}: {error}"
 
 
-def second_try(job: Job, fault: str) -> Job:
-    """The same object by a slightly other way, after a first try was lost."""
-    return replace(job, fault=fault)
+def _body(job: Job) -> BodyConfig:
+    """How its body is made at this try: as asked, then with another surface and seed, then as one hull."""
+    body = job.config.body
+    if job.num_lost == 1:
+        other = replace(body.decomposition, seed=body.decomposition.seed + 100)
+        return replace(body, decomposition=other, jitter=_JITTER)
+    return replace(body, decomposition=replace(body.decomposition, max_parts=1)) if job.num_lost else body
+
+
+def next_try(job: Job, fault: str) -> Job:
+    """The same object by another way, after a try was lost."""
+    return replace(job, fault=fault, num_lost=job.num_lost + 1)
 
 
 Watch = Callable[[list[int]], None]
@@ -113,14 +128,14 @@ def _outcomes(
     if config.cluster is not None:
         yield from _outcomes_on(config.cluster, jobs, config.time_limit)
         return
-    crew = Crew(made, config.jobs or os.cpu_count() or 1, config.time_limit, second_try, watch)
+    crew = Crew(made, config.jobs or os.cpu_count() or 1, config.time_limit, next_try, len(_WAYS), watch)
     with closing(crew):
         yield from crew.outcomes(jobs)
 
 
 def _maker(limit: float) -> Callable[[Job], Outcome]:
     """On a cluster, each worker has a process of its own that can be ended."""
-    crew = Crew(made, 1, limit, second_try)
+    crew = Crew(made, 1, limit, next_try, len(_WAYS))
     return lambda job: next(crew.outcomes([job]))[1]
 
 
@@ -148,7 +163,7 @@ class ImportConfig:
       add: add to a pool that exists.
       settings: a file of settings per object, in place of the `objects.toml` in each folder.
       cluster: where objects are made; in processes of this machine if None.
-      time_limit: seconds that an object may take, a second try included; then it is left out.
+      time_limit: seconds that an object may take, all tries together; then it is left out.
       layout: the published set that the sources are of; "auto" for what they show, or "none".
       limits: of what is left out as too large or too heavy for a table.
       take_all: scenery, actors, and what is beyond the limits as well.
