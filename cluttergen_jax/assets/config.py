@@ -38,8 +38,8 @@ class DecompositionConfig:
       iterations: of the tree search.
       depth: how many cuts it looks ahead.
       seed: of CoACD's sampling.
-      merge: how far from the surface, over the diagonal, a hull of two parts may be that is made of them while
-        there are many (`merging.merged`).
+      merge: how far from the surface, over the diagonal, a hull of two parts may be that is made of them
+        while there are many (`merging.merged`).
       simplify: how far the mesh may move to have fewer triangles, over its diagonal.
       one_hull_volume: a solid that fills this share of its hull ...
       one_hull_deviation: ... and is nowhere farther from it than this, over the diagonal, gets one hull.

@@ -106,7 +106,7 @@ def test_a_time_limit_is_a_length_of_time(limit):
 def test_a_second_try_is_said(tree):
     (source,) = find_sources(tree / "crate.obj")
     job = run.Job(source, "key", ObjectConfig(trials=8))
-    assert "SIGSEGV" in run.made(run.second_try(job, "its worker process crashed (SIGSEGV)")).flags[0]
+    assert "SIGSEGV" in run.made(run.next_try(job, "its worker process crashed (SIGSEGV)")).flags[0]
 
 
 def test_a_minute_jitter_leaves_the_parts_of_a_bracket(tmp_path):
