@@ -66,10 +66,10 @@ class Upright:
 
 _HEADER = ("group", "objects", "stable", "kept", "turned: same", "same or flipped", "most CPU-s")
 _TEXT = prose(
-    """Objects whose files have them as people put them, as they are and turned at random. `stable`: those that
-    can rest as authored, filled evenly; `kept`: of all, come out as authored if they are not turned; `turned`: of
-    the stable ones, the share that comes back within 15 degrees, and with those upside down that look the same
-    so."""
+    """Objects whose files have them as people put them, as they are and turned at random. `stable`: those
+    that can rest as authored, filled evenly; `kept`: of all, come out as authored if they are not turned;
+    `turned`: of the stable ones, the share that comes back within 15 degrees, and with those upside down
+    that look the same so."""
 )
 
 

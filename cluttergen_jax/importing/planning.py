@@ -12,7 +12,7 @@ from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, MissingExtraError
 from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped
-from cluttergen_jax.importing.readers.axes import AXES, UpAxis, own_up
+from cluttergen_jax.importing.readers.axes import AUTO, AXES, FILE, UpAxis, own_up
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import public_path
 from cluttergen_jax.importing.readers.source import named_apart
@@ -175,6 +175,9 @@ def _planned(source: ObjectFile, group: _Group, options: ReadOptions) -> Planned
     known = next((each for each in group.sets if each.covers(source)), None)
     from_set = {} if known is None else known.found(source)
     own = replace(options if known is None else known.read(options, from_set), **reading)
+    if own.up == AUTO and source.provenance is not None:
+        # The YCB objects stand as they stood when they were scanned.
+        own = replace(own, up=FILE)
     label = {key: value for key, value in from_set.items() if key == "label"}
     naming = {key: value for key, value in {**label, **values}.items() if key not in OF_READING}
     earlier = source.earlier[0], naming.get("label", source.earlier[1])
