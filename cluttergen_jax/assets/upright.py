@@ -2,10 +2,10 @@
 
 Every pose gets marks; more is better. It counts
 - how far it can be tilted (0.75, in full from 20 degrees on, and 0.9, in full from 60 on);
-- that it stands on end: its longest side, a tenth longer than the next at least, is upright (1.2, in full
-  where it bears a tilt of 15 degrees, nothing below 9);
-- that it opens upward: the water that it would hold, over its convex hull (2.5, in full from 30 % on), and
-  the same with small holes stopped and narrow clefts filled (1.5, from 15 % on);
+- that it stands on end: its longest side, longer than the next by a tenth and than the shortest by a third at
+  least, is upright (1.2, in full where it bears a tilt of 15 degrees, nothing below 9);
+- that it opens upward: the water that it would hold, over its convex hull (4, in full from 15 % on), with
+  small holes stopped and narrow clefts filled;
 - that it has a vertical plane of symmetry (0.75) or axis of four turns (0.3), handles and spouts aside;
 - that it has a broad base: the outline of what touches the table, over that of its shadow (4, from 70 % on);
 - that its centre of mass is low (minus half its height over that of the object).
@@ -91,14 +91,12 @@ class _Look:
         tilt = np.degrees(stance.tip)
         corners = self._corners @ turn.T
         lowest = float(corners[:, 2].min())
-        water, kept = self._water(turn)
         mirror, axis = self._symmetry(turn)
         return float(
             0.75 * min(tilt / 20, 1)
             + 0.9 * min(tilt / 60, 1)
             + 1.2 * self._on_end(stance.height) * np.clip((tilt - 9) / 6, 0, 1)
-            + 2.5 * min(water / 0.3, 1)
-            + 1.5 * min(kept / 0.15, 1)
+            + 4 * min(self._water(turn) / 0.15, 1)
             + 0.75 * np.clip((mirror - 0.85) / 0.15, 0, 1)
             + 0.3 * np.clip((axis - 0.5) / 0.4, 0, 1)
             + 4 * min(_base(corners, lowest + _BASE * self._size), 0.7)
@@ -114,15 +112,17 @@ class _Look:
 
     def _on_end(self, height: float) -> float:
         """From 0 to 1: whether the longest side is upright, and distinctly the longest."""
-        _, middle, longest = self._sides
-        return float(np.clip(10 * (longest / middle - 1.1), 0, 1)) * (height >= 0.92 * longest)
+        shortest, middle, longest = self._sides
+        is_long = np.clip(10 * (longest / middle - 1.1), 0, 1) * np.clip(
+            2.5 * (longest / shortest - 1.3), 0, 1
+        )
+        return float(is_long) * (height >= 0.92 * longest)
 
-    def _water(self, turn: np.ndarray) -> tuple[float, float]:
-        """What it would hold, over its hull: as it is, and with all surfaces thicker by one cell."""
+    def _water(self, turn: np.ndarray) -> float:
+        """What it would hold, over its hull, with all surfaces thicker by one cell."""
         voxels = Voxels.of(self._mesh.transformed(turn, np.zeros(3)), _CELLS)
         thick = replace(voxels, outside=~binary_dilation(voxels.solid, np.ones((3, 3, 3), bool)))
-        share = voxels.pitch**3 / self._volume
-        return float(voxels.water().sum() * share), float(thick.water().sum() * share)
+        return float(thick.water().sum() * voxels.pitch**3 / self._volume)
 
     def _symmetry(self, turn: np.ndarray) -> tuple[float, float]:
         """The share of the surface that lies on itself after the best reflection, and the worst turn."""
