@@ -9,7 +9,7 @@ import numpy as np
 
 from cluttergen_jax.assets.cloud import surface_cloud
 from cluttergen_jax.assets.config import DecompositionConfig
-from cluttergen_jax.assets.decompose import decompose
+from cluttergen_jax.assets.decompose import decompose, decompositions
 from cluttergen_jax.assets.deviation import deviation, size_alarm
 from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.gaps import gap_alarm
@@ -198,11 +198,9 @@ def _proposals(shape: Shape, solid: Solid, config: BodyConfig) -> Iterator[list[
     own = [part.vertices for part in shape.parts or () if hull_of(part.vertices) is not None]
     if own:
         yield own
-    if config.decomposition.max_parts == 1:
-        yield decompose(solid, config.decomposition)
-        return
-    yield decompose(solid, config.decomposition, config.jitter)
-    yield decompose(solid, config.decomposition.finer, config.jitter)
+    yield from decompositions(solid, config.decomposition, config.jitter)
+    if config.decomposition.max_parts > 1:
+        yield from decompositions(solid, config.decomposition.finer, config.jitter)
 
 
 def _candidate(

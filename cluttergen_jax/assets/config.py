@@ -38,8 +38,6 @@ class DecompositionConfig:
       iterations: of the tree search.
       depth: how many cuts it looks ahead.
       seed: of CoACD's sampling.
-      merge: how far from the surface, over the diagonal, a hull of two parts may be that is made of them
-        while there are many (`merging.merged`).
       simplify: how far the mesh may move to have fewer triangles, over its diagonal.
       one_hull_volume: a solid that fills this share of its hull ...
       one_hull_deviation: ... and is nowhere farther from it than this, over the diagonal, gets one hull.
@@ -52,7 +50,6 @@ class DecompositionConfig:
     iterations: int = 10
     depth: int = 1
     seed: int = 0
-    merge: float = 0.048
     simplify: float = 0.004
     one_hull_volume: float = 0.8
     one_hull_deviation: float = 0.03
@@ -68,13 +65,12 @@ class DecompositionConfig:
         """A slower search with a lower threshold, for objects that the first one served badly."""
         return replace(
             self,
-            threshold=max(0.01, self.threshold / 2.5),
+            threshold=max(0.01, self.threshold / 2),
             resolution=2 * self.resolution,
-            nodes=3 * self.nodes,
-            iterations=4 * self.iterations,
+            nodes=2 * self.nodes,
+            iterations=3 * self.iterations,
             depth=self.depth + 1,
-            seed=self.seed + 1,
-            merge=self.merge / 2,
+            seed=self.seed + 2,
             simplify=self.simplify / 2,
             one_hull_volume=1.0,
             one_hull_deviation=self.one_hull_deviation / 2,

@@ -2,20 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import coacd
 import numpy as np
 
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.deviation import hull_deviation
-from cluttergen_jax.assets.merging import merged
+from cluttergen_jax.assets.merging import ALWAYS, FEW, merged, parts_enough
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.solid import Solid, simplified
 from cluttergen_jax.errors import AssetError
 
+_MOST_RAW = 96
+_LIMITS = (0.055, 0.05, 0.045, 0.03, ALWAYS)
+"""How far from the surface, over the diagonal, merged parts may be, in the order in which it is tried. The
+distance is an estimate: what is made of it is measured again."""
+
 
 def decompose(solid: Solid, config: DecompositionConfig, jitter: float = 0.0) -> list[np.ndarray]:
-    """Convex parts, f64[V, 3] each, in the solid's frame, as many vertices as CoACD and merging give them.
+    """The first of `decompositions`."""
+    return next(decompositions(solid, config, jitter))
+
+
+def decompositions(
+    solid: Solid, config: DecompositionConfig, jitter: float = 0.0
+) -> Iterator[list[np.ndarray]]:
+    """Sets of convex parts, f64[V, 3] each, in the solid's frame: first the fewest, then nearer ones.
+
+    They have as many vertices as CoACD and merging give them.
 
     Args:
       jitter: share of the diagonal by which each vertex that CoACD sees is moved at most, always in the same
@@ -32,8 +49,25 @@ def decompose(solid: Solid, config: DecompositionConfig, jitter: float = 0.0) ->
     one = [solid.mesh.vertices[hull.vertices]]
     is_convex = solid.volume >= config.one_hull_volume * hull.volume
     if config.max_parts == 1 or (is_convex and hull_deviation(one[0], solid) <= config.one_hull_deviation):
-        return one
-    return _run(solid, config, jitter) or one
+        yield one
+        return
+    enough = parts_enough(solid)
+    sets = merged(_run(solid, config, jitter), solid, _LIMITS, enough, config.max_parts)
+    if enough == FEW < len(sets[0]):
+        others = (_run(solid, other, jitter) for other in _others(config))
+        found = (merged(parts, solid, _LIMITS[:1], enough, config.max_parts)[0] for parts in others)
+        sets.insert(0, next((each for each in found if 0 < len(each) <= FEW), sets[0]))
+    num_before = 0
+    for each in sets:
+        if len(each) != num_before:
+            num_before = len(each)
+            yield each or one
+
+
+def _others(config: DecompositionConfig) -> Iterator[DecompositionConfig]:
+    """Other cuts to try: which of them make few parts of a can is a matter of luck."""
+    for seed, threshold in ((0, 4 / 3), (1, 1.0), (1, 4 / 3)):
+        yield replace(config, seed=config.seed + seed, threshold=min(threshold * config.threshold, 1.0))
 
 
 def _run(solid: Solid, config: DecompositionConfig, jitter: float) -> list[np.ndarray]:
@@ -45,8 +79,8 @@ def _run(solid: Solid, config: DecompositionConfig, jitter: float) -> list[np.nd
     found = coacd.run_coacd(
         coacd.Mesh(mesh.vertices, mesh.faces),
         threshold=config.threshold,
-        # Its own merging by number changes the object more than `merged` does.
-        max_convex_hull=-1,
+        # Its own merging changes the object more than `merged` does, but is far faster.
+        max_convex_hull=_MOST_RAW,
         preprocess_mode="off",
         resolution=config.resolution,
         mcts_nodes=config.nodes,
@@ -56,5 +90,4 @@ def _run(solid: Solid, config: DecompositionConfig, jitter: float) -> list[np.nd
     )
     # CoACD now and then returns a sliver that Qhull refuses; the rest is whole without it.
     parts = [np.asarray(vertices, np.float64) for vertices, _ in found]
-    parts = [points for points in parts if hull_of(points) is not None]
-    return merged(parts, solid, config.merge, config.max_parts)
+    return [points for points in parts if hull_of(points) is not None]

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.cloud import sample_solid, sample_surface
+from cluttergen_jax.assets.hollow import find_hollow
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.solid import Solid
@@ -16,29 +17,36 @@ from cluttergen_jax.assets.voxels import Voxels
 
 ALWAYS = 0.02
 """Parts that are one hull at the cost of this deviation or less, over the diagonal, become one."""
-_CONVEX_SHARE, _CONVEX_PARTS, _OTHER_PARTS = 0.8, 4, 16
+FEW, _OTHER_PARTS, _CONVEX_SHARE = 4, 16, 0.8
 """What fills so much of its hull, as cans and bottles do, is merged to 4 parts, other things to 16."""
 _REACH = 0.03
-_NUM_BURIED, _NUM_DENSE, _NUM_ON_HULL = 3000, 40_000, 400
+_NUM_BURIED, _NUM_DENSE, _NUM_ON_HULL = 2000, 40_000, 250
 _CELLS = 100
 
 
-def merged(parts: Sequence[np.ndarray], solid: Solid, limit: float, most: int) -> list[np.ndarray]:
-    """The parts with neighbours made one, the pair first whose hull is nearest to the solid.
+def parts_enough(solid: Solid) -> int:
+    """How many parts an object needs at most: what is nearly its hull and not hollow 4, else 16."""
+    hull = hull_of(solid.mesh.vertices)
+    is_full = hull is not None and solid.volume >= _CONVEX_SHARE * hull.volume
+    return FEW if is_full and find_hollow(solid) is None else _OTHER_PARTS
 
-    It goes on while a hull is within `ALWAYS`; within `limit` while there are more parts than such an object
-    needs; and however far it is while there are more than `most`.
+
+def merged(
+    parts: Sequence[np.ndarray], solid: Solid, limits: Sequence[float], enough: int, most: int
+) -> list[list[np.ndarray]]:
+    """For each limit, the parts with neighbours made one, the pair first whose hull is nearest to the solid.
+
+    It goes on while a hull is within `ALWAYS`; within the limit while there are more parts than `enough`;
+    and however far it is while there are more than `most`.
 
     Args:
       parts: f64[V, 3] each, convex.
-      limit: over the diagonal.
+      limits: over the diagonal.
     """
-    judge, hull = _Judge(solid), hull_of(solid.mesh.vertices)
-    is_convex = hull is not None and solid.volume >= _CONVEX_SHARE * hull.volume
-    enough = _CONVEX_PARTS if is_convex else _OTHER_PARTS
-    kept = dict(enumerate(parts))
+    judge, kept = _Judge(solid, max(limits)), dict(enumerate(parts))
     unions: dict[tuple[int, int], tuple[float, np.ndarray]] = {}
     pairs: Iterable[tuple[int, int]] = combinations(kept, 2)
+    done: dict[float, list[np.ndarray]] = {}
     for fresh in range(len(parts), 2 * len(parts)):
         near = [pair for pair in pairs if _gap(kept, pair) < _REACH * solid.diagonal]
         if not near and not unions and len(kept) > most:
@@ -48,13 +56,16 @@ def merged(parts: Sequence[np.ndarray], solid: Solid, limit: float, most: int) -
             break
         best = min(unions, key=lambda pair: unions[pair][0])
         cost, points = unions[best]
-        if len(kept) <= most and cost > (limit if len(kept) > enough else ALWAYS):
-            break
+        if len(kept) <= most:
+            over = [each for each in limits if cost > (each if len(kept) > enough else ALWAYS)]
+            done |= {limit: list(kept.values()) for limit in over if limit not in done}
+            if len(done) == len(set(limits)):
+                break
         kept = {index: part for index, part in kept.items() if index not in best}
         unions = {pair: union for pair, union in unions.items() if not set(pair) & set(best)}
         pairs = [(index, fresh) for index in kept]
         kept[fresh] = points
-    return list(kept.values())
+    return [done.get(limit, list(kept.values())) for limit in limits]
 
 
 def _gap(parts: dict[int, np.ndarray], pair: tuple[int, int]) -> float:
@@ -66,16 +77,19 @@ def _gap(parts: dict[int, np.ndarray], pair: tuple[int, int]) -> float:
 class _Judge:
     """How far the hull of two parts would be from the surface of a solid."""
 
-    def __init__(self, solid: Solid) -> None:
-        dense = sample_solid(solid, _NUM_DENSE, 0)
-        self._diagonal, self._some, self._tree = solid.diagonal, dense[:_NUM_BURIED], cKDTree(dense)
+    def __init__(self, solid: Solid, limit: float) -> None:
+        self._limit, self._diagonal = limit, solid.diagonal
         self._voxels = Voxels.of(solid.mesh if solid.is_exact else solid.surface, _CELLS)
+        dense = sample_solid(solid, _NUM_DENSE, 0)
+        # Nothing can get between pieces that nearly touch.
+        dense = dense[self._voxels.is_exposed(dense)]
+        self._some, self._tree = dense[:_NUM_BURIED], cKDTree(dense)
 
     def union(self, one: np.ndarray, other: np.ndarray) -> tuple[float, np.ndarray]:
         """The hull's distance over the diagonal, and its vertices f64[V, 3].
 
-        The larger of two: how deep the hull buries a point of the surface, and how far a point of the hull
-        that is outside of the solid is from it.
+        The larger of two: how deep the hull buries a point of the surface, and, where that is within the
+        limit, how far a point of the hull that is outside of the solid is from it.
         """
         points = np.concatenate([one, other])
         hull = hull_of(points)
@@ -84,8 +98,9 @@ class _Judge:
         near = self._some[((self._some > hull.min_bound) & (self._some < hull.max_bound)).all(1)]
         depth = -(near @ hull.equations[:, :3].T + hull.equations[:, 3]).max(1, initial=-np.inf)
         corners = points[hull.vertices]
+        if depth.max(initial=0.0) > self._limit * self._diagonal:
+            return float(depth.max() / self._diagonal), corners
         spots = sample_surface(Mesh(hull.points, hull.simplices), _NUM_ON_HULL, 0)
-        spots = np.concatenate([corners, spots])
         spots = spots[self._voxels.outside[self._voxels.index(spots)]]
         away = self._tree.query(spots)[0] if len(spots) else np.zeros(0)
         return float(max(depth.max(initial=0.0), away.max(initial=0.0)) / self._diagonal), corners

@@ -24,10 +24,16 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import transformed
 from cluttergen_jax.rendering.camera import axes
 from cluttergen_jax.rendering.config import CameraView
+from cluttergen_jax.rendering.gl import gl_context
 from cluttergen_jax.rendering.lighting import add_lighting
 from cluttergen_jax.rendering.picture import distinct_colour, render_model
 from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.sheet import contact_sheet
+
+_WIDTH, _HEIGHT = 480, 240
+_SHEET_SAMPLES, _FEWEST_SAMPLES = 200, 6
+_SHADOWS = 1024
+"""Pixels of a shadow map a side: enough for so small a picture."""
 
 
 def _add_surface(spec: mujoco.MjSpec, name: str, piece: Piece, offset: np.ndarray) -> None:
@@ -54,8 +60,8 @@ def _add_surface(spec: mujoco.MjSpec, name: str, piece: Piece, offset: np.ndarra
 def render_object(
     asset: ObjectAsset,
     *,
-    width: int = 480,
-    height: int = 240,
+    width: int = _WIDTH,
+    height: int = _HEIGHT,
     samples: int = 16,
     trails: Sequence[Trail] | None = None,
 ) -> np.ndarray:
@@ -77,8 +83,9 @@ def render_object(
     for index, part in enumerate(asset.parts if trails is None or not asset.pieces else ()):
         hull = Piece(Mesh.points(part.vertices), distinct_colour(index))
         _add_surface(spec, f"part-{index}", hull, lift + shift)
+    add_lighting(spec).visual.quality.shadowsize = _SHADOWS
     return render_model(
-        add_lighting(spec).compile(),
+        spec.compile(),
         camera=view,
         width=width,
         height=height,
@@ -87,9 +94,16 @@ def render_object(
     )
 
 
-def object_sheet(objects: Sequence[ObjectAsset], columns: int = 4, samples: int = 16) -> np.ndarray:
-    """A contact sheet: every object's surfaces beside its collision parts, and its name beneath."""
-    images = [render_object(asset, samples=samples) for asset in objects]
+def object_sheet(objects: Sequence[ObjectAsset], columns: int = 4, samples: int | None = None) -> np.ndarray:
+    """A contact sheet: every object's surfaces beside its collision parts, and its name beneath.
+
+    Args:
+      samples: pictures averaged for each; None takes 16, and fewer of more than a dozen objects.
+    """
+    samples = samples or max(_FEWEST_SAMPLES, min(16, _SHEET_SAMPLES // max(len(objects), 1)))
+    # A context for each object would be most of the time.
+    with gl_context(_WIDTH, _HEIGHT):
+        images = [render_object(asset, samples=samples) for asset in objects]
     captions = [f"{asset.name} (parts: {len(asset.parts)})" for asset in objects]
     return contact_sheet(images, captions, columns)
 

@@ -50,6 +50,8 @@ _PLAIN = {
 """What errors of MuJoCo and PyOpenGL contain, and what they mean."""
 # A GL context belongs to one thread at a time, and MuJoCo's EGL display is shared by the process.
 _LOCK = threading.RLock()
+_OPEN: list[object] = []
+"""The context that the thread with the lock has made current, if any."""
 
 
 class RendererError(ClutterGenError):
@@ -141,7 +143,7 @@ def renderer_status() -> tuple[bool, str]:
 
 @contextmanager
 def gl_context(width: int, height: int) -> Iterator[None]:
-    """Makes a GL context current for the block; one thread at a time.
+    """Makes a GL context current for the block; one thread at a time. Within another's block it is that one.
 
     Args:
       width, height: pixels of the largest picture drawn in it.
@@ -151,6 +153,9 @@ def gl_context(width: int, height: int) -> Iterator[None]:
     """
     backend = find_backend()
     with _LOCK:
+        if _OPEN:
+            yield
+            return
         try:
             context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
             context.make_current()
@@ -159,7 +164,9 @@ def gl_context(width: int, height: int) -> Iterator[None]:
                 f"{backend} works in a fresh process but not in this one ({error})",
                 hint=f"setting MUJOCO_GL={backend} before Python starts",
             ) from error
+        _OPEN.append(context)
         try:
             yield
         finally:
+            _OPEN.pop()
             context.free()

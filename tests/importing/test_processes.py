@@ -121,6 +121,15 @@ def test_who_is_at_work_is_told():
     assert heard[-1] == [2]
 
 
+def test_a_job_may_be_tried_in_more_ways_within_one_limit():
+    ways = {"spin": signal.SIGSEGV, signal.SIGSEGV: "well"}
+    found = outcomes(["spin"], limit=1.5, again=lambda job, fault: ways[job], most_tries=3)[0]
+    assert (found.result, found.fault) == ("well", "")
+    found = outcomes(["spin"], limit=0.9, again=lambda job, fault: job, most_tries=3)[0]
+    assert found.is_late
+    assert found.seconds < 2.5
+
+
 def test_workers_that_cannot_begin_end_the_run():
     with pytest.raises(ClutterGenError, match=r"status 7.*__main__"):
         outcomes([Unborn()])

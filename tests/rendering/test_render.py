@@ -12,10 +12,11 @@ from PIL import Image
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.rendering import gl
 from cluttergen_jax.rendering.assets import object_sheet, render_scene, scene_spec
 from cluttergen_jax.rendering.camera import axes, fitted_eye
 from cluttergen_jax.rendering.config import CameraView
-from cluttergen_jax.rendering.gl import RendererError, check_importable
+from cluttergen_jax.rendering.gl import RendererError, check_importable, gl_context
 from cluttergen_jax.rendering.lighting import add_lighting
 from cluttergen_jax.rendering.picture import contact_sheet, render_model, save_png
 from tests.helpers.drawing import GREEN, RED, needs_gl
@@ -218,3 +219,13 @@ def test_close_view_shows_the_objects_larger_and_whole():
         )
     assert counts[1] > 1.5 * counts[0] > 0
     assert all(is_whole)
+
+
+@needs_gl
+def test_contexts_within_another_are_that_one():
+    with gl_context(64, 64):
+        outer = list(gl._OPEN)
+        with gl_context(480, 240):
+            assert outer == gl._OPEN
+        assert outer == gl._OPEN
+    assert gl._OPEN == []

@@ -1,0 +1,80 @@
+"""Fewer parts: what is nearly its hull gets few, a cavity stays open, and nothing is lost."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from cluttergen_jax.assets.config import DecompositionConfig
+from cluttergen_jax.assets.decompose import decompose
+from cluttergen_jax.assets.deviation import deviation, is_within_parts
+from cluttergen_jax.assets.hollow import find_hollow
+from cluttergen_jax.assets.merging import merged, parts_enough
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.parts import hull_of
+from cluttergen_jax.assets.solid import solid_of
+from tests.helpers.shapes import open_box_slabs, slab
+
+
+def cylinder(radius, height, at=0.0):
+    turn = trimesh.transformations.translation_matrix((0, 0, at))
+    return trimesh.creation.cylinder(radius, height, sections=16, transform=turn)
+
+
+def solid_without(whole, *holes):
+    left = trimesh.boolean.difference([whole, *holes])
+    return solid_of([Mesh(left.vertices, left.faces)])
+
+
+def can():
+    """Its lid and its foot lie 6 mm deep, 5 % of its size."""
+    return solid_without(cylinder(0.033, 0.1), cylinder(0.03, 0.012, 0.05), cylinder(0.03, 0.012, -0.05))
+
+
+def test_a_can_with_shallow_ends_has_at_most_four_parts():
+    solid = can()
+    parts = decompose(solid, DecompositionConfig())
+    assert len(parts) <= parts_enough(solid) == 4
+    assert deviation(parts, solid) <= 0.05
+
+
+def test_a_cup_has_at_most_sixteen_parts_and_stays_open():
+    solid = solid_without(cylinder(0.04, 0.09), cylinder(0.036, 0.09, 0.005))
+    parts = decompose(solid, DecompositionConfig())
+    assert len(parts) <= parts_enough(solid) == 16
+    assert deviation(parts, solid) <= 0.05
+    assert find_hollow(solid).fill(parts) <= 0.2
+
+
+def test_what_was_covered_is_covered_after_merging():
+    solid = can()
+    rng = np.random.default_rng(0)
+    pieces = np.split(rng.uniform(-0.03, 0.03, (200, 3)), 20)
+    (fewer,) = merged(pieces, solid, (0.01,), enough=4, most=6)
+    assert len(fewer) <= 6
+    for points in pieces:
+        hull = hull_of(points)
+        assert is_within_parts(points[hull.vertices].mean(0)[None], fewer).all()
+
+
+@pytest.mark.parametrize(("gap", "count"), [(0.0, 1), (0.001, 1), (0.03, 2)])
+def test_boxes_side_by_side_are_one_where_little_lies_between_them(gap, count):
+    boxes = [slab((0.03, 0.03, 0.03), (sign * (0.03 + gap / 2), 0, 0)) for sign in (-1, 1)]
+    parts = [box.vertices for box in boxes]
+    (fewer,) = merged(parts, solid_of(boxes), (0.05,), enough=1, most=32)
+    assert len(fewer) == count
+
+
+def test_walls_of_an_open_box_stay_apart():
+    slabs = open_box_slabs()
+    parts = [each.vertices for each in slabs]
+    (fewer,) = merged(parts, solid_of(slabs), (0.05,), enough=1, most=32)
+    assert len(fewer) == len(parts)
+
+
+def test_a_smaller_limit_merges_less_and_as_if_it_were_alone():
+    slabs = [slab((0.01, 0.03, 0.02 + 0.002 * step), (0.02 * step, 0, 0)) for step in range(8)]
+    parts, solid = [each.vertices for each in slabs], solid_of(slabs)
+    few, many = merged(parts, solid, (0.05, 0.021), enough=1, most=32)
+    assert len(few) < len(many) <= 8
+    (alone,) = merged(parts, solid, (0.021,), enough=1, most=32)
+    assert [len(each) for each in alone] == [len(each) for each in many]
