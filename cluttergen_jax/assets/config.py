@@ -46,8 +46,8 @@ class DecompositionConfig:
     threshold: float = 0.06
     max_parts: int = 32
     resolution: int = 500
-    nodes: int = 3
-    iterations: int = 10
+    nodes: int = 5
+    iterations: int = 15
     depth: int = 1
     seed: int = 0
     simplify: float = 0.004

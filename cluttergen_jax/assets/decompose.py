@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 
 import coacd
 import numpy as np
@@ -16,7 +17,7 @@ from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.solid import Solid, simplified
 from cluttergen_jax.errors import AssetError
 
-_MOST_RAW = 96
+_MOST_RAW, _NEARLY = 96, 1.5
 _LIMITS = (0.055, 0.05, 0.045, 0.03, ALWAYS)
 """How far from the surface, over the diagonal, merged parts may be, in the order in which it is tried. The
 distance is an estimate: what is made of it is measured again."""
@@ -53,21 +54,25 @@ def decompositions(
         return
     enough = parts_enough(solid)
     sets = merged(_run(solid, config, jitter), solid, _LIMITS, enough, config.max_parts)
-    if enough == FEW < len(sets[0]):
-        others = (_run(solid, other, jitter) for other in _others(config))
-        found = (merged(parts, solid, _LIMITS[:1], enough, config.max_parts)[0] for parts in others)
-        sets.insert(0, next((each for each in found if 0 < len(each) <= FEW), sets[0]))
-    num_before = 0
-    for each in sets:
-        if len(each) != num_before:
-            num_before = len(each)
-            yield each or one
+    yield sets[0] or one
+    if len(sets[0]) <= _NEARLY * enough:
+        # Which cuts leave few parts of a can is a matter of luck.
+        for other in _others(config)[: 3 if enough == FEW else 1]:
+            (few,) = merged(_run(solid, other, jitter), solid, _LIMITS[:1], enough, config.max_parts)
+            if 0 < len(few) <= enough:
+                yield few
+    for fewer, more in pairwise(sets):
+        if len(more) > len(fewer):
+            yield more
 
 
-def _others(config: DecompositionConfig) -> Iterator[DecompositionConfig]:
-    """Other cuts to try: which of them make few parts of a can is a matter of luck."""
-    for seed, threshold in ((0, 4 / 3), (1, 1.0), (1, 4 / 3)):
-        yield replace(config, seed=config.seed + seed, threshold=min(threshold * config.threshold, 1.0))
+def _others(config: DecompositionConfig) -> list[DecompositionConfig]:
+    """Other searches, as short."""
+    tries = ((1, 1.0), (0, 4 / 3), (1, 4 / 3))
+    return [
+        replace(config, seed=config.seed + seed, threshold=min(factor * config.threshold, 1.0))
+        for seed, factor in tries
+    ]
 
 
 def _run(solid: Solid, config: DecompositionConfig, jitter: float) -> list[np.ndarray]:
