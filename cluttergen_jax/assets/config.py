@@ -38,6 +38,7 @@ class DecompositionConfig:
       iterations: of the tree search.
       depth: how many cuts it looks ahead.
       seed: of CoACD's sampling.
+      tries: other searches, as short, for what needs few parts and got too many or bad ones.
       simplify: how far the mesh may move to have fewer triangles, over its diagonal.
       one_hull_volume: a solid that fills this share of its hull ...
       one_hull_deviation: ... and is nowhere farther from it than this, over the diagonal, gets one hull.
@@ -50,6 +51,7 @@ class DecompositionConfig:
     iterations: int = 15
     depth: int = 1
     seed: int = 0
+    tries: int = 3
     simplify: float = 0.004
     one_hull_volume: float = 0.8
     one_hull_deviation: float = 0.03
@@ -67,9 +69,10 @@ class DecompositionConfig:
             self,
             threshold=max(0.01, self.threshold / 2),
             resolution=2 * self.resolution,
-            nodes=2 * self.nodes,
-            iterations=3 * self.iterations,
+            nodes=self.nodes + 1,
+            iterations=2 * self.iterations,
             depth=self.depth + 1,
+            tries=0,
             seed=self.seed + 2,
             simplify=self.simplify / 2,
             one_hull_volume=1.0,

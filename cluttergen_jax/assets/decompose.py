@@ -17,7 +17,7 @@ from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.solid import Solid, simplified
 from cluttergen_jax.errors import AssetError
 
-_MOST_RAW, _NEARLY = 96, 1.5
+_MOST_RAW = 96
 _LIMITS = (0.055, 0.05, 0.045, 0.03, ALWAYS)
 """How far from the surface, over the diagonal, merged parts may be, in the order in which it is tried. The
 distance is an estimate: what is made of it is measured again."""
@@ -55,20 +55,18 @@ def decompositions(
     enough = parts_enough(solid)
     sets = merged(_run(solid, config, jitter), solid, _LIMITS, enough, config.max_parts)
     yield sets[0] or one
-    if len(sets[0]) <= _NEARLY * enough:
-        # Which cuts leave few parts of a can is a matter of luck.
-        for other in _others(config)[: 3 if enough == FEW else 1]:
-            (few,) = merged(_run(solid, other, jitter), solid, _LIMITS[:1], enough, config.max_parts)
-            if 0 < len(few) <= enough:
-                yield few
+    # Which cuts leave few parts of a can is a matter of luck.
+    for other in _others(config) if enough == FEW and len(sets[0]) <= 2 * FEW else ():
+        (few,) = merged(_run(solid, other, jitter), solid, _LIMITS[:1], enough, config.max_parts)
+        if 0 < len(few) <= enough:
+            yield few
     for fewer, more in pairwise(sets):
         if len(more) > len(fewer):
             yield more
 
 
 def _others(config: DecompositionConfig) -> list[DecompositionConfig]:
-    """Other searches, as short."""
-    tries = ((1, 1.0), (0, 4 / 3), (1, 4 / 3))
+    tries = ((1, 1.0), (0, 4 / 3), (1, 4 / 3))[: config.tries]
     return [
         replace(config, seed=config.seed + seed, threshold=min(factor * config.threshold, 1.0))
         for seed, factor in tries

@@ -72,7 +72,7 @@ def test_walls_of_an_open_box_stay_apart():
 
 
 def test_a_smaller_limit_merges_less_and_as_if_it_were_alone():
-    slabs = [slab((0.01, 0.03, 0.02 + 0.002 * step), (0.02 * step, 0, 0)) for step in range(8)]
+    slabs = [slab((0.01, 0.03, 0.02 + 0.006 * step), (0.02 * step, 0, 0)) for step in range(8)]
     parts, solid = [each.vertices for each in slabs], solid_of(slabs)
     few, many = merged(parts, solid, (0.05, 0.021), enough=1, most=32)
     assert len(few) < len(many) <= 8
