@@ -59,6 +59,8 @@ class DecompositionConfig:
     def __post_init__(self) -> None:
         if not 0.01 <= self.threshold <= 1:
             raise ConfigError(f"threshold = {self.threshold}", "CoACD's range, 0.01 to 1")
+        if self.tries < 0:
+            raise ConfigError(f"tries = {self.tries}", "0 or more")
         if not 1 <= self.max_parts <= 32:
             raise ConfigError(f"max_parts = {self.max_parts}", "1 to 32")
 
