@@ -216,7 +216,7 @@ def test_limits_are_asked_for():
 CONFIG = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
 
 
-def at_once(jobs, config):
+def at_once(jobs, config, watch=None):
     """The jobs one by one in this process: no test here is about processes."""
     for index, job in enumerate(jobs):
         yield index, run.Outcome(run.made(job))
