@@ -47,7 +47,7 @@ class NetworkConfig:
       token_width, num_heads: of the set encoder.
       history_width: of the three layers that read failed attempts; 0 reads none (variant `open_loop`).
       history_length: how many of the latest attempts are read (variant `short_memory`: 1).
-      num_layers, width: of actor and critic (paper: 5 of 256).
+      num_layers, width: of actor and critic, before the output (paper: 4 of 256, its five with the output).
     """
 
     head: str = "beta"

@@ -33,7 +33,8 @@ class PPOConfig:
       learning_rate: of Adam; it falls linearly to zero over the run if `anneals`.
       discount, gae_lambda: of returns and advantages.
       clip: of the probability ratio.
-      value_cost, entropy_cost: weights in the loss: L = value_cost L_VF - entropy_cost H - L_CLIP.
+      value_cost, entropy_cost: weights in the loss: L = value_cost L_VF - entropy_cost H - L_CLIP, where L_VF
+        is half the mean square of the values' errors.
       value_clip: how far a value may move from what it was in the rollout before its gradient stops; 0 lets
         it move freely.
       reward_scale: of rewards before anything else. Advantages are normalised, so that only the critic sees
