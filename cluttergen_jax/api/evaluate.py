@@ -8,7 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.api.places import check_folder
-from cluttergen_jax.config import Change, Engine, Method, Order, PlacerHead, Setting, Suite, check_workers
+from cluttergen_jax.config import (
+    Change,
+    Engine,
+    Height,
+    Method,
+    Order,
+    PlacerHead,
+    Setting,
+    Suite,
+    check_workers,
+)
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.numerics import with_own_settings
 
@@ -37,6 +47,7 @@ def evaluate(
     budget: int | None = None,
     min_margin: float | None = None,
     setting: Setting = "default",
+    height: Height = "rest",
     repeat: bool = False,
     change: Change = "none",
     exclude: Sequence[str] = (),
@@ -52,9 +63,10 @@ def evaluate(
     """Compares methods: success rates with 95 % intervals, objects placed, effort and speed.
 
     Args:
-      methods: "random", "clear", "drop", "spread" (these four if not given), "guided", and policies trained
-        for the pool: "policy", "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none
-        is embedded. Of a suite, the rows that are made; all if not given.
+      methods: "random", "clear", "drop", "spread", "guided", and policies trained for the pool: "policy",
+        "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is embedded. If not
+        given: the first five, and "policy" where one is embedded. Of a suite, the rows that are made; all
+        if not given.
       pools: names or folders, or several joined by +; dining if not given, and what each study asks for in a
         suite.
       supports: names or folders; "table-0.40x0.50" is a cuboid of that size, all of it the queried region.
@@ -66,6 +78,8 @@ def evaluate(
         each method has its own.
       setting: what holds of these where they are not given: "default", or "paper" for the paper's rules (a
         random order, nothing taken away, no margin), as in a suite.
+      height: at which `random` lets go, "rest" or "free", as `generate` takes it; the other methods lower
+        what they place.
       repeat: let objects stand there more than once.
       change: how the queried region is changed at random in every episode: "none", "translation",
         "rotation", "shrinkage", "expansion" or "all".
@@ -100,8 +114,7 @@ def evaluate(
     from cluttergen_jax.evaluation.comparison import compare, open_runner
     from cluttergen_jax.evaluation.studies.study import grid
     from cluttergen_jax.evaluation.trial import Trial
-    from cluttergen_jax.learning.methods import rules_asked
-    from cluttergen_jax.placement.baselines import BASELINES
+    from cluttergen_jax.learning.methods import methods_of, rules_asked
     from cluttergen_jax.placement.setup import check_names, check_whole
 
     given, place = locals(), cluster_of(cluster, workers)
@@ -122,9 +135,20 @@ def evaluate(
         both_detectors=setting != "paper",
     )
     named = [composed(pool, exclude) for pool in pools or ("dining",)]
+    asked = [
+        trial
+        for pool in named
+        for trial in grid(base, pool=(pool,), support=supports, method=methods or methods_of(pool))
+    ]
+    if height != "rest" and all(trial.method != "random" for trial in asked):
+        raise ConfigError(f"height = {height!r} without a row of 'random'", hint="methods=('random',)")
     planned = [
-        replace(trial, **rules_asked(trial.method, max_attempts, given))
-        for trial in grid(base, pool=named, support=supports, method=methods or BASELINES)
+        replace(
+            trial,
+            **rules_asked(trial.method, max_attempts, given),
+            height=height if trial.method == "random" else "rest",
+        )
+        for trial in asked
     ]
     folder = None if out is None else Path(out)
     runner = open_runner(folder, planned, checkpoint, checkpoints, engine, num_threads, fresh)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import Containment, Engine, Method, Order, Overhang, Setting
+from cluttergen_jax.config import Containment, Engine, Height, Method, Order, Overhang, Setting
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.numerics import with_own_settings
 
@@ -44,6 +44,7 @@ def generate(
     clutter: str | Mapping[str, float] | None = None,
     natural: bool = False,
     tidy: bool = False,
+    height: Height = "rest",
     repeat: bool = False,
     start: str | None = None,
     keep_out: Sequence[Rectangle | str] = (),
@@ -99,6 +100,8 @@ def generate(
       natural: prefer wide, flat things below and small ones on them (methods "guided", "spread").
       tidy: keep room instead of spreading objects out: more objects fit, and scenes are more alike (methods
         "guided", "spread").
+      height: at which `random` lets go: at "rest", 1 mm above where the object would stand on the bare top;
+        or "free", anywhere in the region's range of heights.
       repeat: let objects stand there more than once.
       start: a scene to start from, BANK:INDEX; its objects stay and count as neighbours.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.

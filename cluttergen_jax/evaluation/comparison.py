@@ -9,7 +9,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.evaluation.cells import SPEED, Column, Row, asked, number, share, share_of, table_of
+import numpy as np
+
+from cluttergen_jax.evaluation import plots
+from cluttergen_jax.evaluation.cells import (
+    SPEED,
+    Column,
+    Row,
+    asked,
+    name_of,
+    number,
+    share,
+    share_of,
+    table_of,
+)
 from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store, json_bytes
@@ -37,8 +50,9 @@ class Comparison:
     """What became of methods on pools and supports.
 
     Attributes:
-      rows: one flat dict each: `pool`, `support`, `objects`, `method`, `trials`, figures such as `success`,
-        `low95` and `placed`, and `missing`, which says why there are none.
+      rows: one flat dict each: `pool`, `support`, `objects`, `method`, `row` (the method, and what sets its
+        rules apart from its own), `trials`, figures such as `success`, `low95` and `placed`, and `missing`,
+        which says why there are none.
       table: the same for people, with what is missing below it; speeds leave compilation out.
     """
 
@@ -51,7 +65,7 @@ class Comparison:
         return sum(row["missing"] is not None for row in self.rows)
 
     def write(self, folder: Path) -> None:
-        """Writes table.md, table.csv (all digits), table.tex and results.json."""
+        """Writes table.md, table.csv (all digits), table.tex, results.json and bars.png."""
         text = io.StringIO()
         writer = csv.DictWriter(text, fieldnames=list(self.rows[0]))
         writer.writeheader()
@@ -60,6 +74,7 @@ class Comparison:
         write_atomically(folder / "table.csv", text.getvalue().encode())
         write_atomically(folder / "table.tex", self.table.latex().encode())
         write_atomically(folder / "results.json", json_bytes(self.rows))
+        _draw(self.rows, folder / "bars")
 
 
 def compare(runner: Runner, trials: Sequence[Trial], folder: Path | None) -> Comparison:
@@ -107,6 +122,7 @@ def _flat(row: Row) -> dict[str, Any]:
         "support": trial["support"],
         "objects": trial["num_objects"],
         "method": trial["method"],
+        "row": name_of(row),
         "trials": trial["trials"],
     }
     return head | {name: figures.get(name) for name in _FIGURES} | {"missing": row.get("missing")}
@@ -122,6 +138,23 @@ def _table(rows: list[Row]) -> Table:
     )
     head = (*asked("pool", "support", num_objects="objects"), *asked("method"))
     return table_of(f"{rows[0]['trial']['trials']} trials a row", (*head, *figures), rows)
+
+
+def _draw(rows: Sequence[dict[str, Any]], stem: Path) -> None:
+    """A panel for each pool on each support: success of each row with its interval."""
+    made = [row for row in rows if row["missing"] is None]
+    places = list(dict.fromkeys((row["pool"], row["support"]) for row in made))
+    figure, axes = plots.grid(len(places), 3, 3.4, 2.4)
+    for axis, place in zip(axes, places, strict=True):
+        bars = [row for row in made if (row["pool"], row["support"]) == place]
+        y = np.array([row["success"] for row in bars])
+        ends = np.array([[row["low95"], row["high95"]] for row in bars]).T
+        colours = [plots.colour(row["method"]) for row in bars]
+        axis.bar(range(len(bars)), y, yerr=np.abs(ends - y), color=colours, capsize=2)
+        axis.set_xticks(range(len(bars)), [row["row"] for row in bars], rotation=30, ha="right")
+        axis.set_ylim(0, 1.03)
+        plots.prepare(axis, f"{place[0]} on {place[1]}, {bars[0]['objects']} objects", "", "success")
+    plots.save(figure, stem, ("png",))
 
 
 def _effort(row: Row) -> str:

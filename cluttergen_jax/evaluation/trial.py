@@ -17,9 +17,19 @@ from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import PlacementConfig
 
 MAX_TRIALS = 1_000_000
-RUIN, RANDOM_ORDER, TIDY, ROBUST = "ruin", "random order", "tidy", "robust"
+RUIN, RANDOM_ORDER, TIDY, ROBUST, FREE_HEIGHT = "ruin", "random order", "tidy", "robust", "free height"
 """Of rows whose rules are not their method's own."""
-_ADDED = ("min_margin", "order", "ruin_after", "budget", "robust", "both_detectors", "clutter", "tidy")
+_ADDED = (
+    "min_margin",
+    "order",
+    "ruin_after",
+    "budget",
+    "robust",
+    "both_detectors",
+    "clutter",
+    "tidy",
+    "height",
+)
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,7 @@ class Trial:
         without, the native one alone (`config.DETECTORS`).
       clutter: what scenes should have on average, as text ("stack=3"); "" asks for nothing.
       tidy: take the best of the poses that are trusted, as `--tidy` does.
+      height: at which `random` lets go, "rest" or "free" (`PlacementConfig`).
       order, ruin_after, budget: of a `PlacementConfig`; the paper's unless given.
     """
 
@@ -69,6 +80,7 @@ class Trial:
     both_detectors: bool = False
     clutter: str = ""
     tidy: bool = False
+    height: str = "rest"
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials <= MAX_TRIALS:
@@ -94,6 +106,7 @@ class Trial:
             budget=self.budget,
             clutter=Clutter.of(self.clutter) if self.clutter else None,
             tidy=self.tidy,
+            height=self.height,
         )
 
     @property
@@ -123,6 +136,7 @@ class Trial:
         words += [self.change] if self.change != "none" else []
         words += [f"margin {1000 * self.min_margin:g} mm"] if self.min_margin else []
         words += [TIDY] if self.tidy else []
+        words += [FREE_HEIGHT] if self.height == "free" else []
         words += [ROBUST] if self.robust else []
         words += [self.clutter] if self.clutter else []
         words += [self.order] if self.order != "random" else []
@@ -146,6 +160,7 @@ def row_name(trial: Mapping[str, Any]) -> str:
         words = [f"order {order}"] if order != own else []
         words += [f"ruin after {trial.get('ruin_after', 0)}"] if is_ruined != is_trusted else []
     words += [TIDY] if trial.get("tidy") else []
+    words += [FREE_HEIGHT] if trial.get("height") == "free" else []
     words += [ROBUST] if trial.get("robust") else []
     words += [trial["clutter"]] if trial.get("clutter") else []
     return ", ".join([method, *words])

@@ -55,6 +55,7 @@ def make_sampler(
     clutter: str | Mapping[str, float] | None = None,
     natural: bool = False,
     tidy: bool = False,
+    height: str = "rest",
     num_scene_points: int = 0,
     engine: str = "auto",
     num_threads: int = 0,
@@ -104,6 +105,8 @@ def make_sampler(
       natural: prefer wide, flat things below and small ones on them (methods "guided", "spread").
       tidy: keep room instead of spreading objects out: more objects fit, and scenes are more alike (methods
         "guided", "spread").
+      height: at which `random` lets go: at "rest", 1 mm above where the object would stand on the bare top;
+        or "free", anywhere in the region's range of heights.
       num_scene_points: points of each scene's cloud, up to 200,000; 0 for none.
       engine: "auto", "native", "warp" or "jax".
       num_threads: of the native engine; 0 takes every core.

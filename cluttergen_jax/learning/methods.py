@@ -59,6 +59,13 @@ def _default() -> str:
     return DEFAULT_METHOD if DEFAULT_METHOD in list_policies() else FALLBACK_METHOD
 
 
+def methods_of(pool: str) -> tuple[str, ...]:
+    """What is compared unasked: the baselines, and what was learned where it is embedded for the pool."""
+    embedded = list_policies()
+    learned = {"policy": f"{without_exclusions(pool)}-policy", DEFAULT_METHOD: DEFAULT_METHOD}
+    return (*BASELINES, *(method for method, name in learned.items() if name in embedded))
+
+
 def rules_asked(method: str | None, max_attempts: int, given: Mapping[str, Any]) -> dict[str, Any]:
     """`order`, `ruin_after`, `budget` and `min_margin` of a `PlacementConfig`, all of them.
 
@@ -134,6 +141,8 @@ def suited(placement: PlacementConfig, checkpoint: Checkpoint | None) -> Placeme
 def check_steered(method: str, placement: PlacementConfig) -> None:
     """Refuses `clutter`, `natural` and `tidy` with a method that has no trusted candidates to choose from.
 
+    And a free `height` with any but `random`.
+
     Raises:
       ConfigError: it names the methods that do.
     """
@@ -142,6 +151,10 @@ def check_steered(method: str, placement: PlacementConfig) -> None:
         "natural": placement.natural,
         "tidy": placement.tidy,
     }
+    if placement.height != "rest" and method != "random":
+        raise ConfigError(
+            f"height = {placement.height!r} with method {method!r}", "height='rest'", "method='random'"
+        )
     given = [name for name, is_given in is_steered.items() if is_given]
     if given and method not in TRUSTED_METHODS:
         allowed = [name for name in TRUSTED_METHODS if name in METHODS]

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from numbers import Integral, Real
 from typing import Any, get_args
 
-from cluttergen_jax.config import Containment, Order, Overhang, Reward
+from cluttergen_jax.config import Containment, Height, Order, Overhang, Reward
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
 
@@ -28,9 +28,11 @@ _ADDED = {
     "clutter": None,
     "natural": False,
     "tidy": False,
+    "height": "rest",
 }
 CONTAINMENTS, ORDERS, REWARDS = get_args(Containment), get_args(Order), get_args(Reward)
 OVERHANGS = get_args(Overhang)
+HEIGHTS = get_args(Height)
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,8 @@ class PlacementConfig:
       natural: the trusted methods prefer flat, wide bearers (`placement.search.trusted`).
       tidy: of the candidates that they trust the trusted methods take the one that costs the least room, by
         the cost of `drop`, instead of drawing uniformly.
+      height: at which `random` lets go: at "rest", 1 mm above where the object would stand on the bare top;
+        or "free", anywhere in the region's range of heights.
     """
 
     num_objects: int = 10
@@ -81,6 +85,7 @@ class PlacementConfig:
     clutter: Clutter | None = None
     natural: bool = False
     tidy: bool = False
+    height: str = "rest"
 
     def __post_init__(self) -> None:
         if not 1 <= self.num_objects <= MAX_SLOTS:
@@ -113,6 +118,7 @@ class PlacementConfig:
             ("order", self.order, ORDERS),
             ("reward", self.reward, REWARDS),
             ("overhang", self.overhang, OVERHANGS),
+            ("height", self.height, HEIGHTS),
         ):
             if value not in allowed:
                 raise ConfigError(

@@ -7,6 +7,7 @@ hand. Stable steps are those of all attempts of an object added up.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from cluttergen_jax.assets.pool import EMBEDDED
@@ -16,6 +17,7 @@ from cluttergen_jax.evaluation.cells import (
     Column,
     Row,
     asked,
+    name_of,
     pooled,
     share,
     stable_steps,
@@ -80,7 +82,13 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
     """Every method on every pool, learned ones for each seed of training."""
     base, pools = scale.counted_twice(1000, 6), scale.chosen(*EMBEDDED)
     rows = grid(base, pool=pools, method=TABLE_METHODS, training_seed=scale.training_seeds)
-    return tuple(row for row in rows if row.training_seed == 0 or row.method not in BASELINES)
+    once = (row for row in rows if row.training_seed == 0 or row.method not in BASELINES)
+    return tuple(each for row in once for each in _with_free_height(row))
+
+
+def _with_free_height(row: Trial) -> tuple[Trial, ...]:
+    """The row, and before that of `random` the same with a height that is drawn, too."""
+    return (replace(row, height="free"), row) if row.method == "random" else (row,)
 
 
 def imported_trials(scale: Scale) -> tuple[Trial, ...]:
@@ -136,7 +144,7 @@ def _groups(rows: list[Row]) -> list[list[Row]]:
     """The rows of each pool and method that were trained alike; missing ones where none was made."""
     groups: dict[tuple[str, str], dict[str, list[Row]]] = {}
     for row in rows:
-        trainings = groups.setdefault((row["trial"]["pool"], row["trial"]["method"]), {})
+        trainings = groups.setdefault((row["trial"]["pool"], name_of(row)), {})
         trainings.setdefault(differs(row) if "figures" in row else "", []).append(row)
     alike = []
     for trainings in groups.values():
@@ -172,7 +180,7 @@ def differs(row: dict[str, Any]) -> str:
     parts = ["engine", *(["assets"] if trial["pool"] in GROUP_OF_POOL else [])]
     if trial["num_objects"] != OBJECTS:
         parts.append(f"{trial['num_objects']} objects for {OBJECTS}")
-    if trial["method"] == "random":
+    if trial["method"] == "random" and trial.get("height") != "free":
         parts.append("height")
     parts += [
         words.format(policy[name])
@@ -210,9 +218,15 @@ def differences(result: dict[str, Any]) -> tuple[str, ...]:
         f"what differs from the paper: {engine}; its policies had {BUDGET:,} training attempts",
         *([f"assets: modelled objects, {stands}"] if groups else []),
         "height: `random` lets go at the object's own resting height",
+        *([_FREE] if any(row["trial"].get("height") == "free" for row in result["records"]) else ()),
         *([_NOT_NOTED] if any(_is_not_noted(row) for row in result["records"]) else ()),
     )
 
+
+_FREE = (
+    "free height: it lets go anywhere up to the tallest object's height and its own, as the paper's may: "
+    "mostly inside what stands there or so far above the top that it is not at rest in time"
+)
 
 _NOT_NOTED = (
     "learned rows that name neither reward nor encoder were kept by an older version, which did not note "
