@@ -80,9 +80,10 @@ format: $(VENV)/.dev ## let ruff mend what it can
 	$(RUN)/ruff check --fix $(CODE)
 	$(RUN)/ruff format $(CODE)
 
-scenes: $(VENV)/.dev ## build the embedded pools and supports again
+scenes: $(VENV)/.dev ## build the embedded pools, supports and ready scenes again
 	$(RUN)/python scenes/build.py
 	$(RUN)/python scenes/build_supports.py
+	$(RUN)/python scenes/build_ready.py
 
 bench: $(VENV)/.all ## measure contact, last check and engines again; renews benchmarks/README.md
 	$(RUN)/python -m benchmarks.contact --write
