@@ -1,4 +1,4 @@
-"""Writes a ready scene of each embedded pool into `scenes/ready`: POOL.xml, and its convex parts in parts/POOL.
+"""Writes a ready scene of each embedded pool into `scenes/ready`: POOL.xml, its convex parts in parts/POOL.
 
 What is seen of the objects lies in `scenes/pools` beside it, and is not stored twice.
 """
