@@ -37,6 +37,8 @@ from cluttergen_jax.schema import Numbers, SchemaError, check_numbers, parse_jso
 
 FORMAT = 1
 NAME_PATTERN = re.compile(r"[a-z0-9_-]+")
+RESERVED = "support"
+"""What the support's body is called in every scene, so that no object can be."""
 _FILE = re.compile(r"[a-z0-9_-]+\.[a-z]+")
 SHARED_IMAGES = "../../textures/"
 """Where the images of an object lie in a bank or an export, relative to the object's folder."""

@@ -66,7 +66,7 @@ def scene_points(objects: Sequence[ObjectAsset], poses: np.ndarray, support: Sup
     These are whole surfaces, hidden sides included; what one camera sees follows from `sensors.Sensed`.
     """
     points, colours, labels = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)], [np.zeros(0, np.int32)]
-    if support is not None:
+    if support is not None and (support.pieces or support.boxes):
         top = top_points(support)
         rgba = support.pieces[0].mean_rgba if support.pieces else support.boxes[0].rgba
         points.append(top)

@@ -27,7 +27,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.assets.object_files import NAME_PATTERN
+from cluttergen_jax.assets.object_files import NAME_PATTERN, RESERVED
 from cluttergen_jax.errors import ClutterGenError, ConfigError
 from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions
 from cluttergen_jax.importing.readers.tree import SETTINGS
@@ -119,6 +119,10 @@ def _checked(path: Path, pattern: str, table: Any) -> dict[str, Any]:
         raise ConfigError(f"{where}: {TAKE} = {values[TAKE]!r}", "true, false")
     if "name" in values and (pattern == DEFAULT or not NAME_PATTERN.fullmatch(values["name"])):
         raise ConfigError(f"{where}: name = {values['name']!r}", "one object's name of a-z, 0-9, '_' and '-'")
+    if values.get("name") == RESERVED:
+        raise ConfigError(
+            f"{where}: name = {RESERVED!r}", f"any other name: {RESERVED!r} is what stands under all"
+        )
     try:
         replace(ReadOptions(), **{key: value for key, value in values.items() if key in OF_READING})
     except ClutterGenError as error:

@@ -18,7 +18,7 @@ from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import rotation_matrix, transformed
-from cluttergen_jax.importing.readers.mjcf import compiled
+from cluttergen_jax.importing.readers.mjcf import compiled_with_notes
 from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece
 from cluttergen_jax.importing.readers.mjcf_roles import Roles, roles_of
 from cluttergen_jax.scene.scene import Scene
@@ -27,13 +27,21 @@ _FLAT = 0.01
 
 
 def read_mjcf_scene(path: str | Path) -> Scene:
-    """Reads a scene at its keyframe called `scene`, its first keyframe, or its reference configuration.
+    """The first of `read_mjcf_scene_with_notes`."""
+    return read_mjcf_scene_with_notes(path)[0]
+
+
+def read_mjcf_scene_with_notes(path: str | Path) -> tuple[Scene, tuple[str, ...]]:
+    """A scene at its keyframe called `scene`, its first keyframe, or its reference configuration.
+
+    Returns:
+      It, and which pictures it has to do without.
 
     Raises:
       AssetError: MuJoCo cannot compile the file, or no body in it is free and has a surface.
     """
     path = Path(path)
-    model = compiled(path)
+    model, notes = compiled_with_notes(path)
     data = mujoco.MjData(model)
     if model.nkey:
         named = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "scene")
@@ -54,7 +62,7 @@ def read_mjcf_scene(path: str | Path) -> Scene:
     objects = tuple(_object(model, data, body, roles[body], provenance) for body in free.tolist())
     poses = np.concatenate([data.xpos[free], data.xquat[free]], axis=1)
     names = tuple(asset.name for asset in objects)
-    return Scene(names, objects, poses, _support(model, data, objects, poses, provenance))
+    return Scene(names, objects, poses, _support(model, data, objects, poses, provenance)), notes
 
 
 def _roles(model: mujoco.MjModel, data: mujoco.MjData, is_of: np.ndarray) -> Roles:

@@ -169,6 +169,7 @@ def test_one_body_of_an_mjcf_file(folder):
         ('["crate.obj"]\nup = "y"\nfront = "-y"\n', "right angle"),
         ('["crate.obj"]\nlicence = 3\n', "licence = 3"),
         ('["crate.obj"]\nname = "My Crate"\n', "a-z, 0-9"),
+        ('["crate.obj"]\nname = "support"\n', "any other name"),
         ('[default]\nname = "crate"\n', "one object's name"),
         ('["cups/*"]\nname = "cup"\n', "'cup' for 2 objects"),
         ("mass = 1\n", "outside a table"),

@@ -92,6 +92,11 @@ def test_numbers_are_names_of_different_objects(tmp_path):
     assert names(tmp_path) == ["cups", "cups-2", "cups-3"]
 
 
+def test_no_object_is_called_as_the_support_of_a_scene(tmp_path):
+    save_box(tmp_path / "set" / "support.obj")
+    assert names(tmp_path) == ["support-2"]
+
+
 def test_included_files_are_part_of_what_includes_them(tmp_path):
     folder = tmp_path / "kitchen"
     (folder / "bodies").mkdir(parents=True)

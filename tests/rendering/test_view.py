@@ -213,6 +213,17 @@ def test_files_of_attempts_that_nobody_knows_cost_nothing_else(bank, source, tmp
     assert "alone, its attempts: alone: a scene file does not tell" in capsys.readouterr().err
 
 
+def test_a_picture_that_is_missing_in_a_scene_file_is_noted(tmp_path, capsys):
+    (tmp_path / "die.xml").write_text(
+        """<mujoco><asset><texture name="t" type="2d" file="gone.png"/><material name="m" texture="t"/>
+        </asset><worldbody><body name="die" pos="0 0 .1"><freejoint/><geom type="box" size=".03 .03 .03"
+        material="m"/></body></worldbody></mujoco>"""
+    )
+    asked = ["--points", "--no-picture", "--out", str(tmp_path / "out")]
+    assert main(["render", str(tmp_path / "die.xml"), *asked]) == 0
+    assert "'gone.png' cannot be read" in capsys.readouterr().err
+
+
 def test_missing_scene_and_format_are_explained(bank, capsys):
     assert main(["render", f"{bank}:77"]) == 2
     assert "no scene 77" in capsys.readouterr().err

@@ -14,7 +14,7 @@ import numpy as np
 from cluttergen_jax.assets.scene_cloud import ply_of, scene_points
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.generation.sources import BankSource, open_source
+from cluttergen_jax.generation.sources import BankSource, FileSource, open_source
 from cluttergen_jax.generation.sources.bop import BopConfig, BopScenes
 from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.progress import tracked
@@ -90,6 +90,7 @@ class Rendering:
         opened, own = open_source(source)
         numbers = chosen_numbers(opened, own, scenes, _SHEET if self._makes("sheet") else 1)
         is_drawn, notes = self._can_draw()
+        notes += opened.notes if isinstance(opened, FileSource) else ()
         # Beside a sheet, single pictures are drawn of scenes that are named.
         singles = self._makes("picture") and (not self._makes("sheet") or bool(scenes))
         made: list[Path] = []

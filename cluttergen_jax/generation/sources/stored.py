@@ -15,7 +15,7 @@ from cluttergen_jax.generation.sources.replay import ReplayContext, replay, repl
 from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank import Bank, read_bank
-from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
+from cluttergen_jax.scene.mjcf_file import read_mjcf_scene_with_notes
 
 
 class BankSource:
@@ -110,7 +110,7 @@ class FileSource:
         self.name = path.stem
         self.numbers: tuple[int, ...] = (0,)
         self.methods: tuple[str, ...] = ()
-        scene = read_mjcf_scene(path)
+        scene, self.notes = read_mjcf_scene_with_notes(path)
         self._still = Replay(
             title=self.name,
             objects=scene.objects,

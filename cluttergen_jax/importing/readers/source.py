@@ -13,6 +13,7 @@ from typing import get_args
 from anyascii import anyascii
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
+from cluttergen_jax.assets.object_files import RESERVED
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.config import ByVolume, Collision, check_positive
 from cluttergen_jax.errors import ConfigError
@@ -145,8 +146,11 @@ def _with_allowed_letters(text: str) -> str:
 
 
 def named_apart(sources: Sequence[ObjectFile]) -> list[ObjectFile]:
-    """Distinct names: where several objects share one, all but the first get the next free number."""
-    taken: set[str] = set()
+    """Distinct names: where several objects share one, all but the first get the next free number.
+
+    One called `support`, as the body of a scene's support is, gets a number too.
+    """
+    taken = {RESERVED}
     out = []
     for source in sources:
         numbered = (f"{source.name}-{number}" for number in count(2))
