@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ from cluttergen_jax.assets.config import (
     DecompositionConfig,
 )
 from cluttergen_jax.config import Axis, ByVolume, Collision, Tier, Up
+from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.support import SupportAsset
@@ -118,6 +120,9 @@ def import_pool(
     )
     config = ObjectConfig(read, BodyConfig(tier, decomposition or DecompositionConfig()), trials)
     file, place = None if settings is None else Path(settings), cluster_of(cluster, workers)
+    for name, value in (("max_size", max_size), ("max_mass", max_mass)):
+        if not 0 < value < math.inf:
+            raise ConfigError(f"{name} = {value!r}", "a finite number above zero", f"leaving {name} out")
     limits = Limits(max_size, max_mass)
     how = ImportConfig(config, jobs, force, progress, add, file, place, time_limit, set, limits, take_all)
     return import_sources([sources] if isinstance(sources, str | Path) else sources, pool, how)

@@ -130,14 +130,19 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
         shape = replace(shape.turned(rotation), notes=(*shape.notes, note))
         solid, mass = _turned(solid, rotation), mass.moved(rotation, np.zeros(3))
     best: _Candidate | None = None
+    first: _Candidate | None = None
     for raw in _proposals(shape, solid, config):
         candidate = _candidate(raw, shape, solid, mass, config)
+        first = first or candidate
         if best is None or candidate.rank > best.rank:
             best = candidate
         if best.is_sound:
             break
-    if best is None:
+    if best is None or first is None:
         raise AssetError(f"{shape.label!r} has no convex part")
+    if shape.parts and best is not first:
+        told = f"its file's own parts were not taken ({'; '.join(_faults(first, config))})"
+        shape = replace(shape, notes=(*shape.notes, told))
     yield _asset(shape, solid, mass, best, config)
     for corners in _FEWER_CORNERS:
         fewer = _candidate(best.raw, shape, solid, mass, config, corners)
@@ -198,6 +203,8 @@ def _proposals(shape: Shape, solid: Solid, config: BodyConfig) -> Iterator[list[
     own = [part.vertices for part in shape.parts or () if hull_of(part.vertices) is not None]
     if own:
         yield own
+        if shape.keeps_parts:
+            return
     yield from decompositions(solid, config.decomposition, config.jitter)
     if config.decomposition.max_parts > 1:
         yield from decompositions(solid, config.decomposition.finer, config.jitter)
@@ -215,8 +222,8 @@ def _candidate(
     turned = _turned(solid, rotation)
     if shape.cavity is not None:
         hollow: Hollow | None = known_hollow(shape.cavity).moved(rotation, np.zeros(3))
-    elif shape.parts is not None:
-        # Whoever brings the parts knows the object, and says nothing of a hollow.
+    elif shape.parts is not None and not shape.is_from_file:
+        # Whoever models the parts knows the object, and says nothing of a hollow.
         hollow = None
     else:
         hollow = find_hollow(turned)

@@ -109,6 +109,8 @@ class Shape:
       colliding: all that collides according to its file, whether or not it can serve as `parts`.
       scale: by what factor its reader was told to multiply the file's lengths.
       is_pose_free: whether its authored pose may give way to the one in which people put it (`upright`).
+      is_from_file: whether a file is all that is known of it: whether it is hollow is looked for.
+      keeps_parts: whether `parts` are asked for, sound or not.
     """
 
     name: str
@@ -125,6 +127,8 @@ class Shape:
     colliding: tuple[Mesh, ...] = ()
     scale: float = 1.0
     is_pose_free: bool = False
+    is_from_file: bool = False
+    keeps_parts: bool = False
 
     def turned(self, rotation: np.ndarray) -> Shape:
         """The shape with every point p at rotation @ p."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import manifold3d
 import numpy as np
@@ -43,7 +44,7 @@ class Solid:
         """Its pieces that do not touch one another; the surfaces of hollows inside are none."""
         return [each for each in _as_manifold(self.mesh).decompose() if each.volume() > 0]
 
-    @property
+    @cached_property
     def diagonal(self) -> float:
         """Metres across the bounding box of what was given."""
         return float(np.linalg.norm(np.ptp(self.surface.vertices, axis=0)))

@@ -24,7 +24,7 @@ def pose(words: Sequence[str]) -> None:
     if len(words) not in (2, 3) or not all(word.isdecimal() for word in words[2:]):
         raise ConfigError(
             f"pool pose {' '.join(words)}",
-            "a pool, one of its objects, and the number of a pose to change it",
+            "a pool, one of its objects, and the number of a pose (0 or more) to change it",
             "cluttergen pool pose POOL OBJECT",
         )
     pool, name, *number = words

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.tables import aligned_table
@@ -13,12 +15,33 @@ _HEADER = (
 )
 
 
+_MOST_ALIKE = 4
+_NAMES_AND_NUMBERS = re.compile(r"'[^']*'|\S+\.\w+|\d[\d,.]*")
+
+
 def pool_table(objects: Sequence[ObjectAsset]) -> str:
-    """One line per object, then flags (!) and notes (-) in words, then the counts of the project's bars."""
+    """One line per object, then flags (!) and notes (-) in words, then the counts of the project's bars.
+
+    Of many notes that differ in names and numbers alone, the first is told, and how many there are.
+    """
     lines = [aligned_table(_HEADER, [_row(asset) for asset in objects])]
     lines += [f"  ! {asset.name}: {flag}" for asset in objects for flag in asset.flags]
-    lines += [f"  - {asset.name}: {note}" for asset in objects for note in asset.notes]
+    lines += _notes(objects)
     return "\n".join([*lines, _summary(objects)])
+
+
+def _notes(objects: Sequence[ObjectAsset]) -> Iterator[str]:
+    kinds: defaultdict[str, list[tuple[str, str]]] = defaultdict(list)
+    for asset in objects:
+        for note in asset.notes:
+            kinds[_NAMES_AND_NUMBERS.sub("#", note)].append((asset.name, note))
+    for alike in kinds.values():
+        shown = alike if len(alike) <= _MOST_ALIKE else alike[:1]
+        yield from (f"  - {name}: {note}" for name, note in shown)
+        if len(shown) < len(alike):
+            owners = {name for name, _ in alike}
+            of = f"{len(owners)} objects" if len(owners) > 1 else alike[0][0]
+            yield f"    ... and {len(alike) - 1} more notes like it, of {of} (`ObjectAsset.notes` has all)"
 
 
 def _row(asset: ObjectAsset) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.errors import ClutterGenError
@@ -21,6 +22,9 @@ _LONGEST_WAIT = 1.0
 _SHARE = 2 / 3
 """Of the time that a job has left, what a try may take where there is another one."""
 _KILLED = -9
+_PATIENCE = 4.0
+"""Of a job's time the processor's counts, whatever else the machine is busy with; but so many seconds that
+pass count as one at least, for a job that waits for ever."""
 _MOST_UNBORN = 3
 """So many workers may end, one after another, before they take a job."""
 
@@ -75,7 +79,8 @@ class Crew:
     Args:
       function: of a job, for all workers; it and the jobs are pickled.
       num_processes: at a time.
-      limit: seconds that a job may take, all tries together; None for as long as it likes.
+      limit: seconds that a job may take, all tries together, the processor's where the system tells them;
+        None for as long as it likes.
       again: makes the next job.
       most_tries: of a job, where `again` is given.
       watch: hears, every second or oftener, which jobs are at work, by index.
@@ -143,15 +148,12 @@ class Crew:
     def _heard(self) -> list[_Worker]:
         """Workers that have said something, have died, or have had their time."""
         busy = [worker for worker in self._workers if worker.task is not None]
-        ends = [worker.began + self._time_of(worker.task) for worker in busy if worker.task and worker.began]
-        rest = min([_LONGEST_WAIT, *(end - time.monotonic() for end in ends)])
-        ready = wait([worker.pipe for worker in busy], max(rest, 0.0))
-        now = time.monotonic()
-        return [
-            worker
-            for worker in busy
-            if worker.pipe in ready or (worker.began and now >= worker.began + self._time_of(worker.task))
-        ]
+        left = [self._time_of(worker.task) - worker.used() for worker in busy if worker.began]
+        ready = wait([worker.pipe for worker in busy], max(min([_LONGEST_WAIT, *left]), 0.0))
+        return [worker for worker in busy if worker.pipe in ready or self._is_late(worker)]
+
+    def _is_late(self, worker: _Worker) -> bool:
+        return worker.began > 0 and worker.used() >= self._time_of(worker.task)
 
     def _time_of(self, task: _Task | None) -> float:
         if self._limit is None or task is None:
@@ -174,7 +176,7 @@ class Crew:
             worker.began, worker.cpu_before = time.monotonic(), said.cpu_seconds
             return None
         worker.task, worker.began = None, 0.0
-        task.add_cost(said.seconds, said.cpu_seconds)
+        task.add_cost(said.seconds, said.cpu_seconds, said.cpu_seconds)
         if said.error is not None:
             raise said.error
         task.result = said.result
@@ -185,14 +187,14 @@ class Crew:
         task = worker.task
         assert task is not None
         self._workers.remove(worker)
-        seconds = time.monotonic() - worker.began if worker.began else 0.0
+        seconds, used = (time.monotonic() - worker.began, worker.used()) if worker.began else (0.0, 0.0)
         cpu_seconds = worker.ended(is_late)
         if not worker.began and worker.exit_code != _KILLED:
             self._check_start(worker)
             self._waiting.appendleft(task.again(task.job))
             return None
         task.tries += 1
-        task.add_cost(seconds, cpu_seconds if worker.began else 0.0)
+        task.add_cost(seconds, cpu_seconds if worker.began else 0.0, used)
         task.is_late, task.is_killed = is_late, not is_late and worker.exit_code == _KILLED
         task.fault = (
             f"it was not done after {task.spent:.{0 if task.spent >= 10 else 1}f} s"
@@ -268,10 +270,10 @@ class _Task:
     def outcome(self) -> Outcome:
         return Outcome(self.result, self.fault, self.seconds, self.cpu_seconds, self.is_late, self.is_killed)
 
-    def add_cost(self, seconds: float, cpu_seconds: float) -> None:
+    def add_cost(self, seconds: float, cpu_seconds: float, used: float) -> None:
         self.seconds += seconds
-        self.spent += seconds
         self.cpu_seconds += cpu_seconds
+        self.spent += used
 
     def again(self, job: Any, is_alone: bool = False) -> _Task:
         """Of time, what was spent counts, but not in the company of others that took the memory."""
@@ -312,6 +314,11 @@ class _Worker:
         with suppress(BrokenPipeError, ConnectionResetError):
             self.pipe.send(what)
 
+    def used(self) -> float:
+        """Seconds of its task so far: the processor's, where the system tells them."""
+        passed, cpu = time.monotonic() - self.began, _cpu_seconds(self._process.pid)
+        return passed if cpu is None else max(cpu - self.cpu_before, passed / _PATIENCE)
+
     def kill(self) -> None:
         """Ends it, whatever it does."""
         self._process.kill()
@@ -330,6 +337,15 @@ class _Worker:
         after = os.times()
         used = after.children_user + after.children_system - before.children_user - before.children_system
         return max(used - self.cpu_before, 0.0)
+
+
+def _cpu_seconds(pid: int | None) -> float | None:
+    """Processor seconds of a process so far; None where the system does not tell."""
+    try:
+        words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError, AttributeError):
+        return None
 
 
 def _serve(pipe: Connection) -> None:

@@ -23,6 +23,7 @@ from cluttergen_jax.importing.planning import YCB, Failure, Planned, named_anew,
 from cluttergen_jax.importing.processes import Crew, Outcome
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, read_shape
 from cluttergen_jax.importing.readers.axes import UpAxis
+from cluttergen_jax.importing.readers.read import public_path
 from cluttergen_jax.importing.solo import measured_object
 from cluttergen_jax.importing.table_top import LeftOut, Limits
 from cluttergen_jax.physics.log import silent_log
@@ -253,6 +254,7 @@ def import_sources(
     old = read_pool(user_pool_folder(pool_name)) if config.add else None
     known = None if config.force and old is None else user_root() / pool_name
     planned = plan_all(sources, config.object.read, config.settings, known, config.layout, config.take_all)
+    _check_kin(known, planned.objects, config)
     jobs, unreadable = _jobs(planned.objects, config)
     made: dict[str, ObjectAsset] = {} if config.force else _loaded(jobs)
     missing = [job for job in jobs if job.source.name not in made]
@@ -299,6 +301,26 @@ def _check_name(name: str) -> None:
             f"a pool called {name!r}",
             f"names of a-z, 0-9, '_' and '-', but not {', '.join((*EMBEDDED, ALL))}",
         )
+
+
+def _check_kin(known: Path | None, planned: Sequence[Planned], config: ImportConfig) -> None:
+    """Refuses, before any work, a pool's name that other objects have."""
+    if known is None or not known.exists() or config.force or config.add or not planned:
+        return
+    try:
+        held = {asset.provenance.source for asset in read_pool(known).objects}
+    except ClutterGenError:
+        return
+    if held.isdisjoint(public_path(each.source.path) for each in planned):
+        raise _taken(known.name)
+
+
+def _taken(name: str) -> PoolError:
+    return PoolError(
+        f"pool {name!r} exists and holds something else",
+        "a new name",
+        "`add` to add to it, or `force` to replace it",
+    )
 
 
 def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], list[Failure]]:
@@ -416,11 +438,7 @@ def _write(name: str, objects: tuple[ObjectAsset, ...], old: Pool | None, config
     if path.exists() and (not config.force or old is not None) and _is_same(path, pool):
         return path
     if path.exists() and not config.force and old is None:
-        raise PoolError(
-            f"pool {name!r} exists and holds something else",
-            "a new name",
-            "`add` to add to it, or `force` to replace it",
-        )
+        raise _taken(name)
     return write_pool(path, pool, overwrite=config.force or old is not None)
 
 

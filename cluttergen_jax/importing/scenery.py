@@ -1,6 +1,7 @@
 """Which bodies of model files are no objects: what stands around, what moves by itself, and ghosts of others.
 
-- An actor is moved by a mocap body or by actuators, or has limbs of four joints or more, as robots have.
+- An actor is moved by a mocap body or by actuators, has limbs of four joints or more, as robots have, or is
+  called a gripper, a finger or a hand.
 - A marker collides with nothing, beside bodies of its file that do.
 - Scenery is fixed to the world beside bodies that are free, or stands without joints alike in at least half
   of the files of its folder that hold several bodies. What all bodies of a file do is no sign of scenery.
@@ -23,6 +24,9 @@ from cluttergen_jax.importing.readers.bodies import BodyFacts, is_limbed, world_
 MIN_CHAIN = 4
 """Joints one after another: doors, drawers, phones and lids have fewer, arms and legs more."""
 _ROBOT = f"limbs as robots have: {MIN_CHAIN} joints in a row, or three limbs of {MIN_CHAIN - 1}"
+_GRIPPER = re.compile(
+    r"gripper|robotiq|wsg[-_]?\d|(^|[-_])(l|r|left|right)[-_]finger|^finger|(^|[-_])hand($|[-_]\d)"
+)
 _GHOST = re.compile(r"[-_ ](visual|vis|ghost)$")
 
 
@@ -75,6 +79,8 @@ def _chosen(siblings: Sequence[BodyFacts], body: str) -> BodyFacts | None:
 def _why_alone(body: _Body) -> str:
     """What a body's own file says against it; empty if nothing."""
     facts = body.facts
+    if _GRIPPER.search((body.source.body.removeprefix("#") or body.source.path.stem).lower()):
+        return "a robot's gripper, finger or hand, by its name"
     if facts is None:
         is_robot = body.source.kind in ("urdf", "sdf") and is_limbed(body.source.path, MIN_CHAIN)
         return _ROBOT if is_robot else ""

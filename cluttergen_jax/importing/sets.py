@@ -54,6 +54,7 @@ class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     leave_out: dict[str, tuple[str, ...]] = {}
     values: dict[str, str | float] = {}
     lookups: dict[str, Lookup] = {}
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,8 @@ def told(sets: Sequence[KnownSet]) -> Iterator[str]:
         where = f"{homes[0]}/" if len(homes) == 1 else f"{len(homes)} folders"
         values = [f"{key} {value}" for key, value in layout.values.items() if key != "attribution"]
         untried = () if layout.tried else ("known from public lists of files alone",)
-        yield f"recognised: {', '.join((f'{layout.title} in {where}', *values, *untried))}"
+        note = (layout.note,) if layout.note else ()
+        yield f"recognised: {', '.join((f'{layout.title} in {where}', *values, *note, *untried))}"
 
 
 def _homes(layout: Layout, files: Sequence[Path]) -> list[Path]:

@@ -116,6 +116,17 @@ def test_a_file_that_contradicts_itself_is_flagged_and_its_table_says_so(tmp_pat
     assert f"  ! carton: {mass}" in pool_table([asset])
 
 
+def test_many_notes_that_differ_in_names_alone_are_told_once(tmp_path):
+    (tmp_path / "carton.xml").write_text(MJCF)
+    (shape,) = read_source(tmp_path / "carton.xml")
+    lost = tuple(f"part-{k}.obj names 'part-{k}.mtl', which is not there" for k in range(9))
+    asset = replace(make_object(shape, BodyConfig(tier="light")), notes=(*lost, "its front is x"))
+    lines = pool_table([asset]).splitlines()
+    assert sum("which is not there" in line for line in lines) == 1
+    assert "    ... and 8 more notes like it, of carton (`ObjectAsset.notes` has all)" in lines
+    assert "  - carton: its front is x" in lines
+
+
 def test_whoever_gives_a_mass_has_looked(tmp_path):
     (tmp_path / "carton.xml").write_text(MJCF.replace(".09 .09 .12", ".04 .03 .08"))
     (shape,) = read_source(tmp_path / "carton.xml", ReadOptions(mass=0.5))

@@ -13,7 +13,7 @@ from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.import_report import print_report
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
@@ -250,6 +250,25 @@ def test_what_is_too_large_is_told_in_one_block(quick_import, capsys):
     cube = folder / "objects" / "unit_cube.obj"
     assert import_sources([cube], "all_of_it", ImportConfig(CONFIG.object, take_all=True)).objects
     assert [each.name for each in import_sources([cube], "again", CONFIG).left_out] == ["unit_cube.obj"]
+
+
+def test_hands_and_grippers_are_no_objects_by_their_names(tmp_path):
+    for name in ("pr2_gripper", "wsg50_1", "l_finger", "jaco_hand", "hand_sanitizer", "fish_fingers_box"):
+        trimesh.creation.box((0.05, 0.05, 0.05)).export(tmp_path / f"{name}.stl")
+    names, left = planned(tmp_path)
+    assert names == ["fish_fingers_box", "hand_sanitizer"]
+    assert all("gripper, finger or hand" in reason for reason in left.values())
+    assert len(planned(tmp_path, take_all=True)[0]) == 6
+
+
+def test_a_pools_name_that_others_have_is_refused_before_any_work(quick_import, tmp_path, monkeypatch):
+    for name in ("cup", "mug"):
+        (tmp_path / name).mkdir()
+        trimesh.creation.box((0.05, 0.05, 0.05)).export(tmp_path / name / f"{name}.stl")
+    import_sources([tmp_path / "cup"], "t", CONFIG)
+    monkeypatch.setattr(run, "_make", None)
+    with pytest.raises(PoolError, match="exists and holds something else"):
+        import_sources([tmp_path / "mug"], "t", CONFIG)
 
 
 def test_names_get_numbers_among_what_was_made(quick_import, tmp_path):

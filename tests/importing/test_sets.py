@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from cluttergen_jax.assets.body import make_object
 from cluttergen_jax.cli.import_ import Import, print_report
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing.planning import plan_all
-from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
+from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape, read_source
 from cluttergen_jax.importing.run import ImportReport
 from cluttergen_jax.importing.sets import layouts
 from cluttergen_jax.importing.settings import KEYS
@@ -231,6 +232,32 @@ def test_numbered_parts_are_found_together(tmp_path, mesh, files):
     (planned,) = plan_all([source.path], ReadOptions(collision="keep")).objects
     own = [tmp_path / file for file in files if "pan" not in file and "hull" not in file]
     assert list(planned.source.parts) == own
+
+
+def cup(folder):
+    """A cup, and as its collision shape its hull, which fills it."""
+    inner = trimesh.creation.cylinder(0.035, 0.09, sections=24).apply_translation((0, 0, 0.01))
+    whole = trimesh.creation.cylinder(0.04, 0.09, sections=24)
+    trimesh.boolean.difference([whole, inner]).export(folder / "cup.stl")
+    whole.export(folder / "cup_col.stl")
+
+
+@pytest.mark.slow
+def test_parts_that_are_asked_for_stay_and_those_of_a_model_give_way_aloud(tmp_path):
+    cup(tmp_path)
+    kept_one = make_object(kept(tmp_path, "cup", collision="keep"))
+    assert len(kept_one.parts) == 1
+    assert any("cover" in flag for flag in kept_one.flags)
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "mug.xml").write_text(
+        """<mujoco><asset><mesh name="a" file="../cup.stl"/><mesh name="b" file="../cup_col.stl"/></asset>
+        <worldbody><body name="mug"><geom type="mesh" mesh="a" contype="0" conaffinity="0"/>
+        <geom type="mesh" mesh="b" group="3"/></body></worldbody></mujoco>"""
+    )
+    (shape,) = read_source(tmp_path / "model" / "mug.xml")
+    own = make_object(shape)
+    assert own.quality.holds_ball
+    assert any("its file's own parts were not taken (its parts" in note for note in own.notes)
 
 
 def test_shapes_that_are_not_convex_are_not_kept(tmp_path):

@@ -65,6 +65,8 @@ def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
         notes=notes,
         colliding=_turned(model.colliding, turn),
         is_pose_free=options.up == options.front == AUTO,
+        is_from_file=True,
+        keeps_parts=bool(source.parts),
     )
     _check_size(shape, source.path)
     return shape
