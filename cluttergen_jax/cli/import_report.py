@@ -36,6 +36,8 @@ def print_report(report: ImportReport, command: Any) -> None:
         print(
             f"{report.path}: {len(report.objects)} objects ({made} made, {report.num_cached} from the cache)"
         )
+    else:
+        print("no object was made: why, stands below", file=sys.stderr)
     for line in report.sets:
         print(f"{line} (--set none goes by the general rules)")
     if report.costs:
