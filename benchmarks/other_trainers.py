@@ -15,7 +15,6 @@ from collections import deque
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import cluttergen_jax as cg
@@ -36,12 +35,7 @@ NAMES = {"brax": "Brax 0.14.2, `ppo.train`", "sb3": "Stable-Baselines3, `PPO`"}
 def train_brax(num_attempts: int) -> list[list[float]]:
     """Rows of attempts so far, and means of the latest 100 episodes: success, objects placed, attempts."""
     from brax.training.agents.ppo import networks
-    from brax.training.agents.ppo import train as ppo
 
-    # Brax 0.14.2 asks for a function that JAX 0.10 has no more.
-    jax.device_put_replicated = lambda tree, devices: jax.tree.map(  # type: ignore[attr-defined]
-        lambda leaf: jnp.stack([leaf] * len(devices)), tree
-    )
     env, rows = cg.make_env(**TASK, history_stride=0, num_cells=0, auto_reset=False), []
 
     def keep(attempts: int, figures: dict[str, float]) -> None:
@@ -57,10 +51,9 @@ def train_brax(num_attempts: int) -> list[list[float]]:
         policy_hidden_layer_sizes=(64, 64),
         value_hidden_layer_sizes=(64, 64),
     )
-    ppo.train(
-        environment=env,
+    cg.train_brax(
+        env,
         num_timesteps=num_attempts,
-        episode_length=env.episode_length,
         num_envs=NUM_ENVS,
         unroll_length=16,
         batch_size=16,

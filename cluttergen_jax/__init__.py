@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.support_file import find_support as load_support
     from cluttergen_jax.assets.support_file import list_supports
     from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler, stream_bank
+    from cluttergen_jax.generation.brax_ppo import train_brax
     from cluttergen_jax.generation.environments import make_env, make_gym_env, make_sb3_env, make_vector_env
     from cluttergen_jax.importing.poses import pool_poses, set_pose
     from cluttergen_jax.placement.region import KeepOut, make_region
@@ -114,6 +115,7 @@ __all__ = [
     "stats_text",
     "stream_bank",
     "train",
+    "train_brax",
     "train_suite",
     "verify",
     "view",
@@ -132,6 +134,7 @@ _MODULES = {
     "placement.region": ("KeepOut", "make_region"),
     "placement.rollout.replay": ("Replay",),
     "placement.scenes": ("SceneBatch",),
+    "generation.brax_ppo": ("train_brax",),
     "generation.environments": ("make_env", "make_gym_env", "make_sb3_env", "make_vector_env"),
 }
 _ELSEWHERE = {name: module for module, names in _MODULES.items() for name in names}

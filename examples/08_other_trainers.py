@@ -9,9 +9,8 @@ import functools
 import os
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from brax.training.agents.ppo import networks, train
+from brax.training.agents.ppo import networks
 
 import cluttergen_jax as cg
 
@@ -19,15 +18,13 @@ SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 task = {"pool": "dining", "objects": ("mug", "bowl", "wine_glass"), "history_stride": 0, "num_cells": 0}
 
 # %% [markdown]
-# Brax's PPO. It brings its own resets; and Brax 0.14.2 asks for a function that JAX 0.10 has no more.
+# Brax's PPO. It brings its own resets.
 
 # %%
-jax.device_put_replicated = lambda tree, devices: jax.tree.map(lambda x: jnp.stack([x] * len(devices)), tree)
 env = cg.make_env(**task, auto_reset=False)
-make_policy, params, _ = train.train(
-    environment=env,
+make_policy, params, _ = cg.train_brax(
+    env,
     num_timesteps=512 if SMALL else 20_000,
-    episode_length=env.episode_length,
     num_envs=16 if SMALL else 64,
     batch_size=4 if SMALL else 16,
     unroll_length=16,

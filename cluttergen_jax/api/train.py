@@ -25,6 +25,7 @@ def train(
     exclude: Sequence[str] = (),
     change: Change = "none",
     max_attempts: int = 5,
+    paper: bool = False,
     preset: Preset = "cpu",
     variant: Variant = "policy",
     num_attempts: int | None = None,
@@ -56,6 +57,10 @@ def train(
       change: how the queried region is changed at random in every episode: "none", "translation",
         "rotation", "shrinkage", "expansion" or "all".
       max_attempts: per object, 1 to 10.
+      paper: train as in the paper: variant "beta_free", preset "paper" with an accelerator and "paper_cpu"
+        without, unless one of its presets or another variant is given; the encoder is pretrained first, in
+        a folder beside the run's, where there is none. The whole run is 2,500,000 attempts: hours on two
+        cores.
       preset: "cpu", "gpu", "paper" (as printed), "paper_code" (as its published code has it) or "paper_cpu"
         (as printed, with smaller clouds); the paper's three want `encoder_weights`, or `encoder` for one that
         is trained along.
@@ -93,7 +98,7 @@ def train(
     given = dict(locals())
     from cluttergen_jax.assets.pool import composed
     from cluttergen_jax.learning.training.distributed import join
-    from cluttergen_jax.learning.training.train import run_training, train_config
+    from cluttergen_jax.learning.training.train import as_in_paper, run_training, train_config
 
     if variant == "guided":
         from cluttergen_jax.learning.training.guided import train_guided
@@ -102,6 +107,8 @@ def train(
         return train_guided(num_attempts, seed, out, show)
     config = train_config(given | {"pool": composed(pool, exclude)})
     join(coordinator, num_processes, process_id)
+    if paper:
+        config = as_in_paper(config, show)
     return run_training(config, show=show)
 
 

@@ -133,15 +133,11 @@ def test_two_updates_of_brax_ppo(wrapping):
 
 
 @pytest.mark.slow
-def test_brax_own_trainer(monkeypatch):
-    # Brax 0.14.2 asks JAX for a function that JAX 0.10 has no more.
-    copies = lambda tree, devices: jax.tree.map(lambda x: jnp.stack([x] * len(devices)), tree)  # noqa: E731
-    monkeypatch.setattr(jax, "device_put_replicated", copies, raising=False)
+def test_brax_own_trainer():
     env, seen = made_up_env(auto_reset=False), []
-    ppo.train(
-        environment=env,
+    cg.train_brax(
+        env,
         num_timesteps=2048,
-        episode_length=env.episode_length,
         num_envs=16,
         unroll_length=8,
         batch_size=16,
@@ -158,6 +154,13 @@ def test_brax_own_trainer(monkeypatch):
     assert seen[-1][0] >= 2048
     assert np.isfinite(float(seen[-1][1]["training/total_loss"]))
     assert float(seen[-1][1]["eval/avg_episode_length"]) <= env.episode_length
+    assert ppo.jax is jax
+    assert not hasattr(jax, "device_put_replicated")
+
+
+def test_brax_brings_its_own_resets():
+    with pytest.raises(ConfigError, match="auto_reset=False"):
+        cg.train_brax(made_up_env(auto_reset=True), num_timesteps=16)
 
 
 def test_environment_from_names(pool):

@@ -14,9 +14,10 @@ from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.policy import TrainedPolicy, make_policy
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.physics import make_physics
+from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
-from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.proportions import wilson
 
 _FRESH = 0x5EED
@@ -64,10 +65,20 @@ class Evaluator:
           params: the weights; they are evaluated at half precision, as they are stored.
         """
         params = jax.tree.map(lambda leaf: np.float32(np.float16(leaf)), params)
-        sampler = BlockSampler(self.rules, replace(self._policy, params=params))
+        return {
+            **self._success(replace(self._policy, params=params)),
+            "action": "sampled" if self.is_sampled else "mean",
+            "last_check_steps": self.rules.physics.config.stand_full_steps,
+        }
+
+    def random(self) -> dict[str, Any]:
+        """The success of `random` in as many episodes of the same world: what a policy has to beat."""
+        return self._success(make_proposer("random", self.rules))
+
+    def _success(self, proposer: Proposer) -> dict[str, Any]:
         key = jax.random.fold_in(new_key(self.seed), _FRESH)
         width = min(BLOCK_SIZE, self.num_episodes)
-        scenes = self._rollout.run_all(sampler, key, self.num_episodes, width)
+        scenes = self._rollout.run_all(BlockSampler(self.rules, proposer), key, self.num_episodes, width)
         found = scenes.is_success
         low, high = wilson(int(found.sum()), len(found))
         return {
@@ -76,6 +87,4 @@ class Evaluator:
             "high95": high,
             "filled": float(scenes.is_filled.mean()),
             "episodes": len(found),
-            "action": "sampled" if self.is_sampled else "mean",
-            "last_check_steps": self.rules.physics.config.stand_full_steps,
         }

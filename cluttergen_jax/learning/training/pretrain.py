@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -192,6 +193,27 @@ def _seeds(config: PretrainConfig, is_held_out: bool) -> list[int]:
     """Of the shapes of each family: even ones to learn from, odd ones to test with."""
     count = config.num_held_out if is_held_out else config.num_shapes
     return [2 * (1000 * config.seed + k) + is_held_out for k in range(count)]
+
+
+def pretrain_for(network: NetworkConfig, folder: Path, show: Callable[[str], None]) -> None:
+    """Pretrains the encoder of a policy's network into a folder, unless that is done.
+
+    Raises:
+      ConfigError: the folder holds a pretraining that was begun with other settings.
+      KeyboardInterrupt: on Ctrl-C, once everything is saved.
+    """
+    if is_pretrained(folder):
+        return
+    show(f"encoder    {folder}, pretrained first: the paper's method keeps it frozen; minutes on two cores")
+    sizes = ("object_points", "num_centroids", "group_size", "object_features", "scene_features")
+    values = {name: getattr(network, name) for name in sizes}
+    Pretraining(PretrainConfig(replace(small(network.scene_encoder), **values)), folder).run()
+
+
+def is_pretrained(folder: Path) -> bool:
+    """Whether a folder holds the weights of a whole pretraining."""
+    record = folder / "record.json"
+    return record.exists() and checkpoint.read_record(folder).get("held_out_accuracy") is not None
 
 
 def small(encoder: str) -> NetworkConfig:

@@ -18,7 +18,14 @@ from cluttergen_jax.learning.ppo.sharding import make_mesh
 from cluttergen_jax.learning.training import distributed
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.memory import check_memory
-from cluttergen_jax.learning.training.run_logger import Evaluate, Logger, NullLogger, RunConfig, RunLogger
+from cluttergen_jax.learning.training.run_logger import (
+    Evaluate,
+    Evaluation,
+    Logger,
+    NullLogger,
+    RunConfig,
+    RunLogger,
+)
 from cluttergen_jax.learning.training.updates import Updates, num_updates
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.env import PlacementEnv
@@ -45,6 +52,7 @@ class Run:
       recipe: JSON values stored in every checkpoint.
       evaluate: says how good weights are; None leaves evaluations out.
       encoder_weights: folder of pretrained weights that the point encoders begin with.
+      random: says how good `random` is in the same world, for the end of the run; None leaves it out.
     """
 
     def __init__(
@@ -57,6 +65,7 @@ class Run:
         recipe: dict[str, Any],
         evaluate: Evaluate | None = None,
         encoder_weights: Path | None = None,
+        random: Callable[[], Evaluation] | None = None,
     ) -> None:
         self.config, self.folder = config, folder
         self.recipe = recipe | {"kind": KIND}
@@ -64,7 +73,7 @@ class Run:
         env = PlacementEnv(rules, self.agent.observation)
         self.ppo = PPO(env, self.agent.apply, ppo, make_mesh(ppo.num_envs), self.agent.encode)
         self._encoder_weights = encoder_weights
-        self._evaluate = evaluate
+        self._evaluate, self._random = evaluate, random
         folder.mkdir(parents=True, exist_ok=True)
 
     def start(self) -> TrainState:
@@ -167,8 +176,10 @@ class Run:
         """The evaluation of a whole run's weights, unless that is there already."""
         if self._evaluate is None or distributed.agree(logger.is_evaluated)[0, 0]:
             return
-        logger.say("evaluating")
+        logger.say("evaluating" if self._random is None else "evaluating, beside `random` in the same world")
         evaluation = self._evaluate(jax.device_get(state.params))
+        if self._random is not None:
+            evaluation |= {"random": self._random()}
         logger.add_evaluation(state, evaluation)
         logger.save_policy(state, evaluation)
 

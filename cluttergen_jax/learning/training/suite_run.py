@@ -18,7 +18,7 @@ from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.learning.ppo.checkpoint import check_folder, has_state, read_record
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.learning.training.presets import make_settings, paper
-from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretraining, small
+from cluttergen_jax.learning.training.pretrain import is_pretrained, pretrain_for
 from cluttergen_jax.learning.training.suite import POOLS, SEEDS, PlannedRun, plan
 from cluttergen_jax.learning.training.train import TrainConfig, recipe_of, run_training
 from cluttergen_jax.progress import time_text
@@ -138,18 +138,10 @@ def _with_encoder(
     network = next((network for network in networks if network.encoder_frozen), None)
     if network is None or base.encoder or base.encoder_weights:
         return base
-    kind = network.scene_encoder
-    folder = root / f"encoder-{kind}"
-    if not suite_list and not _is_trained(folder):
-        show(f"encoder    {folder}, pretrained first: the paper's method keeps it frozen")
-        sizes = {name: getattr(network, name) for name in ("object_points", "num_centroids", "group_size")}
-        features = {name: getattr(network, name) for name in ("object_features", "scene_features")}
-        Pretraining(PretrainConfig(dataclasses.replace(small(kind), **sizes, **features)), folder).run()
+    folder = root / f"encoder-{network.scene_encoder}"
+    if not suite_list:
+        pretrain_for(network, folder, show)
     return dataclasses.replace(base, encoder_weights=str(folder))
-
-
-def _is_trained(encoder: Path) -> bool:
-    return (encoder / "record.json").exists() and read_record(encoder).get("held_out_accuracy") is not None
 
 
 def _standing(config: TrainConfig, run: PlannedRun) -> RunStatus:
@@ -158,7 +150,7 @@ def _standing(config: TrainConfig, run: PlannedRun) -> RunStatus:
     Raises:
       ConfigError: its folder holds a run with other settings.
     """
-    if config.encoder_weights is None or _is_trained(Path(config.encoder_weights)):
+    if config.encoder_weights is None or is_pretrained(Path(config.encoder_weights)):
         settings = config.settings()
         check_folder(config.folder, recipe_of(config, settings))
     else:

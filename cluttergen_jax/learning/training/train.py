@@ -99,6 +99,40 @@ def train_config(given: Mapping[str, Any]) -> TrainConfig:
     return TrainConfig(**known | texts)
 
 
+_PAPER_PRESETS = ("paper", "paper_code", "paper_cpu")
+
+
+def as_in_paper(config: TrainConfig, show: Callable[[str], None] = print) -> TrainConfig:
+    """The config with the paper's head, a preset by the machine, and an encoder, pretrained if there is none.
+
+    A preset of the paper's and a variant that are given stay.
+
+    Raises:
+      ConfigError: another preset or variant was given.
+    """
+    import jax
+
+    from cluttergen_jax.learning.training.presets import make_settings
+    from cluttergen_jax.learning.training.pretrain import pretrain_for
+
+    if config.preset not in ("cpu", *_PAPER_PRESETS):
+        raise ConfigError(
+            f"preset = {config.preset!r} with paper", ", ".join(_PAPER_PRESETS), "leaving preset out"
+        )
+    by_machine: Preset = "paper_cpu" if jax.default_backend() == "cpu" else "paper"
+    preset = by_machine if config.preset == "cpu" else config.preset
+    variant = "beta_free" if config.variant == "policy" else config.variant
+    config = dataclasses.replace(config, preset=preset, variant=variant)
+    show(f"paper      preset {preset}, variant {variant}")
+    if config.encoder or config.encoder_weights:
+        return config
+    network = make_settings(preset, variant).network
+    sizes = f"{network.scene_encoder}-{network.object_features}-{network.object_points}"
+    folder = config.folder.parent / f"encoder-{sizes}"
+    pretrain_for(network, folder, show)
+    return dataclasses.replace(config, encoder_weights=str(folder))
+
+
 def run_training(
     config: TrainConfig,
     settings: Settings | None = None,
@@ -148,6 +182,7 @@ def run_training(
         recipe,
         evaluate if config.eval_episodes else None,
         None if config.encoder_weights is None else Path(config.encoder_weights),
+        evaluate.random if config.eval_episodes else None,
     ).train(show, interrupt)
     say(f"done       policy in {config.folder / 'policy'}, curve in {config.folder / 'curve.png'}")
     return config.folder / "policy"
