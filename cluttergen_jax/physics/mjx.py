@@ -81,14 +81,19 @@ class _Checks(struct.PyTreeNode):
 _Run = TypeVar("_Run", _Attempts, _Checks)
 
 
+_SLOW = (
+    "compiling engine 'jax' for {number} convex parts: half a minute for four, minutes for ninety; on a CPU"
+    " it then runs tens to hundreds of times slower than engine 'native', which compiles in seconds"
+)
+
+
 class MjxPhysics(OneScenePhysics):
     """`protocol.Physics` on MJX.
 
     Args:
       layout: the compiled world.
       config: when an object stands still.
-      impl: "warp" (an NVIDIA GPU; slowly, a CPU) or "jax" (wherever XLA runs, for few simple objects: it
-        compiles a collision function for every pair of distinct meshes).
+      impl: "warp" (an NVIDIA GPU; slowly, a CPU) or "jax" (wherever XLA runs; slow).
       options: of Warp.
 
     Raises:
@@ -106,6 +111,8 @@ class MjxPhysics(OneScenePhysics):
         super().__init__(config, one_scene(self.settle_batch), one_scene(self.stand_batch))
         self.layout = layout
         self.scenes = MjxScenes(layout, impl, options)
+        if impl == "jax" and jax.default_backend() == "cpu":
+            self.compiling = _SLOW.format(number=layout.model.ngeom)
 
     def settle_batch(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
         """`settle` for scenes with one leading axis."""

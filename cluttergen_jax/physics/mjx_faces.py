@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from mujoco.mjx._src import collision_convex
 
@@ -36,16 +37,13 @@ def faces_first() -> Iterator[None]:
 
 def _preferring_faces(original: Callable[..., Any]) -> Callable[..., tuple[Array, Array, Array]]:
     def test(*args: Array) -> tuple[Array, Array, Array]:
-        dist, pos, normal = original(*args)
-        shape, (edges_a, edges_b, normals_a, normals_b) = args[:-4], args[-4:]
-        # An edge without length is never taken, so this is what the faces alone say.
-        no_edge = jnp.repeat(edges_a[:1, :1], 2, axis=1)
-        face = original(*shape, no_edge, edges_b[:1], normals_a[:1], normals_b[:1])
-        is_flat = jnp.abs(jnp.sum(normal[0] * face[2][0])) > _SAME_NORMAL
-        return (
-            jnp.where(is_flat, face[0], dist),
-            jnp.where(is_flat, face[1], pos),
-            jnp.where(is_flat, face[2], normal),
-        )
+        shape, (edges_a, *rest) = args[:-4], args[-4:]
+        # Edges without length are never taken: what the faces alone say. Both in one go compile as one.
+        both = jnp.stack([edges_a, jnp.repeat(edges_a[:, :1], 2, axis=1)])
+        found = jax.vmap(lambda edges: original(*shape, edges, *rest))(both)
+        normal = found[2][:, 0]
+        is_flat = jnp.abs(normal[0] @ normal[1]) > _SAME_NORMAL
+        dist, pos, normal = (jnp.where(is_flat, each[1], each[0]) for each in found)
+        return dist, pos, normal
 
     return test

@@ -24,6 +24,7 @@ from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.mjx_contacts import ContactRows
 from cluttergen_jax.physics.mjx_faces import faces_first
+from cluttergen_jax.physics.mjx_pairs import Pairs
 from cluttergen_jax.types import Array
 
 IMPLEMENTATIONS = ("warp", "jax")
@@ -91,7 +92,10 @@ class MjxScenes:
             # MJX's Newton solver, in float32, throws a box on the table upwards at 7 m/s in one drop of ten
             # if contacts are firmer; softer by a few micrometres they are solved.
             model.geom_solimp[:, :2] = np.minimum(model.geom_solimp[:, :2], _FIRMEST)
-            self._model, self._blank = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
+            self._model = mjx.put_model(model, impl="jax")
+            self._pairs = Pairs(model, self._model, layout.num_objects)
+            with self._pairs.in_place():
+                self._blank = mjx.make_data(model, impl="jax")
             return
         if not mjx_warp.WARP_INSTALLED:
             raise MissingExtraError("gpu", "the Warp engine")
@@ -179,7 +183,7 @@ class MjxScenes:
             data = data.tree_replace({"_impl.overflow": jnp.zeros_like(data._impl.overflow)})
         if self._options.sleeps:
             data = self._asleep(data, ~may_move, is_awake & may_move)
-        with nullcontext() if self._is_warp else faces_first():
+        with nullcontext() if self._is_warp else self._pairs.in_place():
             after = jax.vmap(mjx.step, in_axes=(None, 0))(self._model, data)
         # The warm start of those that stay is left as it is, and is right for the next step: with zeros there
         # the solver would find it worse than a cold start and throw away that of the others too.
@@ -216,7 +220,7 @@ class MjxScenes:
     def overflowed(self, data: mjx.Data) -> Array:
         """bool[N]: the last step lost contacts or constraints. A full contact list concerns all scenes."""
         if not self._is_warp:
-            return jnp.zeros(len(data.qpos), bool)
+            return jax.vmap(self._pairs.overflowed, in_axes=(None, 0))(self._model, data)
         return (data._impl.overflow & _LOST) != 0
 
     def contacts(self, poses: Array) -> tuple[ContactRows, Array]:
@@ -248,7 +252,7 @@ class MjxScenes:
     def _contacts_in_jax(self, poses: Array) -> ContactRows:
         data = self._released(self._blank, poses)
         with faces_first():
-            for stage in (mjx.kinematics, mjx.collision):
+            for stage in (mjx.kinematics, self._pairs.collided):
                 data = jax.vmap(stage, in_axes=(None, 0))(self._model, data)
         contact = data._impl.contact
         num_scenes, num_contacts = contact.dist.shape

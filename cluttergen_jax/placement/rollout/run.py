@@ -245,7 +245,7 @@ def sample_blocks(
         progress.update(number)
 
     with Progress("compiling", sum(rows for _, rows in blocks), "scene") as progress:
-        progress.say(COMPILING)
+        progress.say(getattr(sampler.rules.physics, "compiling", COMPILING))
         for block, rows in blocks:
             yield block, *sample_block(rollout, sampler, block, rows, seed, told)
 

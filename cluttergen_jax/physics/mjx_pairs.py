@@ -1,0 +1,169 @@
+"""Collisions of pure-JAX MJX by one function for all pairs of convex parts.
+
+MJX compiles a function of its own for every pair of distinct meshes: seconds each, and ten objects have
+hundreds of pairs. Here all parts are filled up to one size (corners, faces and edges that stand there twice
+change nothing), so that one function, MJX's own, serves every pair, in blocks. Of many pairs only the nearest
+are looked at, by their boxes; a scene in which more are near is told by `Pairs.overflowed`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from flax import struct
+from mujoco import mjx
+from mujoco.mjx._src import collision_convex, collision_driver, math, mesh
+from mujoco.mjx._src.collision_types import ConvexInfo, GeomInfo
+
+from cluttergen_jax.physics.mjx_faces import faces_first
+from cluttergen_jax.types import Array
+
+_POINTS = 4
+"""Contacts that MJX's function gives of a pair."""
+_BLOCK = 8
+"""Pairs side by side; more are no faster, and take memory."""
+_NEAR_PAIRS, _CONTACTS = 24, 48
+"""For each object: pairs that are looked at, and contacts that are kept, the deepest."""
+
+
+class _Shapes(struct.PyTreeNode):
+    """All convex parts, filled up to one size, each in its own frame.
+
+    Attributes:
+      vert: f32[S, V, 3]; face: f32[S, F, W, 3], corners; face_normal: f32[S, F, 3].
+      edge: i32[S, E, 2], corners' indices; edge_face_normal: f32[S, E, 2, 3].
+    """
+
+    vert: Array
+    face: Array
+    face_normal: Array
+    edge: Array
+    edge_face_normal: Array
+
+
+class Pairs:
+    """The pairs of parts of a model that may touch, and how they are collided.
+
+    Args:
+      model: of boxes and meshes, all of the same contact parameters but for friction, and condim.
+      mjx_model: the same on the device.
+      num_objects: that move.
+    """
+
+    def __init__(self, model: mujoco.MjModel, mjx_model: mjx.Model, num_objects: int) -> None:
+        shapes = [_shape(model, mjx_model, geom) for geom in range(model.ngeom)]
+        self._shapes = _filled_up(shapes)
+        found = [(one, two) for one, two, _ in collision_driver.geom_pairs(model)]
+        # MJX takes the one with fewer corners first.
+        sizes = [len(shape.vert) for shape in shapes]
+        self._geom = np.array([sorted(pair, key=lambda geom: sizes[geom]) for pair in found]).reshape(-1, 2)
+        self._condim = int(model.geom_condim.max(initial=1))
+        self._num_near = min(len(found), _NEAR_PAIRS * num_objects)
+        self._num_contacts = min(_POINTS * self._num_near, _CONTACTS * num_objects)
+
+    @contextmanager
+    def in_place(self) -> Iterator[None]:
+        """While MJX's data is made or a step is traced, this stands in place of MJX's collisions."""
+        with faces_first():
+            before = collision_driver.collision, collision_driver.make_condim
+            collision_driver.collision, collision_driver.make_condim = self.collided, self._condims
+            try:
+                yield
+            finally:
+                collision_driver.collision, collision_driver.make_condim = before
+
+    def _condims(self, *_: object, **__: object) -> np.ndarray:
+        return np.full(self._num_contacts, self._condim)
+
+    def overflowed(self, model: mjx.Model, data: mjx.Data) -> Array:
+        """bool: more pairs were near than are looked at, or there are more contacts than are kept."""
+        if not len(self._geom):
+            return jnp.asarray(False)
+        is_near = self._gaps(model, data) < 0
+        return (jnp.sum(is_near) > self._num_near) | (
+            self._num_contacts < _POINTS * self._num_near
+        ) & jnp.all(data._impl.contact.dist < 0)
+
+    def collided(self, model: mjx.Model, data: mjx.Data) -> mjx.Data:
+        """The data of one scene with its contacts, as `mjx.collision` gives it."""
+        if not len(self._geom):
+            return data
+        geom = jnp.asarray(self._geom)
+        if self._num_near < len(self._geom):
+            geom = geom[jax.lax.top_k(-self._gaps(model, data), self._num_near)[1]]
+
+        def touch(pair: Array) -> tuple[Array, Array, Array]:
+            one, two = (self._placed(model, data, part) for part in pair)
+            return collision_convex._convex_convex(one, two)
+
+        dist, pos, normal = jax.lax.map(touch, geom, batch_size=_BLOCK)
+        dist, geom = dist.ravel(), jnp.repeat(geom, _POINTS, axis=0)
+        pos, normal = pos.reshape(-1, 3), normal.reshape(-1, 3)
+        if self._num_contacts < len(dist):
+            deepest = jax.lax.top_k(-dist, self._num_contacts)[1]
+            dist, pos, normal, geom = (each[deepest] for each in (dist, pos, normal, geom))
+        friction = jnp.maximum(model.geom_friction[geom[:, 0]], model.geom_friction[geom[:, 1]])
+        contact = data._impl.contact.replace(
+            dist=dist,
+            pos=pos,
+            frame=jax.vmap(math.make_frame)(normal),
+            includemargin=jnp.zeros_like(dist),
+            friction=friction[:, [0, 0, 1, 2, 2]],
+            solref=model.geom_solref[geom[:, 0]],
+            solreffriction=jnp.zeros((len(dist), mujoco.mjNREF)),
+            solimp=model.geom_solimp[geom[:, 0]],
+            geom1=geom[:, 0],
+            geom2=geom[:, 1],
+            geom=geom,
+        )
+        return data.tree_replace({"_impl.contact": contact})
+
+    def _placed(self, model: mjx.Model, data: mjx.Data, geom: Array) -> ConvexInfo:
+        shape = jax.tree.map(lambda array: jnp.asarray(array)[geom], self._shapes)
+        return ConvexInfo(data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom], **vars(shape))
+
+    def _gaps(self, model: mjx.Model, data: mjx.Data) -> Array:
+        """f32[P], metres: at most the distance of each pair, from one's box to the other's ball."""
+        center, half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]
+        middle = data.geom_xpos + jnp.einsum("gij,gj->gi", data.geom_xmat, center)
+        radius = jnp.linalg.norm(half, axis=-1)
+
+        def gap(box: np.ndarray, ball: np.ndarray) -> Array:
+            away = jnp.einsum("pji,pj->pi", data.geom_xmat[box], middle[ball] - middle[box])
+            return jnp.linalg.norm(jnp.maximum(jnp.abs(away) - half[box], 0.0), axis=-1) - radius[ball]
+
+        one, two = self._geom.T
+        return jnp.maximum(gap(one, two), gap(two, one))
+
+
+def _shape(model: mujoco.MjModel, mjx_model: mjx.Model, geom: int) -> _Shapes:
+    """One geom's, not filled up, without an axis of shapes."""
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        found = mjx_model._impl.mesh_convex[model.geom_dataid[geom]]
+    else:
+        box = mesh.box(
+            GeomInfo(jnp.zeros((1, 3)), jnp.eye(3)[None], jnp.asarray(model.geom_size[geom])[None])
+        )
+        found = box.replace(vert=box.vert[0], face=box.face[0])
+    return _Shapes(*(np.asarray(getattr(found, field.name)) for field in fields(_Shapes)))
+
+
+def _filled_up(shapes: list[_Shapes]) -> _Shapes:
+    """All shapes as one, with first rows once more where others have more."""
+
+    def stacked(*arrays: np.ndarray) -> np.ndarray:
+        rows = max(len(array) for array in arrays)
+        return np.stack([np.concatenate([a, np.repeat(a[:1], rows - len(a), axis=0)]) for a in arrays])
+
+    width = max(shape.face.shape[1] for shape in shapes)
+    even = [
+        shape.replace(face=np.pad(shape.face, ((0, 0), (0, width - shape.face.shape[1]), (0, 0)), "edge"))
+        for shape in shapes
+    ]
+    return jax.tree.map(stacked, *even)
