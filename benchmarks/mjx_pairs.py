@@ -1,7 +1,7 @@
 """Engine `jax` on a CPU: one collision function for all pairs beside MJX's own, a function a pair.
 
-Scenes of the objects in a row, let go and watched to the end of an attempt and of the last check, each case in
-a process of its own; nothing is taken from a compilation cache.
+Scenes of the objects in a row, let go and watched to the end of an attempt and of the last check, each case
+in a process of its own; nothing is taken from a compilation cache.
 
     python -m benchmarks.mjx_pairs [--write]
 """
@@ -84,7 +84,7 @@ def measure(case: str, num_scenes: int) -> dict[str, Any]:
     poses = np.tile(layout.parked.astype(np.float32), (num_scenes, 1, 1))
     is_placed = np.zeros(poses.shape[:2], bool)
     for k, asset in enumerate(chosen[:3]):
-        poses[:, k, :2] = (0.2 * (k - 1), 0.0) + rng.uniform(-0.02, 0.02, (num_scenes, 2))
+        poses[:, k, :2] = rng.uniform(-0.02, 0.02, (num_scenes, 2)) + np.array([0.2 * (k - 1), 0.0])
         poses[:, k, 2], poses[:, k, 3:] = layout.top + asset.half_extents[2] + 0.001, (1, 0, 0, 0)
         is_placed[:, k] = True
     focus, is_active = np.zeros(num_scenes, int), np.ones(num_scenes, bool)
