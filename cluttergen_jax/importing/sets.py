@@ -121,7 +121,11 @@ def known_sets(root: Path, files: Iterable[Path], name: str = AUTO) -> tuple[Kno
         raise ConfigError(f"set = {name!r}{did_you_mean(name, layouts())}", allowed)
     real = [each.resolve() for each in files]
     tried = layouts() if name == AUTO else {name: layouts()[name]}
-    found = tuple(KnownSet(key, each, home) for key, each in tried.items() for home in _homes(each, real))
+    at: dict[Path, KnownSet] = {}
+    for key, each in tried.items():
+        # Google's scans in SDF are folders as Gazebo's models are: the first that fits a folder is it.
+        at |= {home: KnownSet(key, each, home) for home in _homes(each, real) if home not in at}
+    found = tuple(at.values())
     return found or (() if name == AUTO else (KnownSet(name, layouts()[name], root.resolve()),))
 
 
