@@ -33,7 +33,9 @@ def test_command_takes_up_what_was_made_before(tmp_path, capsys):
     assert [row["support"] for row in rows] == list(SUPPORTS)
     # Its times would be others if it had been made again.
     assert rows[0] == first
-    assert {path.suffix for path in tmp_path.iterdir() if path.is_file()} == {".md", ".csv", ".tex", ".json"}
+    assert {path.suffix for path in tmp_path.iterdir() if path.is_file()} == {
+        *(".md", ".csv", ".tex", ".json", ".png"),
+    }
     shown, said = capsys.readouterr()
     assert shown.startswith("| pool | support | objects | method | success [95 %] |")
     assert "2 rows, 1 kept from before, 1 to be made\n" in said

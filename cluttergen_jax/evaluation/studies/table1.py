@@ -103,8 +103,8 @@ def imported_trials(scale: Scale) -> tuple[Trial, ...]:
 
 
 def first_seed(scale: Scale) -> tuple[Trial, ...]:
-    """Those of the first seed of training, which other figures look at more closely."""
-    return tuple(trial for trial in trials(scale) if trial.training_seed == 0)
+    """Those of the first seed of training, which other figures look at more closely, but free heights."""
+    return tuple(each for each in trials(scale) if each.training_seed == 0 and each.height != "free")
 
 
 _OF_SEEDS = (
