@@ -191,7 +191,7 @@ def test_environment_with_clouds(pool):
 def test_settings_are_those_of_the_sampler_and_the_same_by_default():
     ours, theirs = (inspect.signature(make).parameters for make in (cg.make_env, cg.make_sampler))
     shared = set(ours) & set(theirs)
-    of_methods = {"method", "checkpoint", "clutter", "natural", "tidy"}
+    of_methods = {"method", "checkpoint", "clutter", "natural", "tidy", "height"}
     assert set(theirs) - shared == of_methods | {"max_retries"}
     assert {name: ours[name].default for name in shared} == {name: theirs[name].default for name in shared}
 
