@@ -57,9 +57,8 @@ def decompositions(
     first, is_few = sets[0] or one, len(sets[0]) <= enough
     if is_few:
         yield first
-    # Which cuts leave few parts is a matter of luck.
-    is_near = len(first) <= 2 * FEW if enough == FEW else enough < len(first) <= 1.5 * enough
-    for other in _others(config) if is_near else ():
+    # Which cuts leave few parts of a can is a matter of luck.
+    for other in _others(config) if enough == FEW and len(first) <= 2 * FEW else ():
         (few,) = merged(_run(solid, other, jitter), solid, _LIMITS[:1], enough, config.max_parts)
         if 0 < len(few) <= enough:
             yield few
