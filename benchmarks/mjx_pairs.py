@@ -56,14 +56,14 @@ class _OwnOfMjx:
     def __init__(self, *given: object) -> None:
         del given
 
-    def in_place(self) -> AbstractContextManager[None]:
+    def replacing_mjx(self) -> AbstractContextManager[None]:
         return faces_first()
 
     def overflowed(self, model: mjx.Model, data: mjx.Data) -> jax.Array:
         del model, data
         return jnp.asarray(False)
 
-    def collided(self, model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    def find_contacts(self, model: mjx.Model, data: mjx.Data) -> mjx.Data:
         return mjx.collision(model, data)
 
 

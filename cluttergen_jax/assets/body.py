@@ -103,7 +103,7 @@ def make_object(shape: Shape, config: BodyConfig | None = None) -> ObjectAsset:
     return next(object_variants(shape, config))
 
 
-def weighed(shape: Shape) -> tuple[Shape, Solid, MassProperties]:
+def with_mass(shape: Shape) -> tuple[Shape, Solid, MassProperties]:
     """The shape with a note on its mass if that is not taken as stated, its solid, and its mass.
 
     Raises:
@@ -124,7 +124,7 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
     to step. They are yielded as they are made; the parts are found only once.
     """
     config = config or BodyConfig()
-    shape, solid, mass = weighed(shape)
+    shape, solid, mass = with_mass(shape)
     if shape.is_pose_free and (turn := _usual_turn(solid, mass)) is not None:
         rotation, note = turn
         shape = replace(shape.turned(rotation), notes=(*shape.notes, note))

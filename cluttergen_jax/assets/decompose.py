@@ -11,7 +11,7 @@ import numpy as np
 
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.deviation import hull_deviation
-from cluttergen_jax.assets.merging import ALWAYS, FEW, merged, parts_enough
+from cluttergen_jax.assets.merging import ALWAYS, FEW, merge_parts, parts_enough
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.solid import Solid, simplified
@@ -53,13 +53,13 @@ def decompositions(
         yield one
         return
     enough = parts_enough(solid)
-    sets = merged(_run(solid, config, jitter), solid, _LIMITS, enough, config.max_parts)
+    sets = merge_parts(_run(solid, config, jitter), solid, _LIMITS, enough, config.max_parts)
     first, is_few = sets[0] or one, len(sets[0]) <= enough
     if is_few:
         yield first
     # Which cuts leave few parts of a can is a matter of luck.
     for other in _others(config) if enough == FEW and len(first) <= 2 * FEW else ():
-        (few,) = merged(_run(solid, other, jitter), solid, _LIMITS[:1], enough, config.max_parts)
+        (few,) = merge_parts(_run(solid, other, jitter), solid, _LIMITS[:1], enough, config.max_parts)
         if 0 < len(few) <= enough:
             yield few
     if not is_few:
@@ -86,7 +86,7 @@ def _run(solid: Solid, config: DecompositionConfig, jitter: float) -> list[np.nd
     found = coacd.run_coacd(
         coacd.Mesh(mesh.vertices, mesh.faces),
         threshold=config.threshold,
-        # Its own merging changes the object more than `merged` does, but is far faster.
+        # Its own merging changes the object more than `merge_parts` does, but is far faster.
         max_convex_hull=_MOST_RAW,
         preprocess_mode="off",
         resolution=config.resolution,

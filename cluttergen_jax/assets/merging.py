@@ -31,7 +31,7 @@ def parts_enough(solid: Solid) -> int:
     return FEW if is_full and find_hollow(solid) is None else _OTHER_PARTS
 
 
-def merged(
+def merge_parts(
     parts: Sequence[np.ndarray], solid: Solid, limits: Sequence[float], enough: int, most: int
 ) -> list[list[np.ndarray]]:
     """For each limit, the parts with neighbours made one, the pair first whose hull is nearest to the solid.

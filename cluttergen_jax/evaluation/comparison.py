@@ -153,6 +153,7 @@ def _draw(rows: Sequence[dict[str, Any]], stem: Path) -> None:
         axis.bar(range(len(bars)), y, yerr=np.abs(ends - y), color=colours, capsize=2)
         axis.set_xticks(range(len(bars)), [row["row"] for row in bars], rotation=30, ha="right")
         axis.set_ylim(0, 1.03)
+        axis.set_axisbelow(True)
         plots.prepare(axis, f"{place[0]} on {place[1]}, {bars[0]['objects']} objects", "", "success")
     plots.save(figure, stem, ("png",))
 

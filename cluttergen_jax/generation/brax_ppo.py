@@ -1,10 +1,10 @@
-"""Brax's own PPO in our environment, with a JAX that has left behind what Brax asks for."""
+"""Brax's own PPO in our environment, with a newer JAX than Brax was written for."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
-from unittest.mock import patch
 
 import jax
 import jax.numpy as jnp
@@ -45,7 +45,15 @@ def train_brax(env: Env, num_timesteps: int, **settings: Any) -> tuple[Any, Any,
     if getattr(env, "auto_reset", False):
         raise ConfigError("an environment that resets itself", "make_env(..., auto_reset=False)")
     length = settings.pop("episode_length", None) or env.episode_length
-    # Only Brax's module sees another JAX, and only where it is needed.
-    stand_in = jax if hasattr(jax, "device_put_replicated") else _JaxAsBraxKnowsIt()
-    with patch.object(ppo, "jax", stand_in):
+    with _old_jax_in(ppo):
         return ppo.train(environment=env, num_timesteps=num_timesteps, episode_length=length, **settings)
+
+
+@contextmanager
+def _old_jax_in(module: Any) -> Iterator[None]:
+    """While it is entered, one module sees a JAX with what JAX has no more; nobody else does."""
+    module.jax = jax if hasattr(jax, "device_put_replicated") else _JaxAsBraxKnowsIt()
+    try:
+        yield
+    finally:
+        module.jax = jax

@@ -148,12 +148,12 @@ class Crew:
     def _heard(self) -> list[_Worker]:
         """Workers that have said something, have died, or have had their time."""
         busy = [worker for worker in self._workers if worker.task is not None]
-        left = [self._time_of(worker.task) - worker.used() for worker in busy if worker.began]
+        left = [self._time_of(worker.task) - worker.seconds_used() for worker in busy if worker.began]
         ready = wait([worker.pipe for worker in busy], max(min([_LONGEST_WAIT, *left]), 0.0))
         return [worker for worker in busy if worker.pipe in ready or self._is_late(worker)]
 
     def _is_late(self, worker: _Worker) -> bool:
-        return worker.began > 0 and worker.used() >= self._time_of(worker.task)
+        return worker.began > 0 and worker.seconds_used() >= self._time_of(worker.task)
 
     def _time_of(self, task: _Task | None) -> float:
         if self._limit is None or task is None:
@@ -187,7 +187,8 @@ class Crew:
         task = worker.task
         assert task is not None
         self._workers.remove(worker)
-        seconds, used = (time.monotonic() - worker.began, worker.used()) if worker.began else (0.0, 0.0)
+        seconds = time.monotonic() - worker.began if worker.began else 0.0
+        used = worker.seconds_used() if worker.began else 0.0
         cpu_seconds = worker.ended(is_late)
         if not worker.began and worker.exit_code != _KILLED:
             self._check_start(worker)
@@ -314,7 +315,7 @@ class _Worker:
         with suppress(BrokenPipeError, ConnectionResetError):
             self.pipe.send(what)
 
-    def used(self) -> float:
+    def seconds_used(self) -> float:
         """Seconds of its task so far: the processor's, where the system tells them."""
         passed, cpu = time.monotonic() - self.began, _cpu_seconds(self._process.pid)
         return passed if cpu is None else max(cpu - self.cpu_before, passed / _PATIENCE)

@@ -254,7 +254,7 @@ def import_sources(
     old = read_pool(user_pool_folder(pool_name)) if config.add else None
     known = None if config.force and old is None else user_root() / pool_name
     planned = plan_all(sources, config.object.read, config.settings, known, config.layout, config.take_all)
-    _check_kin(known, planned.objects, config)
+    _check_name_is_free(known, planned.objects, config)
     jobs, unreadable = _jobs(planned.objects, config)
     made: dict[str, ObjectAsset] = {} if config.force else _loaded(jobs)
     missing = [job for job in jobs if job.source.name not in made]
@@ -303,7 +303,7 @@ def _check_name(name: str) -> None:
         )
 
 
-def _check_kin(known: Path | None, planned: Sequence[Planned], config: ImportConfig) -> None:
+def _check_name_is_free(known: Path | None, planned: Sequence[Planned], config: ImportConfig) -> None:
     """Refuses, before any work, a pool's name that other objects have."""
     if known is None or not known.exists() or config.force or config.add or not planned:
         return
@@ -312,10 +312,10 @@ def _check_kin(known: Path | None, planned: Sequence[Planned], config: ImportCon
     except ClutterGenError:
         return
     if held.isdisjoint(public_path(each.source.path) for each in planned):
-        raise _taken(known.name)
+        raise _name_taken(known.name)
 
 
-def _taken(name: str) -> PoolError:
+def _name_taken(name: str) -> PoolError:
     return PoolError(
         f"pool {name!r} exists and holds something else",
         "a new name",
@@ -438,7 +438,7 @@ def _write(name: str, objects: tuple[ObjectAsset, ...], old: Pool | None, config
     if path.exists() and (not config.force or old is not None) and _is_same(path, pool):
         return path
     if path.exists() and not config.force and old is None:
-        raise _taken(name)
+        raise _name_taken(name)
     return write_pool(path, pool, overwrite=config.force or old is not None)
 
 

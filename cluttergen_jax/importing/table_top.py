@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluttergen_jax.assets.body import weighed
+from cluttergen_jax.assets.body import with_mass
 from cluttergen_jax.assets.config import MAX_MASS, MAX_SIZE
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.object import ObjectAsset
@@ -74,7 +74,7 @@ class Limits:
         mass = stated if shape.mass is None else shape.mass
         is_light = max(mass, sides.prod() * shape.density) <= self.mass
         if sides.max() <= self.size - _HAIR and not is_light:
-            mass = weighed(shape)[2].mass
+            mass = with_mass(shape)[2].mass
         return self.beyond(name, sides, mass)
 
     def beyond_as_made(self, name: str, asset: ObjectAsset) -> LeftOut | None:

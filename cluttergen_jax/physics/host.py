@@ -12,6 +12,7 @@ from jax.experimental.buffer_callback import buffer_callback
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.physics.report import empty_settling, empty_standing
+from cluttergen_jax.progress import COMPILING
 from cluttergen_jax.types import Array, Settling, Standing
 
 HostFunction = Callable[..., Any]
@@ -24,6 +25,9 @@ class OneScenePhysics:
       config: when an object stands still.
       settle_one, stand_one: take arrays of the types that the interface names.
     """
+
+    compiling = COMPILING
+    """What to say before its programs are compiled."""
 
     def __init__(self, config: StabilityConfig, settle_one: HostFunction, stand_one: HostFunction) -> None:
         self.config = config

@@ -48,7 +48,7 @@ class _Shapes(struct.PyTreeNode):
 
 
 class Pairs:
-    """The pairs of parts of a model that may touch, and how they are collided.
+    """The pairs of parts of a model that may touch, and how they are find_contacts.
 
     Args:
       model: of boxes and meshes, all of the same contact parameters but for friction, and condim.
@@ -58,7 +58,7 @@ class Pairs:
 
     def __init__(self, model: mujoco.MjModel, mjx_model: mjx.Model, num_objects: int) -> None:
         shapes = [_shape(model, mjx_model, geom) for geom in range(model.ngeom)]
-        self._shapes = _filled_up(shapes)
+        self._shapes = _with_one_size(shapes)
         found = [(one, two) for one, two, _ in collision_driver.geom_pairs(model)]
         # MJX takes the one with fewer corners first.
         sizes = [len(shape.vert) for shape in shapes]
@@ -68,11 +68,11 @@ class Pairs:
         self._num_contacts = min(_POINTS * self._num_near, _CONTACTS * num_objects)
 
     @contextmanager
-    def in_place(self) -> Iterator[None]:
+    def replacing_mjx(self) -> Iterator[None]:
         """While MJX's data is made or a step is traced, this stands in place of MJX's collisions."""
         with faces_first():
             before = collision_driver.collision, collision_driver.make_condim
-            collision_driver.collision, collision_driver.make_condim = self.collided, self._condims
+            collision_driver.collision, collision_driver.make_condim = self.find_contacts, self._condims
             try:
                 yield
             finally:
@@ -90,7 +90,7 @@ class Pairs:
             self._num_contacts < _POINTS * self._num_near
         ) & jnp.all(data._impl.contact.dist < 0)
 
-    def collided(self, model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    def find_contacts(self, model: mjx.Model, data: mjx.Data) -> mjx.Data:
         """The data of one scene with its contacts, as `mjx.collision` gives it."""
         if not len(self._geom):
             return data
@@ -99,7 +99,7 @@ class Pairs:
             geom = geom[jax.lax.top_k(-self._gaps(model, data), self._num_near)[1]]
 
         def touch(pair: Array) -> tuple[Array, Array, Array]:
-            one, two = (self._placed(model, data, part) for part in pair)
+            one, two = (self._convex_at(model, data, part) for part in pair)
             return collision_convex._convex_convex(one, two)
 
         dist, pos, normal = jax.lax.map(touch, geom, batch_size=_BLOCK)
@@ -124,7 +124,7 @@ class Pairs:
         )
         return data.tree_replace({"_impl.contact": contact})
 
-    def _placed(self, model: mjx.Model, data: mjx.Data, geom: Array) -> ConvexInfo:
+    def _convex_at(self, model: mjx.Model, data: mjx.Data, geom: Array) -> ConvexInfo:
         shape = jax.tree.map(lambda array: jnp.asarray(array)[geom], self._shapes)
         return ConvexInfo(data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom], **vars(shape))
 
@@ -154,7 +154,7 @@ def _shape(model: mujoco.MjModel, mjx_model: mjx.Model, geom: int) -> _Shapes:
     return _Shapes(*(np.asarray(getattr(found, field.name)) for field in fields(_Shapes)))
 
 
-def _filled_up(shapes: list[_Shapes]) -> _Shapes:
+def _with_one_size(shapes: list[_Shapes]) -> _Shapes:
     """All shapes as one, with first rows once more where others have more."""
 
     def stacked(*arrays: np.ndarray) -> np.ndarray:

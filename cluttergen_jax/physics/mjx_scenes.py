@@ -94,7 +94,7 @@ class MjxScenes:
             model.geom_solimp[:, :2] = np.minimum(model.geom_solimp[:, :2], _FIRMEST)
             self._model = mjx.put_model(model, impl="jax")
             self._pairs = Pairs(model, self._model, layout.num_objects)
-            with self._pairs.in_place():
+            with self._pairs.replacing_mjx():
                 self._blank = mjx.make_data(model, impl="jax")
             return
         if not mjx_warp.WARP_INSTALLED:
@@ -183,7 +183,7 @@ class MjxScenes:
             data = data.tree_replace({"_impl.overflow": jnp.zeros_like(data._impl.overflow)})
         if self._options.sleeps:
             data = self._asleep(data, ~may_move, is_awake & may_move)
-        with nullcontext() if self._is_warp else self._pairs.in_place():
+        with nullcontext() if self._is_warp else self._pairs.replacing_mjx():
             after = jax.vmap(mjx.step, in_axes=(None, 0))(self._model, data)
         # The warm start of those that stay is left as it is, and is right for the next step: with zeros there
         # the solver would find it worse than a cold start and throw away that of the others too.
@@ -252,7 +252,7 @@ class MjxScenes:
     def _contacts_in_jax(self, poses: Array) -> ContactRows:
         data = self._released(self._blank, poses)
         with faces_first():
-            for stage in (mjx.kinematics, self._pairs.collided):
+            for stage in (mjx.kinematics, self._pairs.find_contacts):
                 data = jax.vmap(stage, in_axes=(None, 0))(self._model, data)
         contact = data._impl.contact
         num_scenes, num_contacts = contact.dist.shape

@@ -13,9 +13,14 @@ class Physics(Protocol):
 
     Both functions are pure and may be called under `jit`, `vmap` (of `vmap`), `cond`, `while_loop` and
     `scan`. Index k is object k of the compiled world. An inactive scene costs nothing and returns its input.
+
+    Attributes:
+      config: when an object stands still.
+      compiling: what to say before its programs are compiled.
     """
 
     config: StabilityConfig
+    compiling: str
 
     def settle(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
         """One attempt: lets go of the focus object among the placed ones.

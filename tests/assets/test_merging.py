@@ -8,7 +8,7 @@ from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose
 from cluttergen_jax.assets.deviation import deviation, is_within_parts
 from cluttergen_jax.assets.hollow import find_hollow
-from cluttergen_jax.assets.merging import merged, parts_enough
+from cluttergen_jax.assets.merging import merge_parts, parts_enough
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.solid import solid_of
@@ -49,7 +49,7 @@ def test_what_was_covered_is_covered_after_merging():
     solid = can()
     rng = np.random.default_rng(0)
     pieces = np.split(rng.uniform(-0.03, 0.03, (200, 3)), 20)
-    (fewer,) = merged(pieces, solid, (0.01,), enough=4, most=6)
+    (fewer,) = merge_parts(pieces, solid, (0.01,), enough=4, most=6)
     assert len(fewer) <= 6
     for points in pieces:
         hull = hull_of(points)
@@ -60,21 +60,21 @@ def test_what_was_covered_is_covered_after_merging():
 def test_boxes_side_by_side_are_one_where_little_lies_between_them(gap, count):
     boxes = [slab((0.03, 0.03, 0.03), (sign * (0.03 + gap / 2), 0, 0)) for sign in (-1, 1)]
     parts = [box.vertices for box in boxes]
-    (fewer,) = merged(parts, solid_of(boxes), (0.05,), enough=1, most=32)
+    (fewer,) = merge_parts(parts, solid_of(boxes), (0.05,), enough=1, most=32)
     assert len(fewer) == count
 
 
 def test_walls_of_an_open_box_stay_apart():
     slabs = open_box_slabs()
     parts = [each.vertices for each in slabs]
-    (fewer,) = merged(parts, solid_of(slabs), (0.05,), enough=1, most=32)
+    (fewer,) = merge_parts(parts, solid_of(slabs), (0.05,), enough=1, most=32)
     assert len(fewer) == len(parts)
 
 
 def test_a_smaller_limit_merges_less_and_as_if_it_were_alone():
     slabs = [slab((0.01, 0.03, 0.02 + 0.006 * step), (0.02 * step, 0, 0)) for step in range(8)]
     parts, solid = [each.vertices for each in slabs], solid_of(slabs)
-    few, many = merged(parts, solid, (0.05, 0.021), enough=1, most=32)
+    few, many = merge_parts(parts, solid, (0.05, 0.021), enough=1, most=32)
     assert len(few) < len(many) <= 8
-    (alone,) = merged(parts, solid, (0.021,), enough=1, most=32)
+    (alone,) = merge_parts(parts, solid, (0.021,), enough=1, most=32)
     assert [len(each) for each in alone] == [len(each) for each in many]

@@ -27,6 +27,7 @@ class HalfTable:
 
     config: StabilityConfig = field(default_factory=StabilityConfig)
     stands: bool = True
+    compiling: str = "compiling"
 
     def settle(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
         is_stable = poses[focus, 0] > 0

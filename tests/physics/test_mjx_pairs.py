@@ -39,7 +39,7 @@ def on_device(model):
 def scenes(model, pairs, number=24):
     """Parts near one another and the table, turned at random."""
     rng = np.random.default_rng(0)
-    with pairs.in_place():
+    with pairs.replacing_mjx():
         blank = mjx.make_data(model, impl="jax")
     poses = rng.normal(size=(number, 3, 7))
     poses[..., :3] = rng.uniform((-0.03, -0.03, 0.03), (0.03, 0.03, 0.09), (number, 3, 3))
@@ -62,7 +62,7 @@ def depths(data):
 def test_the_contacts_are_those_of_mjx(model, on_device):
     pairs = Pairs(model, on_device, 3)
     data = scenes(model, pairs)
-    ours = jax.vmap(lambda each: pairs.collided(on_device, mjx.kinematics(on_device, each)))(data)
+    ours = jax.vmap(lambda each: pairs.find_contacts(on_device, mjx.kinematics(on_device, each)))(data)
     own = jax.vmap(lambda qpos: mjx.make_data(model, impl="jax").replace(qpos=qpos))(data.qpos)
     with faces_first():
         theirs = jax.vmap(lambda each: mjx.collision(on_device, mjx.kinematics(on_device, each)))(own)
@@ -82,7 +82,7 @@ def test_more_pairs_than_are_looked_at_are_told(model, on_device, monkeypatch):
     told = []
     for qpos in (data.qpos, apart):
         placed = jax.vmap(lambda each: mjx.kinematics(on_device, each))(data.replace(qpos=qpos))
-        found = jax.vmap(lambda each: pairs.collided(on_device, each))(placed)
+        found = jax.vmap(lambda each: pairs.find_contacts(on_device, each))(placed)
         assert found._impl.contact.dist.shape[1] == 4 * 3
         told.append(np.asarray(jax.vmap(lambda each: pairs.overflowed(on_device, each))(found)))
     assert told[0].mean() > 0.9

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy, save_state
 from cluttergen_jax.learning.ppo.ppo import PPOConfig, TrainState
 from cluttergen_jax.learning.training import metrics_log
-from cluttergen_jax.learning.training.beside_random import told_beside_random
+from cluttergen_jax.learning.training.random_comparison import comparison_lines
 from cluttergen_jax.learning.training.updates import Figures
 from cluttergen_jax.progress import Progress
 
@@ -149,7 +149,7 @@ class RunLogger:
             f"[{found['low95']:.3f}, {found['high95']:.3f}] ({found['episodes']} episodes, {found['action']})"
         )
         if "random" in found:
-            for line in told_beside_random(found, self._updates.rows):
+            for line in comparison_lines(found, self._updates.rows):
                 self.say(line)
 
     def close(self) -> None:

@@ -14,7 +14,7 @@ from cluttergen_jax.physics.host import HostPhysics
 from cluttergen_jax.placement.rollout.blocks import BlockSampler
 from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch
 from cluttergen_jax.placement.types import Episode, Transition
-from cluttergen_jax.progress import COMPILING, Progress, interruptible
+from cluttergen_jax.progress import Progress, interruptible
 from cluttergen_jax.types import Array
 
 MAX_PROGRAMS = 16
@@ -245,7 +245,7 @@ def sample_blocks(
         progress.update(number)
 
     with Progress("compiling", sum(rows for _, rows in blocks), "scene") as progress:
-        progress.say(getattr(sampler.rules.physics, "compiling", COMPILING))
+        progress.say(sampler.rules.physics.compiling)
         for block, rows in blocks:
             yield block, *sample_block(rollout, sampler, block, rows, seed, told)
 

@@ -1,4 +1,4 @@
-"""What a run has come to: beside `random` in the same world, and what its curve suggests is missing."""
+"""A trained policy compared with `random` in the same world, and advice where it is not better."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _EASY = 0.95
 _FALLS_LATE, _FEWEST = 0.15, 8
 
 
-def difference(one: Mapping[str, float], other: Mapping[str, float]) -> tuple[float, float]:
+def difference_interval(one: Mapping[str, float], other: Mapping[str, float]) -> tuple[float, float]:
     """The 95 % interval of the difference of two rates (Newcombe, 1998, method 10).
 
     Args:
@@ -26,7 +26,7 @@ def difference(one: Mapping[str, float], other: Mapping[str, float]) -> tuple[fl
     return between - below, between + above
 
 
-def told_beside_random(evaluation: Mapping[str, Any], rows: Sequence[Mapping[str, float]]) -> list[str]:
+def comparison_lines(evaluation: Mapping[str, Any], rows: Sequence[Mapping[str, float]]) -> list[str]:
     """Lines: the success of `random`, and where the policy is not better, that, and what may be missing.
 
     Args:
@@ -36,17 +36,17 @@ def told_beside_random(evaluation: Mapping[str, Any], rows: Sequence[Mapping[str
     random = evaluation["random"]
     rate = f"{random['success']:.3f} [{random['low95']:.3f}, {random['high95']:.3f}]"
     found = f"random     {rate} in the same world ({random['episodes']} episodes): the policy is"
-    low, high = difference(evaluation, random)
+    low, high = difference_interval(evaluation, random)
     if low > 0:
         return [f"{found} better by {low:.3f} to {high:.3f}"]
     verdict = "worse" if high < 0 else "not better"
     return [
         f"{found} {verdict}; the difference lies between {low:.3f} and {high:.3f}",
-        f"missing    {_missing(evaluation, rows)}",
+        f"advice     {_advice(evaluation, rows)}",
     ]
 
 
-def _missing(evaluation: Mapping[str, Any], rows: Sequence[Mapping[str, float]]) -> str:
+def _advice(evaluation: Mapping[str, Any], rows: Sequence[Mapping[str, float]]) -> str:
     """What the run most likely lacks."""
     if evaluation["random"]["success"] > _EASY:
         return "nothing: `random` fills this world. More objects or a smaller support make it harder"

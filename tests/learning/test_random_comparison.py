@@ -6,7 +6,7 @@ from cluttergen_jax import train
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training import pretrain
-from cluttergen_jax.learning.training.beside_random import difference, told_beside_random
+from cluttergen_jax.learning.training.random_comparison import comparison_lines, difference_interval
 from cluttergen_jax.learning.training.train import TrainConfig, as_in_paper
 from cluttergen_jax.proportions import wilson
 
@@ -19,19 +19,19 @@ def rate(share, trials=256):
 def told(policy, random, curve, training_success=None):
     rows = [{"success": each, "attempts": 3200.0 * (k + 1)} for k, each in enumerate(curve)]
     known = {"random": rate(random), "training_success": training_success or policy}
-    return " ".join(told_beside_random(rate(policy) | known, rows))
+    return " ".join(comparison_lines(rate(policy) | known, rows))
 
 
 def test_the_interval_of_a_difference():
     # Newcombe (1998), table II: 56/70 and 48/80, method 10.
-    low, high = difference(rate(56 / 70, 70), rate(48 / 80, 80))
+    low, high = difference_interval(rate(56 / 70, 70), rate(48 / 80, 80))
     assert (low, high) == pytest.approx((0.0524, 0.3339), abs=2e-4)
-    assert difference(rate(0.5), rate(0.5))[0] < 0 < difference(rate(0.5), rate(0.5))[1]
+    assert difference_interval(rate(0.5), rate(0.5))[0] < 0 < difference_interval(rate(0.5), rate(0.5))[1]
 
 
 def test_a_policy_that_is_better_needs_no_advice():
     assert "better by 0.1" in told(0.7, 0.5, [0.7] * 20)
-    assert "missing" not in told(0.7, 0.5, [0.7] * 20)
+    assert "advice" not in told(0.7, 0.5, [0.7] * 20)
 
 
 @pytest.mark.parametrize(
