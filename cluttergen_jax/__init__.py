@@ -46,6 +46,7 @@ from cluttergen_jax.api.robot import robot_grasps, robot_place
 from cluttergen_jax.api.train import train, train_suite
 from cluttergen_jax.api.verify import verify
 from cluttergen_jax.api.view import view
+from cluttergen_jax.spec import SceneOptions, SceneSpec
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.pool import find_pool as load_pool
@@ -74,6 +75,8 @@ __all__ = [
     "Sampler",
     "Scene",
     "SceneBatch",
+    "SceneOptions",
+    "SceneSpec",
     "certify",
     "evaluate",
     "evaluate_suite",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
 from typing import Any, Literal, get_args
@@ -24,6 +24,9 @@ Method = Literal[
     "open_loop",
     "short_memory",
 ]
+METHODS: tuple[Method, ...] = get_args(Method)
+TRUSTED_METHODS = ("spread", "guided")
+"""Those that ask what carries what, and that take objects away when they are stuck unless told otherwise."""
 HAND = "hand"
 """The method of banks that people made; it proposes nothing by itself."""
 Variant = Literal["guided", "policy", "beta", "beta_free", "normal", "open_loop", "short_memory"]
@@ -35,6 +38,7 @@ VARIANTS: tuple[Variant, ...] = get_args(Variant)
 `open_loop` and `short_memory` look back on nothing and on one attempt."""
 Preset = Literal["cpu", "gpu", "paper", "paper_code", "paper_cpu"]
 Engine = Literal["auto", "native", "warp", "jax"]
+ENGINES: tuple[Engine, ...] = get_args(Engine)
 Order = Literal["random", "fixed", "largest", "weighted"]
 Setting = Literal["default", "paper"]
 Containment = Literal["center", "footprint"]
@@ -84,6 +88,45 @@ def no_such(what: str, name: str, known: Iterable[str]) -> ConfigError:
     if name in REMOVED:
         return ConfigError(f"{what} {name!r}, which was removed", ", ".join(known), REMOVED[name])
     return ConfigError(f"{what} {name!r}", ", ".join(known), meant=closest(name, known))
+
+
+def check_engine(engine: str) -> None:
+    """Refuses what is no engine.
+
+    Raises:
+      ConfigError: it names those that there are.
+    """
+    if engine not in ENGINES:
+        raise ConfigError(
+            f"engine = {engine!r}",
+            ", ".join(ENGINES),
+            "engine native, which runs everywhere",
+            closest(engine, ENGINES),
+        )
+
+
+def check_range(name: str, value: int, least: int, most: int, example: int) -> None:
+    """Refuses what is no whole number from `least` to `most`.
+
+    Raises:
+      ConfigError: it names the argument.
+    """
+    check_whole(**{name: value})
+    if not least <= value <= most:
+        raise ConfigError(f"{name} = {value}", f"{least} to {most}", f"{name}={example}")
+
+
+def check_whole(**numbers: object) -> None:
+    """Refuses what is no whole number; None is let through."""
+    for name, value in numbers.items():
+        if value is not None and (isinstance(value, bool) or not isinstance(value, Integral)):
+            raise ConfigError(f"{name} = {value!r}", "a whole number")
+
+
+def check_names(names: Sequence[str], argument: str) -> None:
+    """Refuses a single name, whose letters would be taken for names."""
+    if isinstance(names, str):
+        raise ConfigError(f"{argument} = {names!r}", "a sequence of names", f"{argument}=({names!r},)")
 
 
 def _is_positive(value: object) -> bool:

@@ -3,64 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.config import (
     Change,
     Engine,
-    Height,
     Method,
-    Order,
     PlacerHead,
-    Setting,
     Suite,
+    check_names,
+    check_whole,
     check_workers,
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.spec import EvaluateOptions, SceneSpec, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from cluttergen_jax.evaluation.comparison import Comparison
     from cluttergen_jax.evaluation.studies.study import Result
 
 _TRIALS = 1000
-_NOT_DOWNSTREAM = ("methods", "checkpoint", "checkpoints", "cluster")
-_DOWNSTREAM = ("heads", "num_pairs", "bank")
-"""What only some suites know."""
+_SUPPORTS = ("table",)
 
 
 @with_own_settings
+@takes_spec(EvaluateOptions, num_objects=10)
 def evaluate(
     methods: Sequence[Method] = (),
     pools: Sequence[str] = (),
-    supports: Sequence[str] = ("table",),
+    supports: Sequence[str] = _SUPPORTS,
+    spec: SceneSpec | None = None,
     *,
-    num_objects: int = 10,
     trials: int | None = None,
     seed: int = 0,
-    max_attempts: int = 5,
-    order: Order | None = None,
-    ruin_after: int | None = None,
-    budget: int | None = None,
-    min_margin: float | None = None,
-    setting: Setting = "default",
-    height: Height = "rest",
-    repeat: bool = False,
     change: Change = "none",
-    exclude: Sequence[str] = (),
-    checkpoint: str | Path | None = None,
     checkpoints: str | Path | None = None,
-    engine: Engine = "auto",
-    num_threads: int = 0,
     fresh: bool = False,
     out: str | Path | None = None,
     cluster: str | None = None,
     workers: int = 0,
+    **options: Unpack[EvaluateOptions],
 ) -> Comparison:
     """Compares methods: success rates with 95 % intervals, objects placed, effort and speed.
+
+    The arguments that are not explained here are those of `SceneSpec`; they hold for all rows, and where
+    rules are not given each method has its own.
 
     Args:
       methods: "random", "clear", "drop", "spread", "guided", and policies trained for the pool: "policy",
@@ -70,26 +60,14 @@ def evaluate(
       pools: names or folders, or several joined by +; dining if not given, and what each study asks for in a
         suite.
       supports: names or folders; "table-0.40x0.50" is a cuboid of that size, all of it the queried region.
-      num_objects: objects per scene.
+      spec: what is asked for; its pool, support and method are rows where `pools`, `supports` and `methods`
+        name none.
       trials: scenes per row; 1000 if not given, and what each study asks for in a suite.
       seed: of the scenes.
-      max_attempts: per object.
-      order, ruin_after, budget, min_margin: as `generate` takes them, for all rows; where they are not given,
-        each method has its own.
-      setting: what holds of these where they are not given: "default", or "paper" for the paper's rules (a
-        random order, nothing taken away, no margin), as in a suite.
-      height: at which `random` lets go, "rest" or "free", as `generate` takes it; the other methods lower
-        what they place.
-      repeat: let objects stand there more than once.
       change: how the queried region is changed at random in every episode: "none", "translation",
         "rotation", "shrinkage", "expansion" or "all".
-      exclude: names of objects to leave out of each pool; exclude=("mug",) is the same as pools="dining~mug".
-      checkpoint: a policy's folder, for the rows of the method that it was trained as; other learned methods
-        have the embedded ones.
       checkpoints: a folder of training runs (POOL-VARIANT, with -attemptsA and -SEED behind it where those
         differ), instead of the embedded ones of single pools.
-      engine: "auto", "native", "warp" or "jax".
-      num_threads: simulation threads; 0 takes every core.
       fresh: make rows again that are at hand.
       out: where everything goes: the table, and rows, which are not made again. With None a function writes
         nothing of a comparison; the command takes out/evaluation, and a suite out/SUITE.
@@ -99,6 +77,8 @@ def evaluate(
         measured of scenes are made here.
       workers: worker processes on the cluster, of `num_threads` cores each, one if that is 0; 0 takes as many
         as it has room for.
+      options: fields of `SceneSpec`, in place of those of `spec`; a `checkpoint` is for the rows of the
+        method that it was trained as, other learned methods have the embedded ones.
 
     Returns:
       The table and its rows. One that cannot be made (no policy, too few objects in a pool) has no figures
@@ -112,46 +92,49 @@ def evaluate(
     from cluttergen_jax.assets.pool import composed
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.evaluation.comparison import compare, open_runner
+    from cluttergen_jax.evaluation.studies.rules import with_rules_of
     from cluttergen_jax.evaluation.studies.study import grid
     from cluttergen_jax.evaluation.trial import Trial
-    from cluttergen_jax.learning.methods import methods_of, rules_asked
-    from cluttergen_jax.placement.setup import check_names, check_whole
+    from cluttergen_jax.learning.methods import methods_of
 
-    given, place = locals(), cluster_of(cluster, workers)
+    place = cluster_of(cluster, workers)
     check_folder(out)
     check_whole(trials=trials)
-    for name in ("methods", "pools", "supports", "exclude"):
-        check_names(given[name], name)
-    check_workers("num_threads", num_threads)
+    check_names(methods, "methods")
+    check_names(pools, "pools")
+    check_names(supports, "supports")
     if not supports:
         raise ConfigError("supports = ()", "one name or more")
+    asked = spec_of(evaluate, spec, options, also=("pool", "support", "method"))
+    if tuple(supports) == _SUPPORTS:
+        supports = (str(asked.support),)
+    if not methods and asked.method is not None:
+        methods = (asked.method,)
     base = Trial(
-        num_objects=num_objects,
-        attempts=max_attempts,
+        num_objects=10 if asked.num_objects is None else asked.num_objects,
+        attempts=asked.max_attempts,
         trials=_TRIALS if trials is None else trials,
         seed=seed,
-        repeat=repeat,
+        repeat=asked.repeat,
         change=change,
-        both_detectors=setting != "paper",
+        both_detectors=asked.setting != "paper",
     )
-    named = [composed(pool, exclude) for pool in pools or ("dining",)]
-    asked = [
-        trial
-        for pool in named
-        for trial in grid(base, pool=(pool,), support=supports, method=methods or methods_of(pool))
-    ]
-    if height != "rest" and all(trial.method != "random" for trial in asked):
-        raise ConfigError(f"height = {height!r} without a row of 'random'", hint="methods=('random',)")
     planned = [
-        replace(
-            trial,
-            **rules_asked(trial.method, max_attempts, given),
-            height=height if trial.method == "random" else "rest",
+        with_rules_of(trial, asked)
+        for pool in pools or (asked.pool,)
+        for trial in grid(
+            base,
+            pool=(composed(pool, asked.exclude),),
+            support=supports,
+            method=methods or methods_of(str(pool)),
         )
-        for trial in asked
     ]
+    if asked.height != "rest" and all(trial.method != "random" for trial in planned):
+        raise ConfigError(f"height = {asked.height!r} without a row of 'random'", hint="methods=('random',)")
     folder = None if out is None else Path(out)
-    runner = open_runner(folder, planned, checkpoint, checkpoints, engine, num_threads, fresh)
+    runner = open_runner(
+        folder, planned, asked.checkpoint, checkpoints, asked.engine, asked.num_threads, fresh
+    )
     if place is not None:
         runner.make_on(place, planned)
     return compare(runner, planned, folder)
@@ -219,19 +202,27 @@ def evaluate_suite(
     from cluttergen_jax.evaluation.studies.study import Scale
     from cluttergen_jax.evaluation.studies.time import TIME
     from cluttergen_jax.evaluation.suites import find_suite
-    from cluttergen_jax.placement.setup import check_names, check_whole
 
-    given, place = locals(), cluster_of(cluster, workers)
+    place = cluster_of(cluster, workers)
     check_folder(out)
     check_whole(trials=trials, seeds=seeds, num_pairs=num_pairs)
-    for name in ("only", "methods", "pools", "heads"):
-        check_names(given[name], name)
+    check_names(only, "only")
+    check_names(methods, "methods")
+    check_names(pools, "pools")
+    check_names(heads, "heads")
     check_workers("num_threads", num_threads)
     if seeds is not None and not 1 <= seeds <= 100:
         raise ConfigError(f"seeds = {seeds}", "1 to 100")
-    wrong = _NOT_DOWNSTREAM if suite == NAME else _DOWNSTREAM
-    if told := [name for name in wrong if given[name]]:
-        raise ConfigError(f"`{told[0]}` with suite {suite!r}", hint=f"leaving out `{told[0]}`")
+    others: dict[str, object] = {"heads": heads, "num_pairs": num_pairs, "bank": bank}
+    if suite == NAME:
+        others = {
+            "methods": methods,
+            "checkpoint": checkpoint,
+            "checkpoints": checkpoints,
+            "cluster": cluster,
+        }
+    if wrong := [name for name, value in others.items() if value]:
+        raise ConfigError(f"`{wrong[0]}` with suite {suite!r}", hint=f"leaving out `{wrong[0]}`")
     folder = suite_folder(suite, quick) if out is None else Path(out)
     if suite == NAME:
         by_hand = None if bank is None else Path(bank)

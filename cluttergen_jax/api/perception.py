@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cluttergen_jax.api.places import check_folder
-from cluttergen_jax.config import MAX_VIEWS, SegmenterInput, Split, check_noise, check_workers
+from cluttergen_jax.config import (
+    MAX_VIEWS,
+    Method,
+    SegmenterInput,
+    Split,
+    check_noise,
+    check_range,
+    check_workers,
+)
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.numerics import with_own_settings
 
@@ -16,7 +24,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.perception.views.stored import ViewSet
 
 _MOST_SEED = 999_999
-_METHODS = {"random": 5, "clear": 8, "drop": 8}
+_METHODS: dict[Method, int] = {"random": 5, "clear": 8, "drop": 8}
 """How scenes of views are made, and objects in each: rejection sampling fills few tables with more."""
 
 
@@ -69,7 +77,6 @@ def perception_data(
     from cluttergen_jax.downstream.perception.views.stored import VIEWS
     from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.downstream.splits import SPLITS
-    from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.rendering.gl import find_backend
 
     check_folder(out)
@@ -94,7 +101,7 @@ def perception_data(
             Path(out) / f"bank-{split}-{method}",
             pool=pool,
             support=support,
-            method=method,  # type: ignore[arg-type]
+            method=method,
             num_objects=min(num_objects or usual, most),
             num_scenes=max(num_scenes, 8),
             order="random",
@@ -149,7 +156,6 @@ def perception_train(
     from cluttergen_jax.downstream.perception.segment.examples import ViewSource
     from cluttergen_jax.downstream.perception.segment.network import SegmentConfig
     from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining
-    from cluttergen_jax.placement.setup import check_range
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_views is not None:
@@ -210,7 +216,6 @@ def perception_eval(
     """
     from cluttergen_jax.downstream.perception.evaluation.evaluate import evaluate_perception
     from cluttergen_jax.downstream.perception.views.stored import read_views
-    from cluttergen_jax.placement.setup import check_range
 
     check_folder(out)
     check_range("seed", seed, 0, _MOST_SEED, 0)

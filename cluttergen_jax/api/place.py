@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import Containment, Overhang
+from cluttergen_jax.config import Containment, Overhang, check_range
 from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
@@ -75,19 +76,26 @@ def place_by_hand(
       BankError: the folder holds something else, cannot be written, or is being written by another process.
       MissingExtraError: the extra `viewer` is not installed.
     """
-    from cluttergen_jax.assets.rectangle_text import parse_boxes, parse_region
-    from cluttergen_jax.assets.support_file import find_support
     from cluttergen_jax.generation.hand import HandBank, hand_setup
     from cluttergen_jax.generation.sources.viewing import place_web
-    from cluttergen_jax.placement.setup import check_range
 
     check_range("seed", seed, 0, _MOST, 0)
-    boxes = parse_boxes(keep_out, "keep_out")
-    if isinstance(region, str):
-        region = parse_region(region, find_support(support).region)
-    given = locals() | {"keep_out": boxes}
+    spec = SceneSpec(
+        pool=pool,
+        objects=objects,
+        exclude=exclude,
+        num_objects=num_objects,
+        repeat=repeat,
+        support=support,
+        region=region,
+        keep_out=keep_out,
+        containment=containment,
+        min_margin=min_margin,
+        overhang=overhang,
+        engine="native",
+    )
 
     def open_bank() -> HandBank:
-        return HandBank(out, hand_setup(given), boxes, seed, overwrite)
+        return HandBank(out, hand_setup(spec), spec.boxes(), seed, overwrite)
 
     return place_web(open_bank, host, port, browser, show)

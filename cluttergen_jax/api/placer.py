@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cluttergen_jax.api.places import check_folder
-from cluttergen_jax.config import MAX_PAIRS, Method, SensedFrom, Split, check_noise, check_workers
+from cluttergen_jax.config import (
+    MAX_PAIRS,
+    Method,
+    SensedFrom,
+    Split,
+    check_noise,
+    check_range,
+    check_workers,
+)
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
@@ -22,6 +32,7 @@ _MOST_SEED = 999_999
 def placer_data(
     out: str | Path = "pairs",
     bank: str | Path | None = None,
+    spec: SceneSpec | None = None,
     *,
     pool: str | Path | None = None,
     num_scenes: int | None = None,
@@ -43,8 +54,9 @@ def placer_data(
     Args:
       out: the folder; each split of it is made by a call of its own.
       bank: whose scenes; if not given, one is made in the folder.
-      pool, num_scenes, method, support, num_objects: of that bank, as `generate` takes them; household, 500
-        scenes, guided and the usual table if not given.
+      spec: what that bank is to be made of; household if not given.
+      pool, num_scenes, method, support, num_objects: of that bank, as `generate` takes them, in place of
+        those of `spec`; 500 scenes, guided and the usual table if not given.
       num_pairs: how many; if not given, one for each object of each scene that stands.
       split: train, val or test, by the seed of the bank: from 0, 1000000 or 2000000 on; of a bank that is
         given, its own, else train.
@@ -65,7 +77,6 @@ def placer_data(
     from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
     from cluttergen_jax.downstream.placer.pairs.stored import PAIRS
     from cluttergen_jax.downstream.splits import SPLITS
-    from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
     from cluttergen_jax.scene.bank.blocks import AGAIN
 
@@ -76,23 +87,29 @@ def placer_data(
         check_range("num_pairs", num_pairs, 1, MAX_PAIRS, 5000)
     if split is not None and split not in SPLITS:
         raise ConfigError(f"split = {split!r}", ", ".join(SPLITS))
-    asked = {
+    given = {
+        "spec": spec,
         "pool": pool,
         "num_scenes": num_scenes,
         "method": method,
         "support": support,
         "num_objects": num_objects,
     }
-    given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    first = next((name for name, value in given.items() if value is not None), None)
     if bank is None:
         name = split or "train"
         PAIRS.check_place(Path(out))
-        settings = {"pool": "household", "num_scenes": 500, **given, "seed": SPLITS[name] + seed}
-        place = Path(out) / f"bank-{name}"
-        settings |= {"num_threads": num_threads, "overwrite": overwrite}
-        found: Bank = generate(place, render=False, max_files=0, **settings)
-    elif given:
-        first = next(iter(given))
+        asked = spec or SceneSpec(pool="household")
+        found: Bank = generate(
+            Path(out) / f"bank-{name}",
+            replace(asked.replace_given(pool, method, support, num_objects), num_threads=num_threads),
+            num_scenes=500 if num_scenes is None else num_scenes,
+            seed=SPLITS[name] + seed,
+            render=False,
+            max_files=0,
+            overwrite=overwrite,
+        )
+    elif first:
         raise ConfigError(f"`{first}` together with `bank`", "one or the other", f"leaving out `{first}`")
     else:
         found = read_bank(bank)
@@ -147,7 +164,6 @@ def placer_eval(
     from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials, compare_placers
     from cluttergen_jax.downstream.placer.pairs.stored import read_pairs
     from cluttergen_jax.evaluation.store import Store
-    from cluttergen_jax.placement.setup import check_range
 
     check_folder(out)
     check_workers("num_threads", num_threads)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from cluttergen_jax.config import MAX_PAIRS, PlacerHead, PlacerLoss, PlacerNoise, PlacerPreset
+from cluttergen_jax.config import MAX_PAIRS, PlacerHead, PlacerLoss, PlacerNoise, PlacerPreset, check_range
 from cluttergen_jax.numerics import with_own_settings
 
 
@@ -57,7 +57,6 @@ def placer_train(
     from cluttergen_jax.downstream.placer.training.examples import ExampleSource
     from cluttergen_jax.downstream.placer.training.presets import preset as preset_of
     from cluttergen_jax.downstream.placer.training.run import PlacerTraining
-    from cluttergen_jax.placement.setup import check_range
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_pairs is not None:

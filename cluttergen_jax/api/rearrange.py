@@ -14,6 +14,7 @@ from cluttergen_jax.config import (
     PickOrder,
     Rearrangement,
     RobotObserver,
+    check_range,
     check_workers,
 )
 from cluttergen_jax.errors import ConfigError
@@ -114,7 +115,6 @@ def rearrange(
     from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.model import panda_folder
-    from cluttergen_jax.placement.setup import check_range
 
     check_folder(out)
     check_workers("num_threads", num_threads)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.api.text import parse_size, scene_numbers
-from cluttergen_jax.config import FilmFormat, PixelOrigin
+from cluttergen_jax.config import FilmFormat, PixelOrigin, check_range
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.rendering.config import CameraView, FilmConfig
@@ -114,7 +114,6 @@ def render(
     check_importable()
     from cluttergen_jax.generation.sources.bop import BopConfig
     from cluttergen_jax.generation.sources.rendering import Rendering
-    from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.rendering.scene_renderer import PictureConfig
 
     check_range("views", views, 1, _MOST_VIEWS, 4)

@@ -8,9 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.api.places import check_file, check_folder
-from cluttergen_jax.config import MAX_NOISE, FilmFormat, Method, RobotTask, check_workers
+from cluttergen_jax.config import (
+    MAX_NOISE,
+    FilmFormat,
+    Method,
+    RobotTask,
+    check_names,
+    check_range,
+    check_workers,
+)
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.query import Placer
@@ -63,7 +72,6 @@ def robot_grasps(
     from cluttergen_jax.assets.pool import find_pool
     from cluttergen_jax.downstream.robot.grasping.grasps import write_grasps
     from cluttergen_jax.downstream.robot.grasping.sets import grasp_sets
-    from cluttergen_jax.placement.setup import check_names, check_range
 
     check_file(out, "out", "grasps.parquet")
     check_file(picture, "picture", "grasps.png")
@@ -154,7 +162,6 @@ def robot_place(
     from cluttergen_jax.downstream.robot.trials import own_place, run_trials
     from cluttergen_jax.learning.methods import checkpoint_of
     from cluttergen_jax.learning.ppo.checkpoint import folder_hash
-    from cluttergen_jax.placement.setup import check_range
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
     from cluttergen_jax.scene.bank.scene import read_scenes, region_of
 
@@ -169,17 +176,18 @@ def robot_place(
     panda_folder()
     if films:
         check_films(film)
-    asked = {"pool": pool, "method": method, "support": support, "num_objects": num_objects, "region": region}
-    given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    given = {"pool": pool, "method": method, "support": support, "num_objects": num_objects, "region": region}
+    first = next((name for name, value in given.items() if value is not None), None)
     if bank is None:
         # In a random order the last object is any of the pool, not mostly a small one.
-        usual = {"pool": "household", "num_objects": _NUM_OBJECTS, "region": _REGION, "order": "random"}
-        settings = {**usual, **given, "num_scenes": num_episodes, "seed": seed}
-        found: Bank = generate(
-            Path(out) / "bank", render=False, max_files=0, num_threads=num_threads, **settings
+        usual = SceneSpec(pool="household", num_objects=_NUM_OBJECTS, region=_REGION, order="random")
+        asked = replace(
+            usual.replace_given(pool, method, support, num_objects, region), num_threads=num_threads
         )
-    elif given:
-        first = next(iter(given))
+        found: Bank = generate(
+            Path(out) / "bank", asked, num_scenes=num_episodes, seed=seed, render=False, max_files=0
+        )
+    elif first:
         raise ConfigError(f"`{first}` together with `bank`", "one or the other", f"leaving out `{first}`")
     else:
         found = read_bank(bank)

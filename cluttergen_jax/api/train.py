@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Unpack
 
 from cluttergen_jax.config import Change, Encoder, Engine, EvalAction, Preset, Reward, Suite, Variant
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.training.suite import POOLS, SEEDS
 from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.spec import SceneSpec, TrainOptions, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from cluttergen_jax.learning.training.suite_run import SuiteReport
+    from cluttergen_jax.learning.training.train import TrainConfig
 
 
 @with_own_settings
+@takes_spec(TrainOptions, num_objects=10)
 def train(
-    pool: str | Path = "dining",
-    support: str | Path = "table",
-    num_objects: int = 10,
+    spec: SceneSpec | str | Path | None = None,
     *,
-    exclude: Sequence[str] = (),
     change: Change = "none",
-    max_attempts: int = 5,
     paper: bool = False,
     preset: Preset = "cpu",
     variant: Variant = "policy",
@@ -36,7 +35,6 @@ def train(
     encoder_weights: str | Path | None = None,
     encoder_frozen: bool = False,
     out: str | Path | None = None,
-    engine: Engine = "auto",
     eval_every: int = 0,
     eval_episodes: int = 256,
     eval_action: EvalAction | None = None,
@@ -46,17 +44,16 @@ def train(
     num_processes: int | None = None,
     process_id: int | None = None,
     show: Callable[[str], None] = print,
+    **options: Unpack[TrainOptions],
 ) -> Path:
     """Trains a placement policy with PPO (`cluttergen train`). The same call takes up an interrupted run.
 
+    The arguments that are not explained here are those of `SceneSpec`.
+
     Args:
-      pool: a pool's name or folder, or several joined by +: dining+mine.
-      support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
-      num_objects: objects per scene.
-      exclude: names of the pool's objects to leave out; exclude=("mug",) is the same as pool="dining~mug".
+      spec: what is asked for, or a pool's name.
       change: how the queried region is changed at random in every episode: "none", "translation",
         "rotation", "shrinkage", "expansion" or "all".
-      max_attempts: per object, 1 to 10.
       paper: train as in the paper: variant "beta_free", preset "paper" with an accelerator and "paper_cpu"
         without, unless one of its presets or another variant is given; the encoder is pretrained first, in
         a folder beside the run's, where there is none. The whole run is 2,500,000 attempts: hours on two
@@ -75,7 +72,6 @@ def train(
       encoder_frozen: leave these weights as they are, as the paper's presets do unasked.
       out: the run's folder, runs/POOL-VARIANT-SEED (runs/guided-SEED) if not given; of a suite, the folder
         of all its runs.
-      engine: "auto", "native", "warp" or "jax".
       eval_every: attempts between evaluations; 0 evaluates at the end only.
       eval_episodes: fresh episodes of each evaluation; 0 leaves evaluations out.
       eval_action: "sampled", as `generate` acts and if not given, or "mean".
@@ -85,6 +81,7 @@ def train(
       num_processes: how many there are.
       process_id: which of them this is, from 0; the first one writes.
       show: is given the lines that tell how far the run is.
+      options: fields of `SceneSpec`, in place of those of `spec`: those that say in which world to train.
 
     Returns:
       The policy's folder: `checkpoint` of `make_sampler` and `generate`.
@@ -95,36 +92,63 @@ def train(
       DivergedError: numbers are not finite any more; the last good state is saved.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
-    given = dict(locals())
-    from cluttergen_jax.assets.pool import composed
     from cluttergen_jax.learning.training.distributed import join
-    from cluttergen_jax.learning.training.train import as_in_paper, run_training, train_config
+    from cluttergen_jax.learning.training.train import TrainConfig, as_in_paper, run_training
 
+    asked = spec_of(train, spec, options)
+    config = TrainConfig(
+        pool=asked.pool_text,
+        support=str(asked.support),
+        change=change,
+        num_objects=10 if asked.num_objects is None else asked.num_objects,
+        max_attempts=asked.max_attempts,
+        preset=preset,
+        variant=variant,
+        num_attempts=num_attempts,
+        num_envs=num_envs,
+        seed=seed,
+        reward=reward,
+        encoder=encoder,
+        encoder_weights=None if encoder_weights is None else str(encoder_weights),
+        encoder_frozen=encoder_frozen,
+        out=None if out is None else str(out),
+        engine=asked.engine,
+        eval_every=eval_every,
+        eval_episodes=eval_episodes,
+        eval_action=eval_action,
+        memory_limit=memory_limit,
+        wandb=wandb,
+    )
     if variant == "guided":
         from cluttergen_jax.learning.training.guided import train_guided
 
-        _refuse(given, _TAKEN_BY_GUIDED)
+        _check_guided(config, paper or coordinator is not None)
         return train_guided(num_attempts, seed, out, show)
-    config = train_config(given | {"pool": composed(pool, exclude)})
     join(coordinator, num_processes, process_id)
     if paper:
         config = as_in_paper(config, show)
     return run_training(config, show=show)
 
 
-_TAKEN_BY_GUIDED = ("variant", "seed", "num_attempts", "out", "show")
+_OF_GUIDED = ("variant", "seed", "num_attempts", "out")
 
 
-def _refuse(given: Mapping[str, Any], taken: Sequence[str]) -> None:
-    """Refuses arguments of `train` that a variant does not take and that are not at their defaults."""
-    kinds = inspect.signature(train).parameters
-    for name, value in given.items():
-        if name not in taken and value != kinds[name].default:
-            raise ConfigError(
-                f"{name} = {value!r} with variant {given['variant']!r}",
-                "seed, num_attempts and out: one network learns from shapes of the modeller, for every pool",
-                f"leaving {name} out",
-            )
+def _check_guided(config: TrainConfig, is_more: bool) -> None:
+    """Refuses arguments of `train` that "guided" does not take and that are not at their defaults.
+
+    Args:
+      is_more: something that is no field of `config` was given.
+    """
+    others = [each for each in fields(config) if each.name not in _OF_GUIDED]
+    given = [
+        f"{each.name} = {value!r}" for each in others if (value := getattr(config, each.name)) != each.default
+    ]
+    if given or is_more:
+        raise ConfigError(
+            f"{given[0] if given else 'paper, or several processes,'} with variant 'guided'",
+            "seed, num_attempts and out: one network learns from shapes of the modeller, for every pool",
+            "leaving it out",
+        )
 
 
 @with_own_settings
@@ -168,10 +192,24 @@ def train_suite(
       ConfigError: there is no such suite, nothing is left of it, or a folder holds a run of other settings.
       PoolError: one of the pools cannot be found.
     """
-    given = dict(locals())
     from cluttergen_jax.learning.training.suite_run import run_suite
-    from cluttergen_jax.learning.training.train import train_config
+    from cluttergen_jax.learning.training.train import TrainConfig
 
     root = Path(out or "runs")
-    base = train_config(given | {"out": root})
+    base = TrainConfig(
+        preset=preset,
+        num_attempts=num_attempts,
+        num_envs=num_envs,
+        reward=reward,
+        encoder=encoder,
+        encoder_weights=None if encoder_weights is None else str(encoder_weights),
+        encoder_frozen=encoder_frozen,
+        out=str(root),
+        engine=engine,
+        eval_every=eval_every,
+        eval_episodes=eval_episodes,
+        eval_action=eval_action,
+        memory_limit=memory_limit,
+        wandb=wandb,
+    )
     return run_suite(suite, base, root, pools, seeds, suite_only, suite_list, show)

@@ -14,8 +14,9 @@ from docstring_parser import parse
 
 from cluttergen_jax.cli.flags import FLAGS, option_help, options_of
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.spec import SceneSpec
 
-_NOT_AN_OPTION = "show"
+_NO_OPTIONS = ("show", "spec")
 
 
 class Options:
@@ -80,11 +81,8 @@ def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type
         for function in functions:
             docs = _docs(function) | docs
             for name, parameter in inspect.signature(function).parameters.items():
-                if name not in fields and name != _NOT_AN_OPTION:
-                    # One by one: some other annotation may name a type that takes long to import.
-                    kind = kinds.get(name) or _as_given(
-                        eval(parameter.annotation, inspect.unwrap(function).__globals__)
-                    )
+                if name not in fields and name not in _NO_OPTIONS:
+                    kind = kinds.get(name) or _as_given(_annotation(parameter, function))
                     is_needed = all(name in inspect.signature(each).parameters for each in functions)
                     fields[name] = (name, kind, _default(parameter.default, kind, is_needed))
         for name in kinds.keys() - fields.keys():
@@ -104,9 +102,18 @@ def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type
     return decorate
 
 
+def _annotation(parameter: inspect.Parameter, function: Callable[..., Any]) -> Any:
+    """The type of an argument; one by one, as some other's may take long to import."""
+    if isinstance(parameter.annotation, str):
+        return eval(parameter.annotation, inspect.unwrap(function).__globals__)
+    return parameter.annotation
+
+
 def _docs(function: Callable[..., Any]) -> dict[str, str]:
     """What a docstring says of each argument."""
-    params = parse(function.__doc__ or "").params
+    own = parse(function.__doc__ or "").params
+    # What a function says of an argument of its own, else what the request says of its fields.
+    params = [*parse(SceneSpec.__doc__ or "").params, *own] if hasattr(function, "spec_fields") else own
     return {name: each.description or "" for each in params for name in each.arg_name.split(", ")}
 
 

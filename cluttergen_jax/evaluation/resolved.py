@@ -14,12 +14,12 @@ from typing import Any
 from cluttergen_jax.assets.pool import Pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.config import ROBUST_TILT, StabilityConfig, no_such, stability_record
+from cluttergen_jax.config import METHODS, ROBUST_TILT, StabilityConfig, no_such, stability_record
 from cluttergen_jax.errors import ClutterGenError, ConfigError, PoolError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.evaluation.variant_pools import find_any_pool
-from cluttergen_jax.learning.methods import METHODS, checkpoint_of
+from cluttergen_jax.learning.methods import checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
 from cluttergen_jax.learning.training.suite import (

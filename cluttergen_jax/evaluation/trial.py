@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import public_name
+from cluttergen_jax.config import TRUSTED_METHODS
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.learning.methods import TRUSTED_METHODS
 from cluttergen_jax.placement.changes import find_change
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import PlacementConfig

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.types import Start
 
@@ -18,15 +16,6 @@ from cluttergen_jax.placement.types import Start
 def is_known(*arrays: Any) -> bool:
     """Whether all these are numbers, not tracers."""
     return not any(isinstance(each, jax.core.Tracer) for each in arrays)
-
-
-def check_known(unknown: Mapping[str, Any], function: Callable[..., Any]) -> None:
-    """Refuses keywords that a function does not have; the nearest that it has is named."""
-    if unknown:
-        kinds = inspect.signature(function).parameters
-        names = [name for name, each in kinds.items() if each.kind is not inspect.Parameter.VAR_KEYWORD]
-        given = next(iter(unknown))
-        raise ConfigError(f"{function.__name__}({given}=...)", ", ".join(names), meant=closest(given, names))
 
 
 def check_key(key: Any, call: str = "sample") -> None:

@@ -13,12 +13,11 @@ import numpy as np
 import pyarrow as pa
 from flax import struct
 
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import ContactConfig, StabilityConfig, check_range
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation.arguments import check_key, is_known
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.placement.region import from_pose
-from cluttergen_jax.placement.setup import check_range
 from cluttergen_jax.scene import SceneCollection
 from cluttergen_jax.scene.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.hub import find_bank

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Never
+from typing import TYPE_CHECKING, Unpack
 
-from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.config import Change, check_range, check_whole
 from cluttergen_jax.errors import ConfigError, MissingExtraError
-from cluttergen_jax.generation.arguments import check_known
 from cluttergen_jax.generation.wrappers import ActionRange, FlatObservation, OnSurface
-from cluttergen_jax.learning.methods import rules_asked
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.placement.brax_env import Env
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.placement.setup import check_range, check_whole, make_setup, problem_config
+from cluttergen_jax.placement.setup import make_setup
 from cluttergen_jax.scene.bank.reference import read_start
+from cluttergen_jax.spec import EnvOptions, SceneSpec, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from gymnasium.vector import AutoresetMode
@@ -31,10 +29,9 @@ ACTIONS = ("pose", "surface")
 
 
 @with_own_settings
+@takes_spec(EnvOptions)
 def make_env(
-    pool: str | Path = "dining",
-    support: str | Path = "table",
-    num_objects: int | None = None,
+    spec: SceneSpec | str | Path | None = None,
     *,
     observation: str = "flat",
     action: str = "pose",
@@ -44,25 +41,8 @@ def make_env(
     num_cells: int = 8,
     history_stride: int = 12,
     num_scene_points: int = 0,
-    objects: Sequence[str] = (),
-    exclude: Sequence[str] = (),
-    repeat: bool = False,
-    region: Rectangle | None = None,
-    keep_out: Sequence[Rectangle] = (),
-    start: str | None = None,
-    change: str = "none",
-    containment: str = "center",
-    order: str | None = None,
-    max_attempts: int = 5,
-    ruin_after: int | None = None,
-    budget: int | None = None,
-    min_margin: float | None = None,
-    robust: bool = False,
-    setting: str = "default",
-    overhang: str = "any",
-    engine: str = "auto",
-    num_threads: int = 0,
-    **unknown: Never,
+    change: Change = "none",
+    **options: Unpack[EnvOptions],
 ) -> Env:
     """A `brax.envs.Env` of the placement problem: one attempt a step, an episode a scene.
 
@@ -76,10 +56,11 @@ def make_env(
     z of the object's centre in a box over the queried region, and its turn (docs/contract.md, "Region and
     action").
 
+    The arguments that are not explained here are those of `SceneSpec`; the order is "random" and nothing is
+    taken away unless it is asked for.
+
     Args:
-      pool, support, num_objects, objects, exclude, repeat, region, keep_out, start, containment, order,
-        max_attempts, ruin_after, budget, min_margin, robust, setting, overhang, engine, num_threads:
-        as in `make_sampler`; the order is "random" and nothing is taken away unless it is asked for.
+      spec: what is asked for, or a pool's name.
       observation: "flat" for one vector f32[D] (`generation.wrappers.FlatObservation` lists its parts), or
         "dict" for what `placement.observation.observe` describes.
       action: "pose" for those four numbers, or "surface" for f32[3], x, y and turn: the height is that at
@@ -94,20 +75,22 @@ def make_env(
       num_scene_points: points of the scene's cloud, with "dict" alone; 0 for none.
       change: how the region is changed at random in every episode: "none", "translation", "rotation",
         "shrinkage", "expansion" or "all".
+      options: fields of `SceneSpec`, in place of those of `spec`; methods and what they are asked for are
+        left out.
 
     Raises:
       ConfigError: a setting is out of range or contradicts another.
       PoolError: a pool, an object or a support cannot be found or read.
       BankError: the scene to start from cannot be read, or does not stand.
     """
-    check_known(unknown, make_env)
+    asked = spec_of(make_env, spec, options)
     check_whole(num_cells=num_cells, history_stride=history_stride, num_scene_points=num_scene_points)
     _check_choices(observation, action)
     observed = ObservationConfig(num_scene_points=num_scene_points, num_cells=num_cells)
-    given = locals()
-    config = problem_config(given)
-    config = replace(config, placement=replace(config.placement, **rules_asked(None, max_attempts, given)))
-    setup = make_setup(config, keep_out, read_start(start))
+    config = asked.problem_config(None)
+    placement = replace(config.placement, reward=reward, history_stride=history_stride)
+    config = replace(config, placement=placement, change=change)
+    setup = make_setup(config, asked.boxes(), read_start(asked.start))
     env: Env = PlacementEnv(
         setup.problem.rules,
         observed,
@@ -122,9 +105,22 @@ def make_env(
     return ActionRange(env, *action_range)
 
 
+class EnvSettings(EnvOptions, total=False):
+    """Arguments of `make_env` that environments made of it take."""
+
+    observation: str
+    action: str
+    action_range: tuple[float, float]
+    reward: str
+    num_cells: int
+    history_stride: int
+    num_scene_points: int
+    change: Change
+
+
 @with_own_settings
-def make_gym_env(**settings: Any) -> GymnasiumEnv:
-    """A `gymnasium.Env` of one scene; `settings` are those of `make_env`. Extra `gym`.
+def make_gym_env(spec: SceneSpec | str | Path | None = None, **settings: Unpack[EnvSettings]) -> GymnasiumEnv:
+    """A `gymnasium.Env` of one scene; `spec` and `settings` are those of `make_env`. Extra `gym`.
 
     Slow for training, as each step is a call of its own: see `make_vector_env`.
 
@@ -134,16 +130,21 @@ def make_gym_env(**settings: Any) -> GymnasiumEnv:
     _need_gymnasium("make_gym_env")
     from cluttergen_jax.generation.gymnasium_envs import GymnasiumEnv
 
-    return GymnasiumEnv(_without_reset("make_gym_env", settings), partial(make_gym_env, **settings))
+    env = _without_reset("make_gym_env", spec, settings)
+    return GymnasiumEnv(env, partial(make_gym_env, spec, **settings))
 
 
 @with_own_settings
 def make_vector_env(
-    num_envs: int = 64, *, autoreset: str = "same_step", **settings: Any
+    num_envs: int = 64,
+    spec: SceneSpec | str | Path | None = None,
+    *,
+    autoreset: str = "same_step",
+    **settings: Unpack[EnvSettings],
 ) -> GymnasiumVectorEnv:
-    """A `gymnasium.vector.VectorEnv`, all scenes simulated together; `settings` are those of `make_env`.
+    """A `gymnasium.vector.VectorEnv`, all scenes simulated together.
 
-    NumPy arrays in and out. Extra `gym`.
+    `spec` and `settings` are those of `make_env`. NumPy arrays in and out. Extra `gym`.
 
     Args:
       num_envs: scenes at a time, 1 to 65,536.
@@ -159,12 +160,14 @@ def make_vector_env(
     _need_gymnasium("make_vector_env")
     from cluttergen_jax.generation.gymnasium_envs import GymnasiumVectorEnv
 
-    recipe = partial(make_vector_env, num_envs, autoreset=autoreset, **settings)
+    recipe = partial(make_vector_env, num_envs, spec, autoreset=autoreset, **settings)
     mode = _mode_of(autoreset)
-    return GymnasiumVectorEnv(_without_reset("make_vector_env", settings), num_envs, mode, recipe)
+    return GymnasiumVectorEnv(_without_reset("make_vector_env", spec, settings), num_envs, mode, recipe)
 
 
-def make_sb3_env(num_envs: int = 64, **settings: Any) -> SB3VecEnv:
+def make_sb3_env(
+    num_envs: int = 64, spec: SceneSpec | str | Path | None = None, **settings: Unpack[EnvSettings]
+) -> SB3VecEnv:
     """`make_vector_env` as a `VecEnv` of Stable-Baselines3, as in `PPO("MlpPolicy", make_sb3_env(64))`.
 
     Episodes are watched as by its `VecMonitor`; `infos[i]["is_success"]` is there when one ends. Extra `sb3`.
@@ -180,7 +183,7 @@ def make_sb3_env(num_envs: int = 64, **settings: Any) -> SB3VecEnv:
         raise MissingExtraError("sb3", "make_sb3_env") from error
     from cluttergen_jax.generation.sb3_env import SB3VecEnv
 
-    return SB3VecEnv(make_vector_env(num_envs, **settings))
+    return SB3VecEnv(make_vector_env(num_envs, spec, **settings))
 
 
 MAX_ENVS = 65_536
@@ -209,8 +212,8 @@ def _need_gymnasium(purpose: str) -> None:
         raise MissingExtraError("gym", purpose) from error
 
 
-def _without_reset(purpose: str, settings: dict[str, Any]) -> Env:
+def _without_reset(purpose: str, spec: SceneSpec | str | Path | None, settings: EnvSettings) -> Env:
     """The environment that ends its episodes and leaves it at that."""
     if "auto_reset" in settings:
         raise ConfigError(f"auto_reset in {purpose}", "settings of make_env without it")
-    return make_env(**settings, auto_reset=False)
+    return make_env(spec, **settings, auto_reset=False)

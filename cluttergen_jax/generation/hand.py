@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 import jax
 import numpy as np
@@ -19,11 +18,11 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import writing
 from cluttergen_jax.generation.files import write_files, write_model
 from cluttergen_jax.generation.generate import GeneratedBank, recipe_of
-from cluttergen_jax.learning.methods import Method, rules_asked
+from cluttergen_jax.learning.methods import Method
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.hand import HandError, HandScene
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
-from cluttergen_jax.placement.setup import Setup, make_setup, problem_config
+from cluttergen_jax.placement.setup import Setup, make_setup
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank import BankWriter, read_bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks
@@ -32,6 +31,7 @@ from cluttergen_jax.scene.bank.remote import publish_all, url_of
 from cluttergen_jax.scene.bank.table import BY_HAND, table_of
 from cluttergen_jax.scene.bank.totals import totals_of
 from cluttergen_jax.scene.bank.writer import names_of
+from cluttergen_jax.spec import SceneSpec
 
 _LOST = "a copy of that file: what was made by hand cannot be made again"
 
@@ -168,21 +168,14 @@ class HandBank:
             write_card(read_bank(bank.path))
 
 
-def hand_setup(given: Mapping[str, Any]) -> Setup:
-    """The problem that a person solves.
-
-    Args:
-      given: the arguments of `cluttergen_jax.place_by_hand` by name, boxes as `Rectangle`s.
+def hand_setup(spec: SceneSpec) -> Setup:
+    """The problem that a person solves: attempts as they like, none of which is looked back on.
 
     Raises:
-      ConfigError, PoolError: see there.
+      ConfigError, PoolError: as `make_setup`.
     """
-    free = {"order": None, "max_attempts": 5, "ruin_after": 0, "budget": None, "robust": False}
-    given = {**given, **free, "setting": "default", "engine": "native", "num_threads": 0}
-    config = problem_config(given)
-    rules = rules_asked(None, config.placement.max_attempts, given)
-    placement = replace(config.placement, history_stride=0, **rules)
-    return make_setup(replace(config, placement=placement), given["keep_out"])
+    config = spec.problem_config(None)
+    return make_setup(replace(config, placement=replace(config.placement, history_stride=0)), spec.boxes())
 
 
 def _num_rows(path: Path) -> int:

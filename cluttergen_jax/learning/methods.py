@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import NamedTuple
 
 from cluttergen_jax.assets.pool import without_exclusions
-from cluttergen_jax.config import VARIANTS, Setting, no_such
-from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.config import METHODS, VARIANTS, no_such
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
 from cluttergen_jax.learning.policies.guided import KIND, load_guided
 from cluttergen_jax.learning.policies.policy import load_policy
 from cluttergen_jax.placement.baselines import BASELINES, make_proposer
-from cluttergen_jax.placement.config import MIN_MARGIN, RUIN_AFTER, PlacementConfig
+from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.placement.setup import Setup
 
-METHODS = (*BASELINES, *VARIANTS)
-TRUSTED_METHODS = ("spread", "guided")
-"""Those that ask what carries what, and that take objects away when they are stuck unless told otherwise."""
 DEFAULT_METHOD, FALLBACK_METHOD = "guided", "spread"
 """What a user gets unasked; the second where no checkpoint of the first is embedded."""
-SETTINGS = get_args(Setting)
 
 
 class Method(NamedTuple):
@@ -64,34 +59,6 @@ def methods_of(pool: str) -> tuple[str, ...]:
     embedded = list_policies()
     learned = {"policy": f"{without_exclusions(pool)}-policy", DEFAULT_METHOD: DEFAULT_METHOD}
     return (*BASELINES, *(method for method, name in learned.items() if name in embedded))
-
-
-def rules_asked(method: str | None, max_attempts: int, given: Mapping[str, Any]) -> dict[str, Any]:
-    """`order`, `ruin_after`, `budget` and `min_margin` of a `PlacementConfig`, all of them.
-
-    Args:
-      method: by name; None for whoever acts in an environment.
-      max_attempts: per object.
-      given: arguments by name. Those four count where they are not None; for the others `setting` decides:
-        "paper" for the paper's rules whatever the method, "default" for a margin and what suits the method.
-
-    Raises:
-      ConfigError: there is no such setting.
-    """
-    setting = given["setting"]
-    if setting not in SETTINGS:
-        raise ConfigError(
-            f"setting = {setting!r}", ", ".join(SETTINGS), "setting='paper'", closest(setting, SETTINGS)
-        )
-    is_default = setting == "default"
-    is_trusted = is_default and method in TRUSTED_METHODS
-    own = {
-        "order": "weighted" if is_trusted else "random",
-        "ruin_after": min(RUIN_AFTER, max_attempts) if is_trusted else 0,
-        "budget": None,
-        "min_margin": MIN_MARGIN if is_default else 0.0,
-    }
-    return {name: value if given[name] is None else given[name] for name, value in own.items()}
 
 
 def checkpoint_of(method: str, pool: str, given: Checkpoint | None = None) -> Checkpoint | None:
@@ -136,31 +103,6 @@ def suited(placement: PlacementConfig, checkpoint: Checkpoint | None) -> Placeme
     """The settings with the history that a method looks back on: none for a baseline."""
     stride = 0 if checkpoint is None else checkpoint.placement["history_stride"]
     return replace(placement, history_stride=stride)
-
-
-def check_steered(method: str, placement: PlacementConfig) -> None:
-    """Refuses `clutter`, `natural` and `tidy` with a method that has no trusted candidates to choose from.
-
-    And a free `height` with any but `random`.
-
-    Raises:
-      ConfigError: it names the methods that do.
-    """
-    is_steered = {
-        "clutter": placement.clutter is not None,
-        "natural": placement.natural,
-        "tidy": placement.tidy,
-    }
-    if placement.height != "rest" and method != "random":
-        raise ConfigError(
-            f"height = {placement.height!r} with method {method!r}", "height='rest'", "method='random'"
-        )
-    given = [name for name, is_given in is_steered.items() if is_given]
-    if given and method not in TRUSTED_METHODS:
-        allowed = [name for name in TRUSTED_METHODS if name in METHODS]
-        raise ConfigError(
-            f"`{given[0]}` with method {method!r}", f"with {' or '.join(allowed)}", f"method={allowed[0]!r}"
-        )
 
 
 def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Proposer:

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import get_args
-
 import jax
 
-from cluttergen_jax.config import Engine, StabilityConfig
-from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.config import StabilityConfig, check_engine
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_import
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.protocol import Physics
-
-ENGINES = get_args(Engine)
 
 
 def make_physics(
@@ -53,13 +49,7 @@ def engine_of(engine: str, config: StabilityConfig) -> str:
     Raises:
       ConfigError: there is none of that name.
     """
-    if engine not in ENGINES:
-        raise ConfigError(
-            f"engine = {engine!r}",
-            ", ".join(ENGINES),
-            "engine native, which runs everywhere",
-            closest(engine, ENGINES),
-        )
+    check_engine(engine)
     if engine != "auto":
         return engine
     is_gpu = jax.default_backend() == "gpu"

@@ -82,7 +82,7 @@ def test_every_name_is_there_and_says_what_it_is(name):
 def test_every_argument_is_explained(name):
     function = getattr(cluttergen_jax, name)
     doc = inspect.getdoc(function)
-    others = "that are not explained here are those of" in doc
+    others = "that are not explained here are those of" in " ".join(doc.split())
     for argument in inspect.signature(function).parameters:
         assert others or re.search(rf"\b{argument}\b", doc.split("Args:")[-1]), argument
     assert "Raises:" in doc

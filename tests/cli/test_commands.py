@@ -16,11 +16,11 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.commands import COMMANDS, load, overview
 from cluttergen_jax.cli.main import main, parsed
+from cluttergen_jax.config import METHODS
 from cluttergen_jax.downstream.suite import NAME as DOWNSTREAM
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.evaluation.suites import FORMER_NAMES, SUITES
 from cluttergen_jax.generation import generate, make_sampler
-from cluttergen_jax.learning.methods import METHODS
 from cluttergen_jax.learning.training.presets import PRESETS
 from cluttergen_jax.physics.log import silent_import
 from cluttergen_jax.placement.changes import REGION_CHANGES

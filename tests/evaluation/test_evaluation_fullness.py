@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.config import TRUSTED_METHODS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import variant_pools
 from cluttergen_jax.evaluation.report import tables_of
@@ -19,7 +20,6 @@ from cluttergen_jax.evaluation.studies.rules import margin_of, named_rows, own_r
 from cluttergen_jax.evaluation.studies.study import Scale
 from cluttergen_jax.evaluation.suites import STUDIES, find_suite
 from cluttergen_jax.evaluation.trial import Trial, key_of, row_name
-from cluttergen_jax.learning.methods import TRUSTED_METHODS
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.proportions import wilson
 

@@ -27,6 +27,7 @@ from cluttergen_jax.scene.bank import bank as reading
 from cluttergen_jax.scene.bank import blocks, read_bank
 from cluttergen_jax.scene.bank.stats import stats_of, stats_text
 from cluttergen_jax.scene.bank.writer import BankWriter
+from cluttergen_jax.spec import SceneSpec
 from tests.helpers.problems import trio_problem
 
 SEED = 7
@@ -257,7 +258,7 @@ def test_the_problem_is_the_one_asked_for():
         "overhang": "none",
         "repeat": False,
     }
-    setup = hand_setup(given)
+    setup = hand_setup(SceneSpec(**given))
     placement = setup.problem.config.placement
     assert sorted(setup.problem.world.names) == ["bowl", "fork", "mug"]
     assert setup.problem.region == region
@@ -265,7 +266,7 @@ def test_the_problem_is_the_one_asked_for():
         placement, num_objects=2, containment="footprint", overhang="none", min_margin=0.003, ruin_after=0
     )
     np.testing.assert_allclose(setup.keep_out.center, [[0.1, 0.0]])
-    assert hand_setup(given | {"min_margin": 0.0}).problem.config.placement.min_margin == 0
+    assert hand_setup(SceneSpec(**given | {"min_margin": 0.0})).problem.config.placement.min_margin == 0
 
 
 def test_options_of_the_two_uses_of_view_are_kept_apart(capsys):

@@ -8,19 +8,20 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.api import evaluate as evaluation
 from cluttergen_jax.assets.pool import Pool, write_pool
-from cluttergen_jax.config import VerifyConfig
+from cluttergen_jax.config import TRUSTED_METHODS, VerifyConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import comparison
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.generation.sources.opening import open_source
-from cluttergen_jax.learning.methods import TRUSTED_METHODS, rules_asked
 from cluttergen_jax.placement.config import MIN_MARGIN, RUIN_AFTER
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.card import card_text
 from cluttergen_jax.scene.bank.stats import stats_of
+from cluttergen_jax.spec import SceneSpec
 from tests.helpers.worlds import trio
 
 NOTHING = {"order": None, "ruin_after": None, "budget": None, "min_margin": None, "setting": "default"}
+RULES = ("order", "ruin_after", "budget", "min_margin")
 PAPER = {"order": "random", "ruin_after": 0, "budget": None, "min_margin": 0.0}
 
 
@@ -29,30 +30,35 @@ def pool(tmp_path_factory):
     return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
 
 
+def rules(method, **asked):
+    decided = SceneSpec(**asked).with_rules(method)
+    return {name: getattr(decided, name) for name in RULES}
+
+
 @pytest.mark.parametrize("method", [*TRUSTED_METHODS, "drop", None])
 def test_the_papers_rules_hold_whatever_the_method(method):
-    assert rules_asked(method, 5, NOTHING | {"setting": "paper"}) == PAPER
+    assert rules(method, setting="paper") == PAPER
 
 
 def test_methods_have_rules_of_their_own():
     plain = PAPER | {"min_margin": MIN_MARGIN}
     for method in ("random", "drop", "policy", None):
-        assert rules_asked(method, 5, NOTHING) == plain
+        assert rules(method) == plain
     for method in TRUSTED_METHODS:
-        assert rules_asked(method, 5, NOTHING) == plain | {"order": "weighted", "ruin_after": RUIN_AFTER}
-        assert rules_asked(method, 2, NOTHING)["ruin_after"] == 2
+        assert rules(method) == plain | {"order": "weighted", "ruin_after": RUIN_AFTER}
+        assert rules(method, max_attempts=2)["ruin_after"] == 2
 
 
 @pytest.mark.parametrize("setting", ["default", "paper"])
 @pytest.mark.parametrize("method", [TRUSTED_METHODS[0], "drop"])
 def test_what_is_given_wins(setting, method):
     given = {"order": "fixed", "ruin_after": 0, "budget": 70, "min_margin": 0.0}
-    assert rules_asked(method, 5, given | {"setting": setting}) == given
+    assert rules(method, setting=setting, **given) == given
 
 
 def test_there_is_no_other_setting():
     with pytest.raises(ConfigError, match="Did you mean 'paper'"):
-        rules_asked("drop", 5, NOTHING | {"setting": "papers"})
+        SceneSpec(setting="papers")
 
 
 @pytest.mark.parametrize("function", [cg.generate, cg.make_sampler, cg.make_env, cg.evaluate])

@@ -7,11 +7,11 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.cli.flags import removed_name
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.config import REMOVED, VARIANTS
+from cluttergen_jax.config import METHODS, REMOVED, VARIANTS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.generate import recipe_of
 from cluttergen_jax.generation.sources.stored import BankSource
-from cluttergen_jax.learning.methods import METHODS, Method, choose_method
+from cluttergen_jax.learning.methods import Method, choose_method
 from cluttergen_jax.learning.training.presets import PRESETS
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.verify import scene_files, verify_scene

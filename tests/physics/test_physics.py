@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import ENGINES, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.physics import ENGINES, make_physics
+from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.mjx import MjxPhysics
 from cluttergen_jax.physics.mjx_scenes import WarpOptions
 from cluttergen_jax.types import Settling, Verdict

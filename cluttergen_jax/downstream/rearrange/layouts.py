@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
-from cluttergen_jax.config import LayoutRule
+from cluttergen_jax.config import LayoutRule, Method
 from cluttergen_jax.downstream.rearrange.settings import AREA
 from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.grasping.candidates import opening_of
@@ -50,7 +50,7 @@ class SceneDraw:
       objects: K of the pool. support: the usual table.
     """
 
-    def __init__(self, pool: str, method: str, num_slots: int, num_threads: int = 0) -> None:
+    def __init__(self, pool: str, method: Method, num_slots: int, num_threads: int = 0) -> None:
         sampler = make_sampler(
             pool, num_objects=num_slots, method=method, region=AREA, num_threads=num_threads
         )

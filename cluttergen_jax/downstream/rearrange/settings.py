@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.config import LayoutRule, PickOrder
+from cluttergen_jax.config import LayoutRule, Method, PickOrder
 
 AREA = Rectangle((0.0, 0.0), (0.27, 0.32))
 """All of the usual table that the arm reaches; objects may wait anywhere in it."""
@@ -31,7 +31,7 @@ class RearrangeSetting:
     num_others: int = 0
     start: Rectangle = _NEAR
     target: Rectangle = _FAR
-    method: str = "clear"
+    method: Method = "clear"
     num_stacked: int = 0
 
     @property

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
-from cluttergen_jax.config import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom
+from cluttergen_jax.config import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom, check_range
 from cluttergen_jax.downstream.perception.evaluation.evaluate import PerceptionResult
 from cluttergen_jax.downstream.perception.views.stored import ViewSet
 from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials
@@ -21,7 +21,6 @@ from cluttergen_jax.downstream.robot.trials import RobotTrials
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import MAX_TRIALS
-from cluttergen_jax.placement.setup import check_range
 from cluttergen_jax.tables import Table
 
 NOISES = (0.0, 1.0)

@@ -12,16 +12,26 @@ from dataclasses import replace
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.cells import Row
 from cluttergen_jax.evaluation.trial import RANDOM_ORDER, ROBUST, RUIN, TIDY, Trial
-from cluttergen_jax.learning.methods import rules_asked
 from cluttergen_jax.placement.config import RUIN_AFTER
-
-_UNASKED = dict.fromkeys(("order", "ruin_after", "budget", "min_margin"))
+from cluttergen_jax.spec import SceneSpec
 
 
 def own_rules(trial: Trial) -> Trial:
     """The trial by the rules that its method has by default, its budget kept."""
-    given = {**_UNASKED, "setting": "default", "budget": trial.budget}
-    return replace(trial, **rules_asked(trial.method, trial.attempts, given))
+    return with_rules_of(trial, SceneSpec(max_attempts=trial.attempts, budget=trial.budget))
+
+
+def with_rules_of(trial: Trial, spec: SceneSpec) -> Trial:
+    """The trial by the rules of a request, the method's own where it gives none."""
+    decided = spec.with_rules(trial.method)
+    return replace(
+        trial,
+        order=decided.order or trial.order,
+        ruin_after=decided.ruin_after or 0,
+        budget=decided.budget,
+        min_margin=decided.min_margin or 0.0,
+        height=spec.height if trial.method == "random" else "rest",
+    )
 
 
 def with_ruin(trial: Trial) -> Trial:

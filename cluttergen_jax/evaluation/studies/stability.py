@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import ALL
+from cluttergen_jax.config import TRUSTED_METHODS
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.evaluation.cells import (
     EFFORT_NOTES,
@@ -30,7 +31,6 @@ from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each
 from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, named_rows
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study
 from cluttergen_jax.evaluation.trial import ROBUST, Trial
-from cluttergen_jax.learning.methods import TRUSTED_METHODS
 from cluttergen_jax.proportions import proportion
 from cluttergen_jax.tables import Table
 

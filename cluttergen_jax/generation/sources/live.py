@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from cluttergen_jax.config import Method
 from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.generation.sources.replay import ReplayContext
 from cluttergen_jax.learning.methods import checkpoint_of
@@ -28,7 +29,7 @@ class LiveConfig:
     """
 
     pool: str | None = None
-    method: str | None = None
+    method: Method | None = None
     num_objects: int | None = None
     support: str | None = None
 

@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
+from cluttergen_jax.config import ROBUST_TILT, StabilityConfig, check_range
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.networks.stability import NUM_FEATURES, StabilityNetConfig
@@ -43,7 +43,6 @@ from cluttergen_jax.learning.training.worlds import (
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig, placement_record
-from cluttergen_jax.placement.setup import check_range
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.schema import Numbers, check_numbers
 

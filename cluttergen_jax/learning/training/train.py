@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -85,18 +85,6 @@ class TrainConfig:
         given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
         ppo = dataclasses.replace(settings.ppo, **given)
         return dataclasses.replace(settings, placement=placement, network=network, ppo=ppo)
-
-
-def train_config(given: Mapping[str, Any]) -> TrainConfig:
-    """The config of arguments of `cluttergen_jax.train` by name; it keeps paths as text.
-
-    Raises:
-      ConfigError: one of them is out of range.
-    """
-    names = (field.name for field in dataclasses.fields(TrainConfig))
-    known: dict[str, Any] = {name: given[name] for name in names if name in given}
-    texts = {name: str(each) for name, each in known.items() if isinstance(each, Path)}
-    return TrainConfig(**known | texts)
 
 
 _PAPER_PRESETS = ("paper", "paper_code", "paper_cpu")

@@ -1,0 +1,402 @@
+"""What scenes are asked for: one frozen dataclass with every default and every check of a value."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, get_args, get_type_hints
+
+from cluttergen_jax.assets.pool import composed, find_pool
+from cluttergen_jax.assets.rectangle_text import parse_boxes, parse_region
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.config import (
+    METHODS,
+    ROBUST_TILT,
+    TRUSTED_METHODS,
+    Containment,
+    Engine,
+    Height,
+    Method,
+    Order,
+    Overhang,
+    Setting,
+    StabilityConfig,
+    check_engine,
+    check_names,
+    check_whole,
+    check_workers,
+    no_such,
+)
+from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.placement.config import MAX_SLOTS, MIN_MARGIN, RUIN_AFTER, PlacementConfig
+
+if TYPE_CHECKING:
+    from cluttergen_jax.placement.problem import ProblemConfig
+
+SETTINGS = get_args(Setting)
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+class TrainOptions(TypedDict, total=False):
+    """Fields of a `SceneSpec` that `train` takes."""
+
+    pool: str | Path
+    exclude: Sequence[str]
+    support: str | Path
+    num_objects: int | None
+    max_attempts: int
+    engine: Engine
+
+
+class EnvOptions(TrainOptions, total=False):
+    """Fields of a `SceneSpec` that `make_env` takes."""
+
+    objects: Sequence[str]
+    repeat: bool
+    region: Rectangle | str | None
+    keep_out: Sequence[Rectangle | str]
+    start: str | None
+    containment: Containment
+    order: Order | None
+    ruin_after: int | None
+    budget: int | None
+    min_margin: float | None
+    robust: bool
+    setting: Setting
+    overhang: Overhang
+    num_threads: int
+
+
+class SceneOptions(EnvOptions, total=False):
+    """The fields of a `SceneSpec`, as keywords of `generate`, `make_sampler` and `placer_data`."""
+
+    method: Method | None
+    checkpoint: str | Path | None
+    clutter: str | Mapping[str, float] | None
+    natural: bool
+    tidy: bool
+    height: Height
+
+
+class EvaluateOptions(TypedDict, total=False):
+    """Fields of a `SceneSpec` that `evaluate` takes, for all rows."""
+
+    exclude: Sequence[str]
+    num_objects: int | None
+    repeat: bool
+    order: Order | None
+    max_attempts: int
+    ruin_after: int | None
+    budget: int | None
+    min_margin: float | None
+    setting: Setting
+    height: Height
+    checkpoint: str | Path | None
+    engine: Engine
+    num_threads: int
+
+
+@dataclass(frozen=True, repr=False)
+class SceneSpec:
+    """Which objects are placed where, by which rules and which method.
+
+    Attributes:
+      pool: a pool's name or folder (`cluttergen list`), or several joined by +: dining+mine.
+      objects: names of the pool's objects to use; all of them if empty.
+      exclude: names of the pool's objects to leave out; exclude=("mug",) is the same as pool="dining~mug".
+      num_objects: objects per scene, 1 to 40; all of the pool's (40 at most) if not given.
+      repeat: let objects stand there more than once.
+      support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
+      region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
+        In Python also a `Rectangle`.
+      keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.
+      start: a scene to start from, BANK:INDEX; its objects stay and count as neighbours.
+      containment: what must lie in the region: the bounding box's "center", or its whole "footprint".
+      order: in which objects come: "random"; "fixed" to the pool's order; "largest" footprint first; or
+        "weighted", mostly but not always so. If not given: the method's own, "random" for most.
+      max_attempts: attempts per object, 1 to 10; a policy of poses allows as many as it was trained with at
+        most.
+      ruin_after: failed attempts in a row after which some placed objects, with all that leans on them, are
+        taken away and placed again; 0 takes nothing away. If not given: the method's own, 0 for most.
+      budget: attempts of a scene in all; `max_attempts` for each object if not given.
+      min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
+        asks for nothing. If not given: 0.003.
+      robust: ask that an object also stands, with whatever it touches, while gravity tilts by 5 degrees,
+        friction is 0.7 times as much and contacts are soft; native engine alone.
+      setting: what holds of these where they are not given: "default", or "paper" for the paper's rules: a
+        random order, nothing taken away, no margin.
+      overhang: how much of an object may reach beyond the support's edge once it rests, seen from above:
+        "any"; "half", a quarter of its footprint, half of where an even body tips; or "none".
+      clutter: what scenes should have, on average (methods "guided", "spread"): stack, objects on others;
+        depth, objects below each, summed; contacts, pairs that touch; near, metres to the nearest other
+        object, mean; occlusion, mean share of an object that others hide. As text "stack=3,near=0.02"; in
+        Python also a mapping.
+      natural: prefer wide, flat things below and small ones on them (methods "guided", "spread").
+      tidy: keep room instead of spreading objects out: more objects fit, and scenes are more alike (methods
+        "guided", "spread").
+      height: at which `random` lets go: at "rest", 1 mm above where the object would stand on the bare top;
+        or "free", anywhere in the region's range of heights.
+      method: how poses are proposed: "guided", "spread", "drop", "clear", "random", or a policy trained for
+        the pool: "policy", "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is
+        embedded. If not given: the checkpoint's own, else "guided" ("spread" where no checkpoint of it is
+        embedded).
+      checkpoint: the policy's folder; the embedded one for the pool if not given.
+      engine: "auto", "native", "warp" or "jax".
+      num_threads: simulation threads of the native engine; 0 takes every core.
+
+    Raises:
+      ConfigError: a value is of a wrong type, out of range, or contradicts another.
+    """
+
+    pool: str | Path = "dining"
+    objects: Sequence[str] = ()
+    exclude: Sequence[str] = ()
+    num_objects: int | None = None
+    repeat: bool = False
+    support: str | Path = "table"
+    region: Rectangle | str | None = None
+    keep_out: Sequence[Rectangle | str] = ()
+    start: str | None = None
+    containment: Containment = "center"
+    order: Order | None = None
+    max_attempts: int = 5
+    ruin_after: int | None = None
+    budget: int | None = None
+    min_margin: float | None = None
+    robust: bool = False
+    setting: Setting = "default"
+    overhang: Overhang = "any"
+    clutter: str | Mapping[str, float] | Clutter | None = None
+    natural: bool = False
+    tidy: bool = False
+    height: Height = "rest"
+    method: Method | None = None
+    checkpoint: str | Path | None = None
+    engine: Engine = "auto"
+    num_threads: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("num_objects", "max_attempts", "ruin_after", "budget"):
+            check_whole(**{name: getattr(self, name)})
+        check_workers("num_threads", self.num_threads)
+        check_engine(self.engine)
+        check_names(self.objects, "objects")
+        check_names(self.exclude, "exclude")
+        if not isinstance(self.region, Rectangle | str | None):
+            hint = "Rectangle(half_extents=(0.2, 0.25))"
+            raise ConfigError(f"region = {self.region!r}", "a Rectangle, or text such as 0.4x0.5", hint)
+        if not all(isinstance(box, Rectangle) for box in parse_boxes(self.keep_out, "keep_out")):
+            hint = "keep_out=(Rectangle(...),)"
+            raise ConfigError(f"keep_out = {self.keep_out!r}", "a sequence of Rectangles", hint)
+        if self.setting not in SETTINGS:
+            meant = closest(self.setting, SETTINGS)
+            raise ConfigError(f"setting = {self.setting!r}", ", ".join(SETTINGS), "setting='paper'", meant)
+        if self.method is not None and self.method not in METHODS:
+            raise no_such("method", self.method, METHODS)
+        # Equal requests are equal, and can be hashed, whatever kind of sequence or path was given.
+        for name in ("objects", "exclude", "keep_out"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        for name in ("pool", "support"):
+            object.__setattr__(self, name, str(getattr(self, name)))
+        if self.clutter is not None:
+            object.__setattr__(self, "clutter", Clutter.of(self.clutter))
+        # With no number of objects yet, a budget for one is enough.
+        self._placement(1 if self.num_objects is None else self.num_objects)
+
+    def overrides(self) -> dict[str, Any]:
+        """The fields that are not at their defaults, by name."""
+        return {
+            each.name: getattr(self, each.name)
+            for each in dataclasses.fields(self)
+            if getattr(self, each.name) != each.default
+        }
+
+    def __repr__(self) -> str:
+        return f"SceneSpec({', '.join(f'{name}={value!r}' for name, value in self.overrides().items())})"
+
+    def replace_given(
+        self,
+        pool: str | Path | None = None,
+        method: Method | None = None,
+        support: str | Path | None = None,
+        num_objects: int | None = None,
+        region: Rectangle | str | None = None,
+    ) -> SceneSpec:
+        """The request with those of these fields in place of its own that are not None."""
+        return replace(
+            self,
+            pool=pool or self.pool,
+            method=method or self.method,
+            support=support or self.support,
+            num_objects=self.num_objects if num_objects is None else num_objects,
+            region=region or self.region,
+        )
+
+    def with_rules(self, method: str | None) -> SceneSpec:
+        """The request with `order`, `ruin_after` and `min_margin` decided, where they were not given.
+
+        Args:
+          method: by name; None for an environment, in which someone else acts.
+        """
+        is_default = self.setting == "default"
+        is_trusted = is_default and method in TRUSTED_METHODS
+        ruin_after = min(RUIN_AFTER, self.max_attempts) if is_trusted else 0
+        min_margin = MIN_MARGIN if is_default else 0.0
+        return replace(
+            self,
+            order=self.order or ("weighted" if is_trusted else "random"),
+            ruin_after=ruin_after if self.ruin_after is None else self.ruin_after,
+            min_margin=min_margin if self.min_margin is None else self.min_margin,
+        )
+
+    def check_method(self, method: str) -> None:
+        """Refuses what is asked of scenes that a method cannot bring about.
+
+        Raises:
+          ConfigError: it names the methods that can.
+        """
+        if self.height != "rest" and method != "random":
+            given = f"height = {self.height!r} with method {method!r}"
+            raise ConfigError(given, "height='rest'", "method='random'")
+        wanted = [name for name in ("clutter", "natural", "tidy") if getattr(self, name)]
+        if wanted and method not in TRUSTED_METHODS:
+            allowed = [name for name in TRUSTED_METHODS if name in METHODS]
+            given = f"`{wanted[0]}` with method {method!r}"
+            raise ConfigError(given, f"with {' or '.join(allowed)}", f"method={allowed[0]!r}")
+
+    @property
+    def pool_text(self) -> str:
+        """The text that names the pool without what is left out of it."""
+        return composed(self.pool, self.exclude)
+
+    def boxes(self) -> list[Rectangle]:
+        """The keep-out boxes."""
+        return parse_boxes(self.keep_out, "keep_out")
+
+    def problem_config(self, method: str | None) -> ProblemConfig:
+        """The request with everything decided that no asset decides.
+
+        Args:
+          method: see `with_rules`.
+
+        Raises:
+          ConfigError: more objects are asked for than there are, or there is no such engine.
+          PoolError: there is no such pool or support.
+        """
+        from cluttergen_jax.physics import engine_of
+        from cluttergen_jax.placement.problem import ProblemConfig, check_number
+
+        pool = self.pool_text
+        available = len(self.objects) or len(find_pool(pool))
+        num_objects = min(available, MAX_SLOTS) if self.num_objects is None else self.num_objects
+        check_number(num_objects, available, pool, self.repeat)
+        region = self.region
+        if isinstance(region, str):
+            region = parse_region(region, find_support(self.support).region)
+        stability = StabilityConfig(robust_tilt=ROBUST_TILT if self.robust else 0.0)
+        has_two_detectors = engine_of(self.engine, stability) == "native"
+        return ProblemConfig(
+            pool=pool,
+            objects=tuple(self.objects),
+            repeat=self.repeat,
+            support=str(self.support),
+            region=region,
+            engine=self.engine,
+            num_threads=self.num_threads,
+            placement=self.with_rules(method)._placement(num_objects),
+            stability=replace(stability, both_detectors=has_two_detectors and self.setting != "paper"),
+        )
+
+    def _placement(self, num_objects: int) -> PlacementConfig:
+        """The rules of an episode; those that are not decided yet are the paper's."""
+        return PlacementConfig(
+            num_objects=num_objects,
+            max_attempts=self.max_attempts,
+            containment=self.containment,
+            order=self.order or "random",
+            min_margin=0.0 if self.min_margin is None else self.min_margin,
+            ruin_after=self.ruin_after or 0,
+            budget=self.budget,
+            overhang=self.overhang,
+            clutter=None if self.clutter is None else Clutter.of(self.clutter),
+            natural=self.natural,
+            tidy=self.tidy,
+            height=self.height,
+        )
+
+
+def takes_spec(options: type, **defaults: Any) -> Callable[[F], F]:
+    """A decorator for a function of `spec` and `**options`: its signature lists the fields, with defaults.
+
+    Args:
+      options: the `TypedDict` of the fields that it takes.
+      defaults: of those whose default is another than `SceneSpec`'s.
+    """
+
+    def decorate(function: F) -> F:
+        usual = SceneSpec(**defaults)
+        own = [
+            each
+            for each in inspect.signature(function).parameters.values()
+            if each.kind is not inspect.Parameter.VAR_KEYWORD
+        ]
+        kinds = get_type_hints(options)
+        fields = [
+            inspect.Parameter(
+                each.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=getattr(usual, each.name),
+                annotation=kinds[each.name],
+            )
+            for each in dataclasses.fields(SceneSpec)
+            if each.name in kinds
+        ]
+        function.__signature__ = inspect.Signature([*own, *fields])  # type: ignore[attr-defined]
+        function.usual_spec = usual  # type: ignore[attr-defined]
+        function.spec_fields = tuple(each.name for each in fields)  # type: ignore[attr-defined]
+        return function
+
+    return decorate
+
+
+def spec_of(
+    function: Callable[..., Any],
+    spec: SceneSpec | str | Path | None,
+    options: Mapping[str, Any],
+    also: Sequence[str] = (),
+) -> SceneSpec:
+    """The request that a function was given: a spec, a pool's name or nothing, with some fields replaced.
+
+    Args:
+      function: one with the decorator `takes_spec`.
+      also: fields that it takes in a spec alone.
+
+    Raises:
+      ConfigError: there is no such field, the function does not take it, or a value is refused.
+    """
+    taken: tuple[str, ...] = function.spec_fields  # type: ignore[attr-defined]
+    usual: SceneSpec = function.usual_spec  # type: ignore[attr-defined]
+    for name in options:
+        if name not in taken:
+            names = [each for each in inspect.signature(function).parameters if each != "spec"]
+            given = f"{function.__name__}({name}=...)"
+            raise ConfigError(given, ", ".join(names), meant=closest(name, names))
+    if isinstance(spec, str | Path):
+        if "pool" in options:
+            given = f"pool = {options['pool']!r} beside {str(spec)!r}"
+            raise ConfigError(given, "one pool; several are joined by +", f"pool='{spec}+{options['pool']}'")
+        return replace(usual, pool=spec, **options)
+    if spec is None:
+        return replace(usual, **options)
+    if not isinstance(spec, SceneSpec):
+        raise ConfigError(f"spec = {spec!r}", "a SceneSpec, or a pool's name", "SceneSpec(pool='dining')")
+    for name, value in spec.overrides().items():
+        if name not in (*taken, *also):
+            given = f"{name} = {value!r} in the spec for {function.__name__}"
+            raise ConfigError(given, ", ".join(taken), f"leaving {name} out")
+    return replace(spec, **options)
