@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, get_args, get_type_hints
 
 from cluttergen_jax.assets.pool import composed, find_pool
-from cluttergen_jax.assets.rectangle_text import parse_boxes, parse_region
+from cluttergen_jax.assets.rectangle_text import parse_boxes, parse_region, recorded_rectangle
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import (
+    HAND,
     METHODS,
     ROBUST_TILT,
     TRUSTED_METHODS,
@@ -207,6 +208,46 @@ class SceneSpec:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
         # With no number of objects yet, a budget for one is enough.
         self._placement(1 if self.num_objects is None else self.num_objects)
+
+    @classmethod
+    def from_recipe(cls, recipe: Mapping[str, Any]) -> SceneSpec:
+        """The request of a bank, with everything decided that was left open.
+
+        Args:
+          recipe: what a bank's record says of how it was made (`Bank.record["recipe"]`).
+
+        Raises:
+          KeyError, TypeError, ValueError: it does not say it whole, as of banks of early versions.
+        """
+        rules, stability = recipe["placement"], recipe["stability"]
+        is_native = recipe["engine"] == "native"
+        return cls(
+            pool=recipe["pool"],
+            objects=recipe["objects"],
+            num_objects=rules["num_objects"],
+            repeat=recipe["repeat"],
+            support=recipe["support"],
+            region=recorded_rectangle(recipe["region"]),
+            keep_out=tuple(recorded_rectangle(box) for box in recipe.get("keep_out", ())),
+            start=recipe.get("start"),
+            containment=rules["containment"],
+            order=rules["order"],
+            # Of scenes that people made nothing is counted.
+            max_attempts=rules.get("max_attempts", cls.max_attempts),
+            ruin_after=rules.get("ruin_after", 0),
+            budget=rules.get("budget"),
+            min_margin=rules.get("min_margin", 0.0),
+            robust=bool(stability.get("robust_tilt")),
+            setting="paper" if is_native and not stability.get("both_detectors") else "default",
+            overhang=rules.get("overhang", cls.overhang),
+            clutter=rules.get("clutter"),
+            natural=rules.get("natural", cls.natural),
+            tidy=rules.get("tidy", cls.tidy),
+            height=rules.get("height", cls.height),
+            method=None if recipe["method"] == HAND else recipe["method"],
+            checkpoint=recipe.get("checkpoint"),
+            engine=recipe["engine"],
+        )
 
     def overrides(self) -> dict[str, Any]:
         """The fields that are not at their defaults, by name."""

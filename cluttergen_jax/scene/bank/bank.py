@@ -37,6 +37,7 @@ from cluttergen_jax.scene.bank.bits import are_bits
 from cluttergen_jax.scene.bank.blocks import AGAIN, StoredBlocks, record_in
 from cluttergen_jax.scene.bank.remote import is_url, mirrored
 from cluttergen_jax.scene.bank.table import BankRow, rows_of, schema_of
+from cluttergen_jax.spec import SceneSpec
 
 FORMAT = 1
 INDEX = "bank.json"
@@ -62,6 +63,18 @@ class Bank:
     def num_scenes(self) -> int:
         """How many scenes the bank was asked for."""
         return int(self.record["num_scenes"])
+
+    @property
+    def spec(self) -> SceneSpec:
+        """What its scenes were asked for: `generate(other, bank.spec)` makes more of the kind.
+
+        Raises:
+          BankError: the bank does not say it whole.
+        """
+        try:
+            return SceneSpec.from_recipe(self.record["recipe"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise BankError(f"{self.path}: how it was made is not recorded whole ({error})") from error
 
     @cached_property
     def table(self) -> pa.Table:

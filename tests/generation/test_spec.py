@@ -1,0 +1,145 @@
+"""One typed request: the same fields everywhere, and none that is misspelt, for mypy and at run time."""
+
+import dataclasses
+import inspect
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import get_type_hints
+
+import pytest
+
+import cluttergen_jax as cg
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.spec import EnvOptions, EvaluateOptions, SceneOptions, SceneSpec, TrainOptions
+
+ROOT = Path(__file__).parents[2]
+FIELDS = {each.name: each for each in dataclasses.fields(SceneSpec)}
+TAKEN = {
+    cg.generate: SceneOptions,
+    cg.make_sampler: SceneOptions,
+    cg.make_env: EnvOptions,
+    cg.train: TrainOptions,
+    cg.evaluate: EvaluateOptions,
+}
+
+
+def test_the_keywords_are_the_fields():
+    assert set(get_type_hints(SceneOptions)) == set(FIELDS)
+    own = get_type_hints(SceneSpec)
+    # A spec holds clutter parsed as well.
+    own["clutter"] = get_type_hints(SceneOptions)["clutter"]
+    for options in (SceneOptions, EnvOptions, TrainOptions, EvaluateOptions):
+        for name, kind in get_type_hints(options).items():
+            assert kind == own[name], (options, name)
+
+
+@pytest.mark.parametrize("function", TAKEN)
+def test_functions_show_the_fields_and_their_defaults(function):
+    shown = inspect.signature(function).parameters
+    for name in get_type_hints(TAKEN[function]):
+        if name != "num_objects":
+            assert shown[name].default == FIELDS[name].default
+    assert "options" not in shown
+
+
+@pytest.mark.parametrize("function", TAKEN)
+def test_a_misspelt_field_is_refused(function):
+    with pytest.raises(ConfigError, match="Did you mean 'num_objects'"):
+        function(num_object=3)
+    with pytest.raises(TypeError, match="num_object"):
+        SceneSpec(num_object=3)
+
+
+def test_a_spec_is_refused_where_a_field_of_it_counts_for_nothing():
+    with pytest.raises(ConfigError, match=r"clutter = .* in the spec for make_env.*leaving clutter out"):
+        cg.make_env(SceneSpec(clutter="stack=1"))
+    with pytest.raises(ConfigError, match="robust = True in the spec for train"):
+        cg.train(SceneSpec(robust=True))
+    with pytest.raises(ConfigError, match="one pool"):
+        cg.make_sampler("dining", pool="office")
+    with pytest.raises(ConfigError, match="a SceneSpec, or a pool's name"):
+        cg.make_sampler(3)
+
+
+def test_equal_requests_are_equal():
+    spec = SceneSpec(objects=["mug", "bowl"], pool=Path("dining"), clutter={"stack": 1.0})
+    assert spec == SceneSpec(objects=("mug", "bowl"), clutter="stack=1")
+    assert hash(spec) == hash(dataclasses.replace(spec))
+    assert spec.clutter == Clutter(stack=1.0)
+    assert eval(repr(spec)) == spec
+    assert repr(SceneSpec()) == "SceneSpec()"
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"num_objects": 0}, "num_objects = 0.*1 to 40"),
+        ({"num_objects": 2.5}, "a whole number"),
+        ({"max_attempts": 11}, "1 to 10"),
+        ({"budget": 3, "num_objects": 4}, "4 to 10000 attempts"),
+        ({"min_margin": -1.0}, "0 to 0.1 m"),
+        ({"ruin_after": 6}, "0 to 5"),
+        ({"engine": "fast"}, "auto, native, warp, jax"),
+        ({"method": "guide"}, "Did you mean 'guided'"),
+        ({"containment": "all"}, "center, footprint"),
+        ({"tidy": True, "natural": True}, "one or the other"),
+        ({"region": 3}, "a Rectangle"),
+        ({"keep_out": Rectangle()}, "a sequence"),
+        ({"num_threads": -1}, "0 to"),
+    ],
+)
+def test_a_value_is_checked_when_it_is_given(asked, said):
+    with pytest.raises(ConfigError, match=said):
+        SceneSpec(**asked)
+
+
+def test_a_bank_gives_its_request_back(tmp_path):
+    spec = SceneSpec(
+        num_objects=2,
+        support="table-0.40x0.50",
+        region="0.3x0.3",
+        keep_out=("0.1,0,0.05,0.05",),
+        method="spread",
+        clutter="stack=1",
+        overhang="none",
+        robust=True,
+    )
+    cg.generate(tmp_path / "one", spec, num_scenes=2, max_files=0)
+    bank = read_bank(tmp_path / "one")
+    cg.generate(tmp_path / "two", bank.spec, num_scenes=2, max_files=0)
+    again = read_bank(tmp_path / "two")
+    assert again.spec == bank.spec == dataclasses.replace(bank.spec, order="weighted", ruin_after=5)
+    assert again.table.equals(bank.table)
+
+
+def complaints(folder, *arguments):
+    """What mypy says."""
+    command = [sys.executable, "-m", "mypy", "--config-file", str(ROOT / "pyproject.toml"), *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False).stdout
+
+
+@pytest.mark.slow
+def test_mypy_refuses_a_field_that_is_misspelt_or_renamed(tmp_path):
+    shutil.copytree(ROOT / "cluttergen_jax", tmp_path / "cluttergen_jax", ignore=lambda *_: ["__pycache__"])
+    (tmp_path / "cluttergen_jax" / "misspelt.py").write_text(
+        "import cluttergen_jax as cg\n"
+        "cg.SceneSpec(num_object=3)\n"
+        "cg.generate(num_object=3)\n"
+        "cg.evaluate(num_object=3)\n"
+        "cg.train(num_object=3)\n"
+    )
+    said = complaints(tmp_path)
+    for line in range(2, 6):
+        assert f"misspelt.py:{line}: error: Unexpected keyword argument" in said
+    assert "Found 4 errors" in said
+    (tmp_path / "cluttergen_jax" / "misspelt.py").unlink()
+    spec = tmp_path / "cluttergen_jax" / "spec.py"
+    spec.write_text(
+        spec.read_text().replace("    min_margin: float | None = None", "    margin: float | None = None")
+    )
+    assert '"SceneSpec" has no attribute "min_margin"' in complaints(tmp_path)
