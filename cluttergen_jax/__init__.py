@@ -29,20 +29,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 from warnings import warn
 
-from cluttergen_jax.api.certify import certify
-from cluttergen_jax.api.evaluate import evaluate, evaluate_suite
 from cluttergen_jax.api.export import export
 from cluttergen_jax.api.generate import generate
 from cluttergen_jax.api.hub import pull_bank, push_bank
 from cluttergen_jax.api.import_ import import_pool, import_support
-from cluttergen_jax.api.perception import perception_data, perception_eval, perception_train
 from cluttergen_jax.api.place import place_by_hand
-from cluttergen_jax.api.placer import placer_data, placer_eval
-from cluttergen_jax.api.placer_train import placer_train
 from cluttergen_jax.api.pretrain import pretrain
-from cluttergen_jax.api.rearrange import rearrange
 from cluttergen_jax.api.render import render
-from cluttergen_jax.api.robot import robot_grasps, robot_place
 from cluttergen_jax.api.train import train, train_suite
 from cluttergen_jax.api.verify import verify
 from cluttergen_jax.api.view import view
@@ -54,6 +47,12 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.assets.support_file import find_support as load_support
     from cluttergen_jax.assets.support_file import list_supports
+    from cluttergen_jax.downstream.api import evaluate_suite
+    from cluttergen_jax.downstream.perception.api import perception_data, perception_eval, perception_train
+    from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
+    from cluttergen_jax.downstream.rearrange.api import rearrange
+    from cluttergen_jax.downstream.robot.api import robot_grasps, robot_place
+    from cluttergen_jax.evaluation.api import certify, evaluate
     from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler, stream_bank
     from cluttergen_jax.generation.brax_ppo import train_brax
     from cluttergen_jax.generation.environments import make_env, make_gym_env, make_sb3_env, make_vector_env
@@ -126,6 +125,12 @@ __all__ = [
 
 # What is in no module of this list is in `generation`.
 _MODULES = {
+    "evaluation.api": ("certify", "evaluate"),
+    "downstream.api": ("evaluate_suite",),
+    "downstream.perception.api": ("perception_data", "perception_eval", "perception_train"),
+    "downstream.placer.api": ("placer_data", "placer_eval", "placer_train"),
+    "downstream.rearrange.api": ("rearrange",),
+    "downstream.robot.api": ("robot_grasps", "robot_place"),
     "assets.pool": ("list_pools", "remove_pool"),
     "assets.support": ("Rectangle",),
     "assets.support_file": ("list_supports",),

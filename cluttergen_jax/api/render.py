@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
-from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.api.text import parse_size, scene_numbers
 from cluttergen_jax.config import FilmFormat, PixelOrigin, check_range
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.rendering.config import CameraView, FilmConfig
 

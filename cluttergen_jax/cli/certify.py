@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from tyro.conf import Positional
 
-from cluttergen_jax.api.certify import certify
 from cluttergen_jax.cli.options import Options, options_from
+from cluttergen_jax.evaluation.api import certify
 
 
 @options_from(certify, bank=Positional[str])

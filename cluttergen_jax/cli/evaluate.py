@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 
-from cluttergen_jax.api.evaluate import evaluate, evaluate_suite
 from cluttergen_jax.cli.options import Options, options_from
 from cluttergen_jax.config import Suite
+from cluttergen_jax.downstream.api import evaluate_suite
+from cluttergen_jax.evaluation.api import evaluate
 
 
 @options_from(evaluate, evaluate_suite, suite=Suite | None)

@@ -33,9 +33,9 @@ class Inspect:
 
     def run(self) -> int:
         """Runs the command; the exit status."""
-        from cluttergen_jax.api.places import check_file
         from cluttergen_jax.assets.pool import find_pool
         from cluttergen_jax.cli.pool_table import pool_table
+        from cluttergen_jax.files import check_file
 
         check_file(self.out, "out", f"{self.pool}.png")
         pool = find_pool(self.pool, self.exclude)
@@ -43,7 +43,7 @@ class Inspect:
         print(f"pool {pool.name}, licence: {pool.licence or 'not stated'}, content {pool.hash[:12]}")
         print(pool_table(objects))
         if self.grasps:
-            from cluttergen_jax.api.robot import robot_grasps
+            from cluttergen_jax.downstream.robot.api import robot_grasps
 
             print(sets := robot_grasps(self.pool, [asset.name for asset in objects]))
         if self.out is not None:

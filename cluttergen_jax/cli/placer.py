@@ -7,9 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from cluttergen_jax.api.placer import placer_data, placer_eval
-from cluttergen_jax.api.placer_train import placer_train
 from cluttergen_jax.cli.options import Options, options_from
+from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
 from cluttergen_jax.errors import ConfigError
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 
-from cluttergen_jax.api.rearrange import rearrange
 from cluttergen_jax.cli.options import Options, options_from
 from cluttergen_jax.config import RobotObserver
+from cluttergen_jax.downstream.rearrange.api import rearrange
 
 
 @options_from(rearrange, observer=RobotObserver)

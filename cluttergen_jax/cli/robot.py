@@ -7,8 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from cluttergen_jax.api.robot import robot_grasps, robot_place
 from cluttergen_jax.cli.options import Options, options_from
+from cluttergen_jax.downstream.robot.api import robot_grasps, robot_place
 
 
 @options_from(robot_grasps, pool=Annotated[str, tyro.conf.Positional])

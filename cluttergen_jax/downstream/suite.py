@@ -22,7 +22,6 @@ from cluttergen_jax.downstream.studies.set_size import SET_SIZE
 from cluttergen_jax.downstream.studies.source import SOURCE
 from cluttergen_jax.downstream.studies.study import (
     SETS,
-    ApiCalls,
     DownstreamStudy,
     Found,
     Scale,
@@ -60,7 +59,6 @@ STUDIES = {
 
 
 def run_downstream(
-    calls: ApiCalls,
     folder: Path,
     only: Sequence[str],
     scale: Scale,
@@ -69,9 +67,6 @@ def run_downstream(
     show: Callable[[Result], None],
 ) -> list[Result]:
     """The studies of the suite, each written as it is done; see `cluttergen_jax.evaluate_suite`.
-
-    Args:
-      calls: functions of the Python API.
 
     Raises:
       ConfigError: there is no such study, or no set of one of the scale's pools.
@@ -94,7 +89,7 @@ def run_downstream(
     if any(STUDIES[name].needs_robot for name in only or STUDIES):
         panda_folder()
         need_gicp()
-    suite, results = SuiteFolder(folder, calls, scale, num_threads, fresh), []
+    suite, results = SuiteFolder(folder, scale, num_threads, fresh), []
     for name in only or STUDIES:
         found = STUDIES[name].run(suite)
         result = result_of(STUDIES[name], found, command_of(name, scale), scale.quick)

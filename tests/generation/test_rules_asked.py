@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.api import evaluate as evaluation
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.config import TRUSTED_METHODS, VerifyConfig
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation import api as evaluation
 from cluttergen_jax.evaluation import comparison
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.generation.sources.opening import open_source

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from cluttergen_jax.downstream.perception.api import perception_data, perception_eval
 from cluttergen_jax.downstream.perception.evaluation.evaluate import (
     TRUE_MASKS,
     PerceptionResult,
@@ -38,7 +39,7 @@ _MASK_NOTES = (
 def run(suite: SuiteFolder) -> Found:
     """True masks, then the segmenter's; one camera and two; noise off and on."""
     number, seed = suite.scale.scenes(_VIEWS, _QUICK_VIEWS), suite.scale.seed
-    views = suite.calls.perception_data(
+    views = perception_data(
         suite.folder / "data" / f"views-{number}-{seed}",
         pool=POOL,
         num_views=number,
@@ -51,7 +52,7 @@ def run(suite: SuiteFolder) -> Found:
         for old in out.glob("*.jsonl"):
             old.unlink()
     asked = (TRUE_MASKS, POOL)
-    found = [suite.calls.perception_eval(views.path, each, seed=seed, out=out) for each in asked]
+    found = [perception_eval(views.path, each, seed=seed, out=out) for each in asked]
     rows = [row_of(result, row) for result in found for row in result.rows]
     return Found(rows, tables_of(rows))
 

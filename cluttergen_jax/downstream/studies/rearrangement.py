@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
+from cluttergen_jax.downstream.rearrange.api import rearrange
 from cluttergen_jax.downstream.rearrange.settings import SETTINGS
 from cluttergen_jax.downstream.rearrange.trials import Rearrangements
 from cluttergen_jax.downstream.robot.trials import EPISODES
@@ -68,7 +69,7 @@ def _row(suite: SuiteFolder, asked: dict[str, Any], title: str | None = None) ->
     out = suite.folder / "episodes" / "-".join([f"rearrange-{seed}", asked["observer"], *changed])
     if suite.fresh:
         (out / asked["setting"] / EPISODES).unlink(missing_ok=True)
-    found = suite.calls.rearrange(out, num_episodes=number, seed=seed, num_threads=suite.num_threads, **asked)
+    found = rearrange(out, num_episodes=number, seed=seed, num_threads=suite.num_threads, **asked)
     return row_of({**asked, "row": title or asked["setting"]}, found)
 
 

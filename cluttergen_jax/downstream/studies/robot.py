@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
+from cluttergen_jax.downstream.robot.api import robot_place
 from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials
 from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
 from cluttergen_jax.proportions import finite, proportion
@@ -50,7 +51,7 @@ def run(suite: SuiteFolder) -> Found:
         out = place / "-".join(map(str, asked.values()))
         if suite.fresh:
             (out / asked["task"] / EPISODES).unlink(missing_ok=True)
-        trials = suite.calls.robot_place(
+        trials = robot_place(
             out, bank, num_episodes=number, seed=seed, num_threads=suite.num_threads, **asked
         )
         rows.append(row_of(asked, trials))

@@ -8,16 +8,13 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 from cluttergen_jax.config import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom, check_range
-from cluttergen_jax.downstream.perception.evaluation.evaluate import PerceptionResult
-from cluttergen_jax.downstream.perception.views.stored import ViewSet
+from cluttergen_jax.downstream.placer.api import placer_data
 from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials
 from cluttergen_jax.downstream.placer.evaluation.tables import Row
 from cluttergen_jax.downstream.placer.pairs.stored import PairSet
 from cluttergen_jax.downstream.placer.training.examples import ExampleSource
 from cluttergen_jax.downstream.placer.training.presets import preset
 from cluttergen_jax.downstream.placer.training.run import PlacerTraining
-from cluttergen_jax.downstream.rearrange.trials import Rearrangements
-from cluttergen_jax.downstream.robot.trials import RobotTrials
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import MAX_TRIALS
@@ -32,17 +29,6 @@ _QUICK_PAIRS, _QUICK_EPOCHS = 100, 1
 _SEEDS = 3
 MOST_SEED = 999_999
 """Of pairs, whose splits' banks have seeds in ranges of their own."""
-
-
-@dataclass(frozen=True)
-class ApiCalls:
-    """Functions of the Python API, which lies above this package: what studies do as a user would."""
-
-    placer_data: Callable[..., PairSet]
-    perception_data: Callable[..., ViewSet]
-    perception_eval: Callable[..., PerceptionResult]
-    robot_place: Callable[..., RobotTrials]
-    rearrange: Callable[..., Rearrangements]
 
 
 @dataclass(frozen=True)
@@ -141,12 +127,10 @@ class SuiteFolder:
     Attributes:
       folder: `data/` (pairs, views, and their banks), `runs/` (trained placers), `results/` (rows of
         placers), `episodes/` (of the robot), `moments/` (of perception).
-      calls: functions of the Python API.
       scale: how much is to be done; num_threads: 0 takes every core; fresh: make rows again.
     """
 
     folder: Path
-    calls: ApiCalls
     scale: Scale = field(default_factory=Scale)
     num_threads: int = 0
     fresh: bool = False
@@ -200,13 +184,13 @@ class SuiteFolder:
     def hand_set(self, bank: Path, num_pairs: int) -> PairSet:
         """Pairs of a bank that is there."""
         place = self.folder / "data" / f"bank-{bank.name}-{self.scale.seed}"
-        return self.calls.placer_data(
+        return placer_data(
             place, bank, num_pairs=num_pairs, seed=self.scale.seed, num_threads=self.num_threads
         )
 
     def _pairs(self, name: str, **settings: Any) -> PairSet:
         place, seed = self.folder / "data" / f"{name}-{self.scale.seed}", self.scale.seed
-        return self.calls.placer_data(place, seed=seed, num_threads=self.num_threads, **settings)
+        return placer_data(place, seed=seed, num_threads=self.num_threads, **settings)
 
     def trained(
         self,

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.config import (
     MAX_VIEWS,
     Method,
@@ -17,6 +16,7 @@ from cluttergen_jax.config import (
     check_workers,
 )
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.api.places import check_file, check_folder
 from cluttergen_jax.config import (
     MAX_NOISE,
     FilmFormat,
@@ -18,6 +17,7 @@ from cluttergen_jax.config import (
     check_workers,
 )
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.files import check_file, check_folder
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.spec import SceneSpec
 

@@ -7,7 +7,6 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.api.places import check_folder
 from cluttergen_jax.config import (
     FilmFormat,
     LayoutRule,
@@ -18,6 +17,7 @@ from cluttergen_jax.config import (
     check_workers,
 )
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
