@@ -284,7 +284,7 @@ def test_banks_of_which_no_pairs_can_be_made_are_named(tmp_path):
 def test_a_bank_made_along_is_made_anew_where_that_is_asked(make, more, tmp_path, monkeypatch):
     asked = []
 
-    def generate(out, **settings):
+    def generate(out, *spec, **settings):
         asked.append(settings["overwrite"])
         raise BankError("enough")
 
