@@ -86,7 +86,7 @@ def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) ->
       PoolError: a pool, an object or a support cannot be found.
       ConfigError: more objects are asked for than there are, or the region is not on the support.
     """
-    pool = find_pool(config.pool)
+    pool = find_pool(config.pool, names=config.objects)
     chosen = [pool[name] for name in config.objects] if config.objects else list(pool.objects)
     support = find_support(config.support)
     region = config.region or support.region
