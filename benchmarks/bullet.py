@@ -25,7 +25,7 @@ from cluttergen_jax.evaluation.measures.bullet_world import (
     support_friction,
     write_compound,
 )
-from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing
+from cluttergen_jax.physics.host import below_top, empty_settling, empty_standing
 from cluttergen_jax.physics.stability import moved
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.types import Settling, Standing, Verdict

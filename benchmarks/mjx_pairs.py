@@ -27,7 +27,7 @@ from benchmarks.section import prose, report, table
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.physics import mjx_scenes
-from cluttergen_jax.physics.mjx_faces import faces_first
+from cluttergen_jax.physics.mjx_pairs import faces_first
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, compose
 

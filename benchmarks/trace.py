@@ -1,7 +1,7 @@
 """How far one reads to follow one call: files of the package entered, and moves between them.
 
-Follows `make_sampler(pool="dining", objects=..., method="drop")`, without imports: a move is a call of a Python
-function in another file of the package, or the return from it.
+Follows `make_sampler(pool="dining", objects=..., method="drop")`, without imports: a move is a call of a
+Python function in another file of the package, or the return from it.
 
     python -m benchmarks.trace [--moves]
 """

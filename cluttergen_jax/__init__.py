@@ -54,8 +54,13 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.robot.api import robot_grasps, robot_place
     from cluttergen_jax.evaluation.api import certify, evaluate
     from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler, stream_bank
-    from cluttergen_jax.generation.brax_ppo import train_brax
-    from cluttergen_jax.generation.environments import make_env, make_gym_env, make_sb3_env, make_vector_env
+    from cluttergen_jax.generation.environments import (
+        make_env,
+        make_gym_env,
+        make_sb3_env,
+        make_vector_env,
+        train_brax,
+    )
     from cluttergen_jax.importing.poses import pool_poses, set_pose
     from cluttergen_jax.placement.region import KeepOut, make_region
     from cluttergen_jax.placement.rollout.replay import Replay
@@ -142,8 +147,7 @@ _MODULES = {
     "placement.region": ("KeepOut", "make_region"),
     "placement.rollout.replay": ("Replay",),
     "placement.scenes": ("SceneBatch",),
-    "generation.brax_ppo": ("train_brax",),
-    "generation.environments": ("make_env", "make_gym_env", "make_sb3_env", "make_vector_env"),
+    "generation.environments": ("make_env", "make_gym_env", "make_sb3_env", "make_vector_env", "train_brax"),
 }
 _ELSEWHERE = {name: module for module, names in _MODULES.items() for name in names}
 _RENAMED = {

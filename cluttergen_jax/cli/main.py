@@ -8,7 +8,9 @@ import os
 import platform
 import signal
 import sys
-from collections.abc import Sequence
+import threading
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
 from types import FrameType
@@ -16,7 +18,6 @@ from typing import Any
 
 from cluttergen_jax.cli.commands import COMMANDS, all_commands, load, overview
 from cluttergen_jax.cli.flags import removed_name, with_flags
-from cluttergen_jax.cli.stopping import watch_signals
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.files import advice_on, cache_home, check_utf8
 from cluttergen_jax.numerics import OF_THIS_PACKAGE
@@ -151,3 +152,39 @@ def _told(error: OSError) -> str:
     path = error.filename2 or error.filename
     given = f"{f'{path}: ' if path else ''}{error.strerror or error}"
     return str(ClutterGenError(given, hint=f"{advice_on(error)}, then the same command again"))
+
+
+GRACE = 3.0
+"""Seconds in which a signal has to be answered."""
+
+
+def watch_signals(usual: Callable[..., Any]) -> None:
+    """Ends the process with 128 + the signal where one is not answered in time. For the main thread, once.
+
+    Python answers a signal between two steps of the main thread. One that comes while that thread is in
+    compiled code is seen by a thread of its own. What is on disk is whole whenever a process ends.
+
+    Args:
+      usual: the handler of Ctrl-C that is there as long as nobody has answered, or has taken it over to save
+        what there is first (`learning.training.interrupt`). A second signal waits for nobody.
+    """
+    reads, writes = os.pipe()
+    os.set_blocking(writes, False)
+    signal.set_wakeup_fd(writes, warn_on_full_buffer=False)
+
+    def watch() -> None:
+        count = 0
+        while True:
+            for number in os.read(reads, 64):
+                if number in (signal.SIGINT, signal.SIGTERM):
+                    count += 1
+                    threading.Thread(target=_end_late, args=(number, count, usual), daemon=True).start()
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _end_late(number: int, count: int, usual: Callable[..., Any]) -> None:
+    time.sleep(GRACE)
+    if count > 1 or signal.getsignal(signal.SIGINT) is usual:
+        print("\nstopped; the same command takes it up again", file=sys.stderr, flush=True)
+        os._exit(128 + number)

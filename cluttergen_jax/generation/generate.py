@@ -22,9 +22,8 @@ from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.learning.methods import DEFAULT_METHOD, Method, sampler_of
 from cluttergen_jax.physics import engine_of
 from cluttergen_jax.placement.config import placement_record
-from cluttergen_jax.placement.problem import Problem, crowding
+from cluttergen_jax.placement.problem import Problem, Setup, crowding
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, blocks_of
-from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.clutter_stats import ClutterTally

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.generation.recipes import required_recipe
+from cluttergen_jax.generation.arguments import required_recipe
 from cluttergen_jax.generation.wrappers import ActionRange
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.brax_env import Env, State

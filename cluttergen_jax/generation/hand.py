@@ -21,8 +21,8 @@ from cluttergen_jax.generation.generate import GeneratedBank, recipe_of
 from cluttergen_jax.learning.methods import Method
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.hand import HandError, HandScene
+from cluttergen_jax.placement.problem import Setup, make_setup
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
-from cluttergen_jax.placement.setup import Setup, make_setup
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank import BankWriter, read_bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks

@@ -15,9 +15,9 @@ from cluttergen_jax.learning.policies.guided import KIND, load_guided
 from cluttergen_jax.learning.policies.policy import load_policy
 from cluttergen_jax.placement.baselines import BASELINES, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rules import Proposer, Rules
-from cluttergen_jax.placement.setup import Setup
 
 DEFAULT_METHOD, FALLBACK_METHOD = "guided", "spread"
 """What a user gets unasked; the second where no checkpoint of the first is embedded."""

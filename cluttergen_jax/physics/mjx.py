@@ -19,13 +19,19 @@ from mujoco import mjx
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.physics import stability
-from cluttergen_jax.physics.batching import one_scene
-from cluttergen_jax.physics.host import OneScenePhysics
+from cluttergen_jax.physics.host import (
+    OneScenePhysics,
+    below_top,
+    empty_settling,
+    empty_standing,
+    kept,
+    one_scene,
+    where,
+)
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.margin import MIN_SHIFT
 from cluttergen_jax.physics.mjx_contacts import ContactRows, bearers, margins, overlaps
 from cluttergen_jax.physics.mjx_scenes import WARP_DEFAULTS, MjxScenes, WarpOptions, start_poses
-from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept, where
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 

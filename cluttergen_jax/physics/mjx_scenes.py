@@ -23,8 +23,7 @@ from cluttergen_jax.geometry import norm, rotate
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.mjx_contacts import ContactRows
-from cluttergen_jax.physics.mjx_faces import faces_first
-from cluttergen_jax.physics.mjx_pairs import Pairs
+from cluttergen_jax.physics.mjx_pairs import Pairs, faces_first
 from cluttergen_jax.types import Array
 
 IMPLEMENTATIONS = ("warp", "jax")

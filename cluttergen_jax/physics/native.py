@@ -20,12 +20,10 @@ from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics import stability
 from cluttergen_jax.physics.disturbance import disturb
-from cluttergen_jax.physics.host import HostPhysics
+from cluttergen_jax.physics.host import HostPhysics, below_top, empty_settling, empty_standing, kept, where
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
-from cluttergen_jax.physics.margin import MIN_SHIFT
-from cluttergen_jax.physics.overlap import OverlapProbe
-from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept, where
+from cluttergen_jax.physics.margin import MIN_SHIFT, OverlapProbe
 from cluttergen_jax.physics.simulations import Motion, Simulations, sleeping_model
 from cluttergen_jax.types import Settling, Standing, Verdict
 

@@ -13,19 +13,18 @@ from scipy.spatial import ConvexHull
 from cluttergen_jax.assets.columns import Columns
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.reach import check_reach
+from cluttergen_jax.assets.reach import check_keep_out, check_reach
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.margin import support_margin
-from cluttergen_jax.placement.changes import ChangedRegion, find_change
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.heightmap import Ground
-from cluttergen_jax.placement.region import KeepOut, Region, make_region
+from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.types import Geometry
+from cluttergen_jax.placement.types import Geometry, Start
 from cluttergen_jax.placement.world import World, make_world, repeated
 
 SMALLEST_REGION = 0.02
@@ -238,3 +237,51 @@ def _surface_runs(columns: Columns) -> np.ndarray:
     """f64[M, 64, 3]: an object's grown upper surface, padded with its first point."""
     padding = np.repeat(columns.surface[:1], -len(columns.surface) % _RUN, axis=0)
     return np.concatenate([columns.surface, padding]).reshape(-1, _RUN, 3)
+
+
+Standing = tuple[Sequence[ObjectAsset], np.ndarray]
+"""Objects that stand there when an episode begins, and their world poses f32[N, 7], metres, wxyz."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """A compiled problem, with what every episode begins with.
+
+    Attributes:
+      problem: the world, its rules and its queried region.
+      keep_out: where no object may come to lie.
+      start: what stands there already.
+    """
+
+    problem: Problem
+    keep_out: KeepOut
+    start: Start
+
+
+def make_setup(
+    config: ProblemConfig,
+    keep_out: Sequence[Rectangle] = (),
+    standing: Standing | None = None,
+    assets: tuple[Sequence[ObjectAsset], SupportAsset] | None = None,
+) -> Setup:
+    """Compiles the problem, around objects that stand there already if there are any.
+
+    Args:
+      assets: objects and a support that are at hand, in place of those that `config` names.
+
+    Raises:
+      ConfigError: a box cannot meet the region, or `make_problem` refuses.
+      PoolError: something cannot be found or read.
+    """
+    objects, poses = standing or ((), np.zeros((0, 7), np.float32))
+    problem = compose(*assets, config, objects) if assets else make_problem(config, objects)
+    check_keep_out(keep_out, problem.region)
+    return Setup(problem, keep_out_of(keep_out), _start_of(problem.world, poses))
+
+
+def _start_of(world: World, poses: np.ndarray) -> Start:
+    """The start of episodes in a world whose last N objects stand at `poses` f32[N, 7]."""
+    is_placed = np.arange(world.num_objects) >= world.num_objects - len(poses)
+    everyone = np.tile(np.eye(7)[3], (world.num_objects, 1))
+    everyone[is_placed] = poses
+    return on_device(Start(everyone, is_placed))

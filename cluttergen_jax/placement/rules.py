@@ -21,7 +21,6 @@ from cluttergen_jax.placement.region import (
     no_keep_out,
     pose_of_action,
 )
-from cluttergen_jax.placement.reward import reward_of
 from cluttergen_jax.placement.ruin import choose_ruin, footprint_area
 from cluttergen_jax.placement.types import Counts, Episode, Geometry, History, Start, Transition
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
@@ -40,7 +39,7 @@ class Proposer(Protocol):
 
 
 class RegionDraw(Protocol):
-    """Draws an episode's region from a key; two that draw alike are equal (`placement.changes`)."""
+    """Draws an episode's region from a key; two that draw alike are equal (`placement.region`)."""
 
     def __call__(self, key: Array) -> Region:
         """A region drawn with `key`."""
@@ -397,3 +396,28 @@ def empty_history(max_attempts: int, num_rows: int) -> History:
         num_steps=jnp.zeros(max_attempts, jnp.int32),
         is_tried=jnp.zeros(max_attempts, bool),
     )
+
+
+_CODE_LAST_BONUS = 1000.0
+
+
+def reward_of(
+    settling: Settling, is_stable: Array, ordinal: Array, is_last: Array, config: PlacementConfig
+) -> Array:
+    """The reward of one attempt, f32.
+
+    "paper": -c sum_t (|v_t| + |a_t|) + n R0 1[stable], n the object's ordinal from 1 (paper, equation 1).
+    "code": -c sum_t |v_t|_1 + R0 1[stable], and 1,000 more for the last object (its published code).
+    "compressed": 1[stable] - log(1 + c sum_t (|v_t| + |a_t|)) / 10. The paper's penalty on a failed attempt
+      is 69 in the median and up to 1,600; its logarithm keeps the order and spares the critic.
+
+    Args:
+      ordinal: i32, 1 for the first object.
+    """
+    stable = is_stable.astype(jnp.float32)
+    if config.reward == "paper":
+        return -config.motion_cost * settling.motion_sum + ordinal * config.success_reward * stable
+    if config.reward == "code":
+        bonus = config.success_reward + _CODE_LAST_BONUS * is_last
+        return -config.motion_cost * settling.speed_sum + bonus * stable
+    return stable - jnp.log1p(config.motion_cost * settling.motion_sum) / 10

@@ -23,8 +23,8 @@ from cluttergen_jax.evaluation.suites import FORMER_NAMES, SUITES
 from cluttergen_jax.generation import generate, make_sampler
 from cluttergen_jax.learning.training.presets import PRESETS
 from cluttergen_jax.physics.log import silent_import
-from cluttergen_jax.placement.changes import REGION_CHANGES
 from cluttergen_jax.placement.problem import ProblemConfig, crowding, make_problem
+from cluttergen_jax.placement.region import REGION_CHANGES
 from cluttergen_jax.scene.export.formats import FORMATS
 from tests.helpers.banks import two_scenes
 from tests.helpers.worlds import box

@@ -18,11 +18,11 @@ from tests.helpers.worlds import trio
 BUSY = """
 import hashlib, signal, threading
 from contextlib import nullcontext
-from cluttergen_jax.cli import main, stopping
+from cluttergen_jax.cli import main
 from cluttergen_jax.learning.training.interrupt import Interrupt
-stopping.GRACE = 0.4
+main.GRACE = 0.4
 signal.signal(signal.SIGINT, main._struck)
-stopping.watch_signals(main._struck)
+main.watch_signals(main._struck)
 with {context}:
     # Said from within the call: a signal before it would be answered by Python itself.
     threading.Timer(0.5, print, ["ready"], {{"flush": True}}).start()

@@ -20,9 +20,9 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation import hand
 from cluttergen_jax.generation.hand import HandBank, hand_setup
 from cluttergen_jax.generation.sources import BankSource, viewing
+from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import no_keep_out
 from cluttergen_jax.placement.rules import empty_start
-from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.scene.bank import bank as reading
 from cluttergen_jax.scene.bank import blocks, read_bank
 from cluttergen_jax.scene.bank.stats import stats_of, stats_text

@@ -12,7 +12,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import api as evaluation
 from cluttergen_jax.evaluation import comparison
 from cluttergen_jax.evaluation.trial import Trial, key_of
-from cluttergen_jax.generation.sources.opening import open_source
+from cluttergen_jax.generation.sources.scene_sources import open_source
 from cluttergen_jax.placement.config import MIN_MARGIN, RUIN_AFTER
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.card import card_text

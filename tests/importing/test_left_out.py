@@ -11,8 +11,7 @@ from cluttergen_jax.assets.gaps import gap_alarm, piece_gaps
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.solid import solid_of
-from cluttergen_jax.cli.import_ import Import
-from cluttergen_jax.cli.import_report import print_report
+from cluttergen_jax.cli.import_ import Import, print_report
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.planning import plan_all

@@ -10,7 +10,7 @@ from cluttergen_jax.api.generate import generate
 from cluttergen_jax.assets.pool import EMBEDDED
 from cluttergen_jax.config import VARIANTS
 from cluttergen_jax.evaluation.api import evaluate
-from cluttergen_jax.generation.make import make_sampler
+from cluttergen_jax.generation.sampler import make_sampler
 from cluttergen_jax.learning.policies.embedded import list_policies
 from cluttergen_jax.learning.training.metrics_log import draw_curve
 

@@ -12,10 +12,18 @@ from scipy.spatial.distance import pdist
 from cluttergen_jax.assets.cloud import farthest_first
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.agents import Agent
-from cluttergen_jax.learning.networks import cloud_encoder, pointnet2
+from cluttergen_jax.learning.networks import cloud_encoder
 from cluttergen_jax.learning.networks.actor_critic import NetworkConfig
-from cluttergen_jax.learning.networks.cloud_encoder import CloudEncoder, CloudNet, encode_scenes, init_encoder
-from cluttergen_jax.learning.networks.pointnet2 import PointNet2, SetAbstraction, ball_query, farthest_points
+from cluttergen_jax.learning.networks.cloud_encoder import (
+    CloudEncoder,
+    CloudNet,
+    PointNet2,
+    SetAbstraction,
+    ball_query,
+    encode_scenes,
+    farthest_points,
+    init_encoder,
+)
 from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig
 from cluttergen_jax.placement.clouds import CloudLayout, even_points, scene_cloud
 from cluttergen_jax.placement.env import PlacementEnv
@@ -111,7 +119,7 @@ def test_prefix_of_an_ordered_cloud_is_its_farthest_point_sample():
 
 @pytest.mark.parametrize("at_once", [1 << 20, 150])
 def test_ball_query_finds_what_a_tree_finds(monkeypatch, at_once):
-    monkeypatch.setattr(pointnet2, "_SEARCHED_AT_ONCE", at_once)
+    monkeypatch.setattr(cloud_encoder, "_SEARCHED_AT_ONCE", at_once)
     cloud, centres, radius, number = points(50), points(9, 3), 0.4, 5
     mask = np.random.default_rng(2).uniform(size=50) < 0.7
     index, is_found = jax.jit(ball_query, static_argnums=(3, 4))(centres, cloud, mask, radius, number)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.learning.networks.footprint import FootprintFeatures
+from cluttergen_jax.learning.agents import FootprintFeatures
 
 CELL = 0.01
 SIDE = 48 * CELL

@@ -21,10 +21,13 @@ from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.policies.guided import blank_params, load_guided, make_guided
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from cluttergen_jax.learning.training import guided
-from cluttergen_jax.learning.training.attempts import Examples, Explorer, begin, collect_step
 from cluttergen_jax.learning.training.stability import (
+    Examples,
+    Explorer,
     FitConfig,
+    begin,
     calibration,
+    collect_step,
     draw_calibration,
     fit,
     predictions_of,

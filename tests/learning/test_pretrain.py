@@ -12,9 +12,15 @@ from cluttergen_jax.learning.networks.cloud_encoder import CloudEncoder, init_en
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training import pretrain
-from cluttergen_jax.learning.training.classifier import AugmentConfig, augmented, make_clouds, shape_cloud
 from cluttergen_jax.learning.training.presets import choose_encoder, fitted
-from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretraining
+from cluttergen_jax.learning.training.pretrain import (
+    AugmentConfig,
+    PretrainConfig,
+    Pretraining,
+    augmented,
+    make_clouds,
+    shape_cloud,
+)
 from cluttergen_jax.learning.training.run import Run, RunConfig, with_encoder
 from tests.helpers.problems import made_up_rules
 from tests.helpers.runs import PPO, compiled_once, recipe

@@ -6,7 +6,7 @@ from cluttergen_jax import train
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training import pretrain
-from cluttergen_jax.learning.training.random_comparison import comparison_lines, difference_interval
+from cluttergen_jax.learning.training.run_logger import comparison_lines, difference_interval
 from cluttergen_jax.learning.training.train import TrainConfig, as_in_paper
 from cluttergen_jax.proportions import wilson
 

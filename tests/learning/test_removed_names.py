@@ -10,7 +10,7 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.config import METHODS, REMOVED, VARIANTS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.generate import recipe_of
-from cluttergen_jax.generation.sources.stored import BankSource
+from cluttergen_jax.generation.sources.scene_sources import BankSource
 from cluttergen_jax.learning.methods import Method, choose_method
 from cluttergen_jax.learning.training.presets import PRESETS
 from cluttergen_jax.scene.bank import read_bank

@@ -14,8 +14,8 @@ import pytest
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.interrupt import Interrupt
-from cluttergen_jax.learning.training.memory import check_memory, free_bytes
 from cluttergen_jax.learning.training.metrics_log import MetricsLog, WandbLog, read_rows
+from cluttergen_jax.learning.training.run import check_memory, free_bytes
 from tests.helpers.runs import PPO, Stopping, compiled_once, make_run
 
 __all__ = ["compiled_once"]

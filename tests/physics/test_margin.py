@@ -17,7 +17,7 @@ from cluttergen_jax.evaluation.measures.robustness import TiltConfig, tilt
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.physics.margin import support_margin
-from cluttergen_jax.physics.mjx_margin import support_margins
+from cluttergen_jax.physics.mjx_contacts import support_margins
 from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig, placement_record
 from cluttergen_jax.placement.scenes import scene_of
 from cluttergen_jax.placement.types import Start

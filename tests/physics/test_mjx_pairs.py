@@ -8,8 +8,7 @@ import pytest
 import trimesh
 from mujoco import mjx
 
-from cluttergen_jax.physics.mjx_faces import faces_first
-from cluttergen_jax.physics.mjx_pairs import Pairs
+from cluttergen_jax.physics.mjx_pairs import Pairs, faces_first
 
 SHAPES = {
     "cone": trimesh.creation.cone(0.03, 0.06, sections=9),

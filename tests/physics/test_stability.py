@@ -10,7 +10,7 @@ from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import cross, norm, rotate, turn_between
 from cluttergen_jax.physics import stability
-from cluttergen_jax.physics.report import below_top, kept
+from cluttergen_jax.physics.host import below_top, kept
 from cluttergen_jax.types import Verdict
 
 CONFIG = StabilityConfig()

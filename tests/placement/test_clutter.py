@@ -18,11 +18,10 @@ from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.boxes import Boxes, Views, gaps, hidden_shares, spacing_of
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import PlacementConfig, placement_record
-from cluttergen_jax.placement.problem import ProblemConfig, compose
+from cluttergen_jax.placement.problem import ProblemConfig, compose, make_setup
 from cluttergen_jax.placement.rollout import Rollout
 from cluttergen_jax.placement.search.features import FEATURES, Placing
 from cluttergen_jax.placement.search.tilting import shortfall, tilted
-from cluttergen_jax.placement.setup import make_setup
 from cluttergen_jax.scene.bank.table import CLUTTER, table_of, with_added
 from tests.helpers import banks
 from tests.helpers.problems import trio_problem

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.placement.hand import HandError, HandScene
-from cluttergen_jax.placement.hand.clock import ActiveClock
+from cluttergen_jax.placement.hand.scene import ActiveClock
+from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import action_of_pose, no_keep_out
 from cluttergen_jax.placement.rules import empty_start
-from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.types import Verdict
 from tests.helpers.problems import HalfTable, trio_problem
 from tests.helpers.worlds import TOP

@@ -7,7 +7,7 @@ import pytest
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.placement.changes import REGION_CHANGES, draw_region, find_change
+from cluttergen_jax.placement.region import REGION_CHANGES, draw_region, find_change
 
 
 def draws(name, base, bounds, number=400):

@@ -15,8 +15,8 @@ from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.learning.agents import make_agent
 from cluttergen_jax.learning.policies.policy import make_policy
 from cluttergen_jax.placement.baselines import make_proposer
-from cluttergen_jax.placement.changes import ChangedRegion, find_change
 from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.region import ChangedRegion, find_change
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
 from cluttergen_jax.placement.rollout import run as run_module
 from tests.helpers.problems import HalfTable, made_up_rules

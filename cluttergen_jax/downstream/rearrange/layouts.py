@@ -26,7 +26,7 @@ from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed, scene_distances
-from cluttergen_jax.generation.make import make_sampler
+from cluttergen_jax.generation.sampler import make_sampler
 from cluttergen_jax.geometry import transformed
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.region import make_region

@@ -21,11 +21,14 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.networks.stability import NUM_FEATURES, StabilityNetConfig
 from cluttergen_jax.learning.policies.guided import KIND, blank_params
 from cluttergen_jax.learning.ppo import checkpoint
-from cluttergen_jax.learning.training.attempts import Examples, Explorer, begin, collect_step
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.stability import (
+    Examples,
+    Explorer,
     FitConfig,
+    begin,
     calibration,
+    collect_step,
     draw_calibration,
     fit,
     predictions_of,

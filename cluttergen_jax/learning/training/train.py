@@ -135,8 +135,7 @@ def run_training(
     """
     # Brax takes seconds to import, and only who trains needs it.
     from cluttergen_jax.learning.training.distributed import is_writer
-    from cluttergen_jax.learning.training.evaluator import Evaluator
-    from cluttergen_jax.learning.training.run import Run, RunConfig
+    from cluttergen_jax.learning.training.run import Evaluator, Run, RunConfig
     from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 
     settings = settings or config.settings()

@@ -15,18 +15,49 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.geometry import yaw_quaternion
-from cluttergen_jax.placement.hand.clock import ActiveClock
 from cluttergen_jax.placement.hand.types import Check, Drop, Held, Lowered
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
+from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import action_of_pose
 from cluttergen_jax.placement.rollout.replay import Attempt
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.scenes import SceneBatch, scene_of
 from cluttergen_jax.placement.search.fit import Candidates, lower_onto
 from cluttergen_jax.placement.search.search import CLEARANCE, under_side
-from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.placement.types import Bearing, Episode
 from cluttergen_jax.types import Array, Settling, Verdict
+
+IDLE = 60.0
+"""Seconds without any input after which nobody is taken to be at work."""
+
+
+class ActiveClock:
+    """Seconds of work: it runs from the first input on, and stands still `idle` seconds after the latest.
+
+    Args:
+      now: seconds, from any beginning.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic, idle: float = IDLE) -> None:
+        self._now, self._idle = now, idle
+        self._before, self._latest = 0.0, None
+
+    _latest: float | None
+
+    def touch(self) -> None:
+        """There was an input."""
+        self._before, self._latest = self.seconds, self._now()
+
+    def stop(self) -> None:
+        """Nothing more counts until the next input."""
+        self._before, self._latest = self.seconds, None
+
+    @property
+    def seconds(self) -> float:
+        """So far."""
+        since = 0.0 if self._latest is None else self._now() - self._latest
+        return self._before + min(since, self._idle)
+
 
 _CLEAR = 0.03
 

@@ -12,9 +12,8 @@ import numpy as np
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.numerics import new_key, with_own_settings
 from cluttergen_jax.placement.region import Region
-from cluttergen_jax.placement.rollout.blocks import BlockSampler
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
-from cluttergen_jax.placement.rollout.run import Rollout
+from cluttergen_jax.placement.rollout.run import BlockSampler, Rollout
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.placement.world import World
