@@ -11,7 +11,6 @@ from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.deviation import size_alarm
 from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import joined
-from cluttergen_jax.assets.modeller.catalog import POOLS, make_shape
 from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
 from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.assets.stated_mass import combined, mass_alarm
@@ -82,15 +81,6 @@ def test_a_shell_is_as_heavy_as_its_hull_unless_no_material_weighs_so_much():
     assert mass_alarm(combined([MassProperties(0.1, np.zeros(3), np.eye(3))]), shell) == ""
     alarm = mass_alarm(combined([MassProperties(0.3, np.zeros(3), np.eye(3))]), shell)
     assert "over the volume of its mesh" in alarm
-
-
-@pytest.mark.parametrize("family", sorted({family for families in POOLS.values() for family in families}))
-def test_our_own_objects_raise_none(family):
-    shape = make_shape(family)
-    assert shape.parts
-    assert (
-        size_alarm(*(joined(each).vertices for each in ([p.mesh for p in shape.pieces], shape.parts))) == ""
-    )
 
 
 URDF = """<robot name="carton"><link name="box">
