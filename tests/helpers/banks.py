@@ -8,7 +8,11 @@ import numpy as np
 import pyarrow as pa
 
 from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.generation.files import write_files
+from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.blocks import rows_bytes, write_block
 from cluttergen_jax.scene.bank.table import COUNTED, SCHEMA
 from cluttergen_jax.scene.bank.writer import BankWriter
 from tests.helpers.worlds import trio
@@ -60,6 +64,9 @@ def writer(path, num_scenes: int, recipe=None, objects=None, **kwargs) -> BankWr
     return BankWriter(path, recipe or RECIPE, num_scenes, objects, cuboid_table(), **kwargs)
 
 
+def write_rows(path, block: int, table: pa.Table, record: dict) -> None:
+    """Puts rows into a bank behind its back: `bank.json` hears nothing of it."""
+    write_block(path, block, rows_bytes(table, record))
 
 
 def write(path, num_blocks: int = 2) -> None:
@@ -83,6 +90,12 @@ def two_scenes(path) -> None:
         bank.write_block(0, pa.Table.from_pylist(scenes, schema=SCHEMA))
 
 
+def with_files(path) -> None:
+    """The same bank with the files of its scenes; given again, it mends what was changed."""
+    if not path.exists():
+        two_scenes(path)
+    with writer(path, 3) as bank:
+        write_files(read_bank(path), 3, ProblemConfig(), False, bank.keep_digests)
 
 
 if __name__ == "__main__":

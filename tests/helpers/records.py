@@ -4,6 +4,7 @@ from typing import Any
 
 from cluttergen_jax.schema import CHECKSUM
 
+_CHECKSUMS = (CHECKSUM, "weights_sha256", "files")
 
 
 def unsigned(record: dict[str, Any]) -> dict[str, Any]:
