@@ -1,7 +1,6 @@
 """What a terminal asks for: Ctrl-C and SIGTERM end the process within seconds, and NO_COLOR is heeded."""
 
 import os
-import pty
 import signal
 import subprocess
 import sys
@@ -98,22 +97,3 @@ def test_a_compilation_ends_within_seconds(tmp_path, command, number):
     assert process.wait(30) in (130, 143, -number)
     # Loaded machines are slow to end a process, too; the compilation itself takes longer.
     assert time.monotonic() - struck < 15
-
-
-@pytest.mark.parametrize(("no_color", "has_color"), [("", True), ("1", False)])
-def test_help_has_colours_where_they_are_wanted(no_color, has_color):
-    ours, theirs = pty.openpty()
-    environment = os.environ | {"NO_COLOR": no_color, "TERM": "xterm", "COLUMNS": "100"}
-    done = subprocess.Popen(
-        [sys.executable, "-m", "cluttergen_jax", "list", "--help"], env=environment, stdout=theirs
-    )
-    os.close(theirs)
-    text = b""
-    try:
-        while part := os.read(ours, 4096):
-            text += part
-    except OSError:
-        # The other end is closed.
-        pass
-    assert done.wait() == 0
-    assert (b"\x1b[" in text) == has_color

@@ -81,7 +81,3 @@ def slow_squares() -> Callable[[int], tuple[int, str]]:
     return work
 
 
-def no_start() -> Callable[[int], int]:
-    """Kills its worker before there is a function."""
-    os.kill(os.getpid(), signal.SIGKILL)
-    raise AssertionError

@@ -14,7 +14,6 @@ from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rollout.run import Rollout
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.trusted import TrustedConfig, TrustedSearch
-from cluttergen_jax.placement.types import Start
 from cluttergen_jax.types import Verdict
 
 BOX = "calculator"
@@ -78,15 +77,6 @@ def test_the_threshold_falls_with_failures_and_then_stays():
     assert len(tenth) == 10
 
 
-def test_equal_keys_draw_equal_poses():
-    rules = rules_of()
-    placer, episode = make_proposer("spread", rules), rules.begin(jax.random.key(0))
-    propose = jax.jit(placer)
-    one, same, other = (propose(jax.random.key(seed), episode) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(one, same)
-    assert not np.array_equal(one, other)
-
-
 @pytest.mark.slow
 def test_the_candidates_are_uniform_ones_finalists_and_ones_above_objects():
     rules = rules_of()
@@ -131,25 +121,6 @@ def test_bearers_are_known_by_name_level_margin_and_offset():
     assert off.margin == pytest.approx(0.1)
 
 
-@pytest.mark.slow
-def test_the_level_of_what_was_placed_counts_those_below():
-    rules = rules_of(objects=("ring_binder", BOX))
-    episode, pose = placed_first(rules)
-    placer = Spread(LowestFit(rules))
-    above = episode.region.T_world_region.inverse().apply(jnp.asarray(pose[:3]))[:2]
-    attempt, look = jax.jit(rules.attempt), jax.jit(placer.look)
-    for seed in range(20):
-        jitter = 0.01 * jax.random.normal(jax.random.key(seed), (2,))
-        candidates = look(episode, Candidates((above + jitter)[None], jnp.zeros(1)))
-        after, transition = attempt(episode, candidates.found.action[0])
-        if int(transition.verdict) == Verdict.STABLE:
-            break
-    assert int(transition.verdict) == Verdict.STABLE
-    np.testing.assert_array_equal(np.asarray(after.bearing.level)[:2], [0, 1])
-    assert after.bearing.leans_on[1, 0]
-    assert not after.bearing.leans_on[0, 1]
-
-
 def test_a_map_with_owners_is_the_map_to_a_micrometre():
     rules = rules_of()
     episode, _ = placed_first(rules)
@@ -178,11 +149,3 @@ def test_scenes_stand_and_are_spread(method):
     assert np.all(np.asarray(standing.verdict)[scenes.is_success] == Verdict.STABLE)
     # Uniform draws use the whole table, not one corner of it.
     assert np.ptp(scenes.poses[scenes.is_success][..., 0]) > 0.2
-
-
-def test_what_stands_there_already_is_trusted_as_on_a_flat_table():
-    rules = rules_of()
-    poses = rules.begin(jax.random.key(0)).poses
-    start = Start(poses, jnp.zeros(rules.geometry.num_objects, bool))
-    bearing = rules.begin(jax.random.key(0), start=start).bearing
-    np.testing.assert_allclose(bearing.margin, rules.geometry.own_margin)
