@@ -27,7 +27,6 @@ What a command does, one function does, with the same defaults:
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
-from warnings import warn
 
 from cluttergen_jax.api.export import export
 from cluttergen_jax.api.generate import generate
@@ -154,20 +153,10 @@ _RENAMED = {
     "load_pool": ("assets.pool", "find_pool"),
     "load_support": ("assets.support_file", "find_support"),
 }
-_FORMER = {
-    "SampledScene": "SceneBatch",
-    "SceneBank": "BankArrays",
-    "StoredArrays": "BankArrays",
-    "StoredScene": "BankArrays",
-}
-"""Names of the previous release, which are understood in this one."""
 
 
 def __getattr__(name: str) -> Any:
     """The other names of `__all__`, imported when first asked for: JAX and MuJoCo take a second to load."""
-    if name in _FORMER:
-        warn(f"cluttergen_jax.{name} is now called {_FORMER[name]}", DeprecationWarning, stacklevel=2)
-        name = _FORMER[name]
     if name in __all__:
         module, there = _RENAMED.get(name, (_ELSEWHERE.get(name, "generation"), name))
         return getattr(import_module(f"cluttergen_jax.{module}"), there)

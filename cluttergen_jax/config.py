@@ -48,8 +48,7 @@ Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "a
 Reward = Literal["paper", "code", "compressed"]
 Encoder = Literal["set", "pointnet", "pointnet2"]
 EvalAction = Literal["sampled", "mean"]
-Suite = Literal["paper", "extended", "downstream", "honest"]
-"""`honest` is the former name of `extended`, understood in this release."""
+Suite = Literal["paper", "extended", "downstream"]
 Split = Literal["train", "val", "test"]
 SensedFrom = Literal["free", "overhead", "side"]
 RobotTask = Literal["lift", "place"]
@@ -74,19 +73,10 @@ SegmenterInput = Literal["colour", "depth"]
 RobotObserver = Literal["true", "perception"]
 ExportFormat = Literal["mjcf", "mjcf-old", "urdf", "sdf", "usd", "glb", "maniskill", "robosuite", "libero"]
 
-REMOVED = {
-    "ranked": "method='guided', which needs no training",
-    "policy-clear": "method='guided', which needs no training",
-    "tight": "preset='cpu', or `generate` with method guided, which fills crowded tables without training",
-}
-"""Names of methods, variants and presets that earlier versions had, and what to take in their place."""
-
 
 def no_such(what: str, name: str, known: Iterable[str]) -> ConfigError:
-    """The error for a name of a method, a variant or a preset that is unknown, or is so by now."""
+    """The error for an unknown name of a method, a variant or a preset."""
     known = tuple(known)
-    if name in REMOVED:
-        return ConfigError(f"{what} {name!r}, which was removed", ", ".join(known), REMOVED[name])
     return ConfigError(f"{what} {name!r}", ", ".join(known), meant=closest(name, known))
 
 

@@ -17,7 +17,7 @@ from types import FrameType
 from typing import Any
 
 from cluttergen_jax.cli.commands import COMMANDS, all_commands, load, overview
-from cluttergen_jax.cli.flags import removed_name, with_flags
+from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.files import advice_on, cache_home, check_utf8
 from cluttergen_jax.numerics import OF_THIS_PACKAGE
@@ -69,9 +69,6 @@ def main(args: Sequence[str] | None = None) -> int:
         given, meant = f"no command is called {name!r}", closest(name, COMMANDS)
         error = ConfigError(given, ", ".join(COMMANDS), "cluttergen --help", meant)
         print(f"error: {error}", file=sys.stderr)
-        return 2
-    if old := None if is_completion else removed_name(words):
-        print(f"error: {old}", file=sys.stderr)
         return 2
     try:
         for path in (os.curdir, str(cache_home()), *words):

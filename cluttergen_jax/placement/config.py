@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
 from typing import Any, get_args
 
@@ -20,16 +20,8 @@ RUIN_AFTER = 5
 """Failed attempts in a row after which a scene is partly taken apart, where that is done."""
 ORDER_POWER = 4.0
 """Of a footprint in the weights of the order "weighted"."""
-_ADDED = {
-    "min_margin": 0.0,
-    "ruin_after": 0,
-    "budget": None,
-    "overhang": "any",
-    "clutter": None,
-    "natural": False,
-    "tidy": False,
-    "height": "rest",
-}
+_ALWAYS_RECORDED = 8
+"""So many fields of the config come first in every record; the others where they are not at their defaults."""
 CONTAINMENTS, ORDERS, REWARDS = get_args(Containment), get_args(Order), get_args(Reward)
 OVERHANGS = get_args(Overhang)
 HEIGHTS = get_args(Height)
@@ -145,11 +137,11 @@ class PlacementConfig:
 
 
 def placement_record(config: PlacementConfig) -> dict[str, Any]:
-    """The config as records keep it: without those settings, at rest, that older versions did not know."""
+    """The config as records keep it: most settings only where they are not at their defaults."""
     record = asdict(config)
     if config.clutter is not None:
         record["clutter"] = config.clutter.targets
-    for name, at_rest in _ADDED.items():
-        if record[name] == at_rest:
-            del record[name]
+    for field in fields(config)[_ALWAYS_RECORDED:]:
+        if record[field.name] == field.default:
+            del record[field.name]
     return record
