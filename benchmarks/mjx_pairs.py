@@ -59,7 +59,7 @@ class _OwnOfMjx:
     def replacing_mjx(self) -> AbstractContextManager[None]:
         return faces_first()
 
-    def overflowed(self, model: mjx.Model, data: mjx.Data) -> jax.Array:
+    def has_overflowed(self, model: mjx.Model, data: mjx.Data) -> jax.Array:
         del model, data
         return jnp.asarray(False)
 

@@ -36,7 +36,7 @@ class FolderLock:
 
     def __init__(self, path: Path, folder: Path) -> None:
         self.path = path
-        self._file = _locked(path, folder)
+        self._file = _open_locked(path, folder)
         holder = {
             "process": os.getpid(),
             "host": socket.gethostname(),
@@ -83,10 +83,10 @@ def check_unlocked(path: Path, folder: Path) -> None:
       BankError: somebody holds it.
     """
     if path.exists():
-        os.close(_locked(path, folder))
+        os.close(_open_locked(path, folder))
 
 
-def _locked(path: Path, folder: Path) -> int:
+def _open_locked(path: Path, folder: Path) -> int:
     """The descriptor of the locked file, made if need be."""
     while True:
         # A link that somebody put there is not followed: what it leads to would be emptied.

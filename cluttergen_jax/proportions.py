@@ -17,15 +17,15 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     return float(found.low), float(found.high)
 
 
-def counted(good: int, number: int) -> dict[str, float]:
+def share_row(good: int, number: int) -> dict[str, float]:
     """A share with its interval, as a row of results has it; 0 of nothing."""
     low, high = wilson(good, number)
     return {"share": good / max(number, 1), "low95": low, "high95": high}
 
 
 def proportion(is_good: np.ndarray) -> dict[str, float]:
-    """The share of bool[N] that is true (`counted`)."""
-    return counted(int(is_good.sum()), len(is_good))
+    """The share of bool[N] that is true (`share_row`)."""
+    return share_row(int(is_good.sum()), len(is_good))
 
 
 def finite(value: float) -> float | None:

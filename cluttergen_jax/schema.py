@@ -44,14 +44,14 @@ def parse_json(data: bytes) -> Any:
 
 
 def _lenient(data: bytes) -> Any:
-    """`parsed`, with NaN and Infinity."""
+    """`parse_json`, with NaN and Infinity."""
     try:
         return json.loads(data)
     except (ValueError, RecursionError) as error:
         raise SchemaError(f"not JSON: {error}") from error
 
 
-def typed(value: Any, kind: type[T]) -> T:
+def convert(value: Any, kind: type[T]) -> T:
     """A value of JSON as a class that declares its fields: a `msgspec.Struct` or a data class.
 
     Fields that the class does not name are passed over; nothing is converted but whole numbers to floats.

@@ -93,7 +93,7 @@ def print_report(report: ImportReport, command: Any) -> None:
         print(f"{line} (--set none goes by the general rules)")
     if report.costs:
         print(_cost_line(report))
-    for (axis, reason), names in _grouped(
+    for (axis, reason), names in _group_rows(
         [(each.axis, each.reason, n) for n, each in report.up_axes.items()]
     ):
         print(f"up is {axis} ({with_flags(reason, command)}): {names}")
@@ -106,7 +106,7 @@ def print_report(report: ImportReport, command: Any) -> None:
     others = [each for each in report.skipped if not each.is_piece]
     if others:
         print(f"{len(others)} skipped:")
-        for (reason,), names in _grouped([(each.reason, each.name) for each in others]):
+        for (reason,), names in _group_rows([(each.reason, each.name) for each in others]):
             print(f"  {with_flags(reason, command)}: {names}")
     print(with_flags(left_out_text(report.left_out), command), end="")
     if report.failures:
@@ -125,7 +125,7 @@ def _cost_line(report: ImportReport) -> str:
     return f"cost: {together}; most: {told}" if len(report.costs) > 1 else f"cost: {together}"
 
 
-def _grouped(rows: Sequence[tuple[str, ...]]) -> Iterator[tuple[tuple[str, ...], str]]:
+def _group_rows(rows: Sequence[tuple[str, ...]]) -> Iterator[tuple[tuple[str, ...], str]]:
     """Rows that agree in all but the last entry, which is a name: what they agree in, and the names."""
     for head, group in groupby(sorted(rows), key=lambda row: row[:-1]):
         yield head, ", ".join(row[-1] for row in group)
@@ -142,12 +142,12 @@ def left_out_text(left_out: Sequence[LeftOut]) -> str:
         return ""
     lines = [f"{len(left_out)} left out, as no objects for a table:"]
     for reason in dict.fromkeys(each.reason for each in left_out):
-        lines.append(f"  {reason}: {_named([each for each in left_out if each.reason == reason])}")
+        lines.append(f"  {reason}: {_names_text([each for each in left_out if each.reason == reason])}")
     one = f"[{left_out[0].name!r}] take = true"
     return "\n".join([*lines, f"  (`take_all` takes them all; objects.toml takes one of them: {one})", ""])
 
 
-def _named(group: Sequence[LeftOut]) -> str:
+def _names_text(group: Sequence[LeftOut]) -> str:
     """The first few by name; bodies that many files have, once."""
     bodies = [each.name.rpartition("#")[2] for each in group]
     files = Counter(bodies)

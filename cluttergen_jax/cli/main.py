@@ -30,8 +30,8 @@ _MANY_OBJECTS = 100_000
 
 def program(args: Sequence[str] | None = None) -> None:
     """The console script: `main`, and an exit that waits for nothing once Ctrl-C was pressed."""
-    signal.signal(signal.SIGINT, _struck)
-    watch_signals(_struck)
+    signal.signal(signal.SIGINT, _on_interrupt)
+    watch_signals(_on_interrupt)
     # Imports and traces make millions of objects that stay; looking for garbage among them took a sixth of a
     # short command's time.
     gc.set_threshold(_MANY_OBJECTS)
@@ -47,7 +47,7 @@ def program(args: Sequence[str] | None = None) -> None:
     sys.exit(status)
 
 
-def _struck(number: int, frame: FrameType | None) -> None:
+def _on_interrupt(number: int, frame: FrameType | None) -> None:
     """The first Ctrl-C interrupts what is done, in good order; a second one waits for nothing."""
     signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
     stop_asked.set()
@@ -78,8 +78,8 @@ def main(args: Sequence[str] | None = None) -> int:
         return 2
     try:
         if is_completion:
-            return run(parsed(all_commands(), "cluttergen", words))
-        command = parsed(load(name), f"cluttergen {name}", words[1:])
+            return run(parse_words(all_commands(), "cluttergen", words))
+        command = parse_words(load(name), f"cluttergen {name}", words[1:])
     except BrokenPipeError:
         return _unread()
     except SystemExit as ended:
@@ -88,7 +88,7 @@ def main(args: Sequence[str] | None = None) -> int:
     return run(command)
 
 
-def parsed(command: Any, prog: str, words: Sequence[str]) -> Any:
+def parse_words(command: Any, prog: str, words: Sequence[str]) -> Any:
     """What the words make of a command; tyro exits where they make nothing, or ask for help."""
     import tyro
 
@@ -117,7 +117,7 @@ def run(command: Any) -> int:
     except BrokenPipeError:
         return _unread()
     except OSError as error:
-        print(f"error: {_told(error)}", file=sys.stderr)
+        print(f"error: {_os_error_text(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("\nstopped; the same command takes it up again", file=sys.stderr)
@@ -144,7 +144,7 @@ def _unread() -> int:
     return 0
 
 
-def _told(error: OSError) -> str:
+def _os_error_text(error: OSError) -> str:
     """What the operating system refused, and what to try."""
     path = error.filename2 or error.filename
     given = f"{f'{path}: ' if path else ''}{error.strerror or error}"

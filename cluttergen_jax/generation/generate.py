@@ -70,7 +70,7 @@ def write_bank(
     """The bank of a recipe in a folder, begun or continued; see `cluttergen_jax.generate`."""
     problem, sampler, bits = setup.problem, sampler_of(setup, method), bits_of(setup, cluster)
 
-    def made(blocks: Sequence[Block]) -> Iterator[tuple[int, pa.Table]]:
+    def make_tables(blocks: Sequence[Block]) -> Iterator[tuple[int, pa.Table]]:
         if cluster is None:
             return blocks_here(sampler, problem, blocks, recipe["seed"])
         return blocks_on(cluster, setup, method, blocks, recipe["seed"], None if allow_other_bits else bits)
@@ -89,7 +89,7 @@ def write_bank(
         for note in notes:
             print(note, file=sys.stderr, flush=True)
         started = time.perf_counter()
-        num_new = run_blocks(made, writer, num_scenes)
+        num_new = run_blocks(make_tables, writer, num_scenes)
         bank = read_bank(writer.path)
         totals, clutter = Totals(), ClutterTally(bank)
         for rows in bank.tables():

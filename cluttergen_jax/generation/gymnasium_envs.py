@@ -49,7 +49,7 @@ def attempt(env: Env, state: State, action: Array) -> tuple[State, Outcome]:
     after = env.step(state, action)
     is_over = after.pipeline_state.episode.is_over
     outcome = Outcome(after.obs, after.reward, is_over, _info(after))
-    return _begun_where(is_over, env.reset(after.pipeline_state.key), after), outcome
+    return _begin_where(is_over, env.reset(after.pipeline_state.key), after), outcome
 
 
 def attempt_or_begin(env: Env, state: State, action: Array) -> tuple[State, Outcome]:
@@ -59,7 +59,7 @@ def attempt_or_begin(env: Env, state: State, action: Array) -> tuple[State, Outc
     """
     was_over = state.done > 0
     after = env.step(state, action)
-    now = _begun_where(was_over, env.reset(state.pipeline_state.key), after)
+    now = _begin_where(was_over, env.reset(state.pipeline_state.key), after)
     reward = jnp.where(was_over, 0.0, after.reward)
     return now, Outcome(now.obs, reward, now.done > 0, _info(after))
 
@@ -73,7 +73,7 @@ def _info(state: State) -> dict[str, Array]:
     }
 
 
-def _begun_where(condition: Array, fresh: State, state: State) -> State:
+def _begin_where(condition: Array, fresh: State, state: State) -> State:
     """The fresh state in place of the other one, with what that has finished."""
     ongoing, obs, done = jax.tree.map(
         lambda new, old: jnp.where(condition, new, old),
@@ -157,7 +157,7 @@ class GymnasiumEnv(_Remade, gymnasium.Env):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One attempt with `action`, f32[4]. After the episode's last one, `reset` has to follow."""
-        before = _checked(self._state, action, self.action_space)
+        before = _check_step(self._state, action, self.action_space)
         self._state, outcome = self._attempt(before, np.asarray(action, np.float32))
         obs, outcome = to_numpy(outcome.obs), jax.device_get(outcome.replace(obs=None))
         if is_over := bool(outcome.is_over):
@@ -203,11 +203,11 @@ class GymnasiumVectorEnv(_Remade, VectorEnv):
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One attempt of each scene with `actions`, f32[N, 4]."""
-        before = _checked(self._state, actions, self.action_space)
+        before = _check_step(self._state, actions, self.action_space)
         was_over = np.asarray(before.done) > 0
         self._state, outcome = self._attempt(before, np.asarray(actions, np.float32))
         reward, is_over, info = jax.device_get((outcome.reward, outcome.is_over, outcome.info))
-        infos = _masked(info, ~is_over if self._is_same_step else ~was_over)
+        infos = _with_masks(info, ~is_over if self._is_same_step else ~was_over)
         if self._is_same_step and is_over.any():
             infos |= self._final(outcome, is_over, info)
         return to_numpy(self._state.obs), np.array(reward), np.array(is_over), np.zeros_like(is_over), infos
@@ -218,7 +218,7 @@ class GymnasiumVectorEnv(_Remade, VectorEnv):
         seen = to_numpy(outcome.obs)
         for index in np.flatnonzero(is_over):
             last[index] = jax.tree.map(lambda leaf, i=index: leaf[i], seen)
-        final = {"final_obs": last, "final_info": _masked(info, is_over)}
+        final = {"final_obs": last, "final_info": _with_masks(info, is_over)}
         return final | {f"_{name}": is_over.copy() for name in final}
 
     @property
@@ -229,7 +229,7 @@ class GymnasiumVectorEnv(_Remade, VectorEnv):
         return jax.device_get(self._state.pipeline_state.finished)
 
 
-def _masked(info: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, np.ndarray]:
+def _with_masks(info: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, np.ndarray]:
     """Gymnasium's way to say which of the values count; none if no value does."""
     if not mask.any():
         return {}
@@ -247,7 +247,7 @@ def _check_options(options: dict[str, Any] | None) -> None:
         raise ConfigError(f"options = {options!r} in reset", "none", "the settings of make_env")
 
 
-def _checked(state: State | None, action: Any, space: spaces.Box) -> State:
+def _check_step(state: State | None, action: Any, space: spaces.Box) -> State:
     """The state, which is there, and which an action of its space meets."""
     if state is None:
         raise gymnasium.error.ResetNeeded("reset() has to be called before the first step of an episode")

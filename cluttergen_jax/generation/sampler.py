@@ -18,7 +18,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import check_range, check_whole
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.arguments import check_call, check_key, is_known, recipe_text, required_recipe
-from cluttergen_jax.learning.methods import Method, choose_method, sampler_of, suited
+from cluttergen_jax.learning.methods import Method, choose_method, sampler_of, with_history_of
 from cluttergen_jax.numerics import as_float32, with_own_settings
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.problem import Problem, Setup, make_setup
@@ -287,5 +287,5 @@ def set_up(spec: SceneSpec) -> tuple[Method, Setup]:
     method = choose_method(spec.method, spec.pool_text, spec.checkpoint)
     spec.check_method(method.name)
     config = spec.problem_config(method.name)
-    config = replace(config, placement=suited(config.placement, method.checkpoint))
+    config = replace(config, placement=with_history_of(config.placement, method.checkpoint))
     return method, make_setup(config, spec.boxes(), read_start(spec.start))

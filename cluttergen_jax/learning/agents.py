@@ -106,7 +106,7 @@ class FootprintFeatures(struct.PyTreeNode, eq=False):
 
     def _over(self, observation: Mapping[str, Any], focus: Array, x: Array, y: Array) -> Array:
         """f32[G, G, T]: the correlation at x and y, f32[G], cells; an inverse transform at these alone."""
-        taken = self._taken(observation["T_region_object"], observation["is_placed"])
+        taken = self._occupancy(observation["T_region_object"], observation["is_placed"])
         product = jnp.sum(jnp.fft.rfft2(taken) * jnp.asarray(self.spectrum)[focus], axis=1)
         x, y = (jnp.clip(axis, -_SIDE // 2, _SIDE // 2 - 1) for axis in (x, y))
         wave, half_wave = np.fft.fftfreq(_SIDE), np.fft.rfftfreq(_SIDE)
@@ -125,7 +125,7 @@ class FootprintFeatures(struct.PyTreeNode, eq=False):
         rows = below[:, i1] - below[:, i0]
         return 1 - jnp.moveaxis(rows[..., j1] - rows[..., j0], 0, -1)
 
-    def _taken(self, T_region_object: Array, is_placed: Array) -> Array:
+    def _occupancy(self, T_region_object: Array, is_placed: Array) -> Array:
         """f32[L, S, S], 1 where an object reaches into a layer; the region's middle is at [0, 0]."""
         points = placed_points(jnp.asarray(self.cloud), T_region_object, is_placed)
         at = jnp.rint(points[..., :2] / self.cell).astype(jnp.int32)

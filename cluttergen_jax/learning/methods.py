@@ -99,7 +99,7 @@ def _check_variant(method: str, given: Checkpoint) -> None:
         )
 
 
-def suited(placement: PlacementConfig, checkpoint: Checkpoint | None) -> PlacementConfig:
+def with_history_of(placement: PlacementConfig, checkpoint: Checkpoint | None) -> PlacementConfig:
     """The settings with the history that a method looks back on: none for a baseline."""
     stride = 0 if checkpoint is None else checkpoint.placement["history_stride"]
     return replace(placement, history_stride=stride)
@@ -125,5 +125,5 @@ def sampler_of(setup: Setup, method: Method) -> BlockSampler:
       PoolError, ConfigError: its checkpoint cannot be read, or is of another problem.
     """
     rules = setup.problem.rules
-    rules = replace(rules, config=suited(rules.config, method.checkpoint))
+    rules = replace(rules, config=with_history_of(rules.config, method.checkpoint))
     return BlockSampler(rules, proposer_of(*method, rules), setup.keep_out, setup.start)

@@ -65,7 +65,7 @@ def where(xp: Any, condition: Array, yes: Array, no: Array) -> Array:
     return xp.where(condition.reshape(condition.shape + (1,) * (yes.ndim - 1)), yes, no)
 
 
-def kept(xp: Any, array: Array, is_kept: Array) -> Array:
+def mask_scenes(xp: Any, array: Array, is_kept: Array) -> Array:
     """`array`, f[N, ...], with zeros for scenes that are not kept: a diverged scene reports no motion."""
     return where(xp, is_kept, array, xp.zeros_like(array))
 
@@ -172,7 +172,7 @@ def host_function(function: HostFunction, shapes: Any) -> HostFunction:
         `shapes` with that axis. Its last argument has no axes of its own.
       shapes: the result for one scene, a pytree of `jax.ShapeDtypeStruct`.
     """
-    batched = _flattened(function)
+    batched = _flatten_axes(function)
 
     def write(context: Any, out: Any, *buffers: Any) -> None:
         del context
@@ -190,7 +190,7 @@ def host_function(function: HostFunction, shapes: Any) -> HostFunction:
     return call
 
 
-def _flattened(function: HostFunction) -> HostFunction:
+def _flatten_axes(function: HostFunction) -> HostFunction:
     """`function` for any number of leading axes, none included."""
 
     def call(*args: Array) -> Any:

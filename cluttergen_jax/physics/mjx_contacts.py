@@ -40,7 +40,7 @@ def overlaps(contacts: ContactRows, layout: Layout, num_scenes: int) -> Array:
 
 def bearers(contacts: ContactRows, layout: Layout, focus: Array) -> Array:
     """bool[N, K]: who presses each scene's focus object, i32[N], upwards."""
-    carried, carrier = _carried(contacts, layout)
+    carried, carrier = _carried_and_carrier(contacts, layout)
     num_objects, num_scenes = layout.num_objects, len(focus)
     presses = _presses(contacts) & (carried == focus[jnp.minimum(contacts.scene, num_scenes - 1)])
     bears = jnp.zeros((num_scenes, num_objects + 1), bool)
@@ -54,7 +54,7 @@ def margins(contacts: ContactRows, layout: Layout, poses: Array) -> Array:
       poses: f32[N, K, 7], those at which the contacts were found.
     """
     num_scenes, num_objects = poses.shape[:2]
-    carried, _ = _carried(contacts, layout)
+    carried, _ = _carried_and_carrier(contacts, layout)
     carries = _presses(contacts) & (carried < num_objects) & (contacts.scene < num_scenes)
     body = jnp.where(carries, contacts.scene * num_objects + carried, num_scenes * num_objects)
     center = rotate(jnp, poses[..., 3:], jnp.asarray(layout.center_of_mass, jnp.float32))
@@ -63,7 +63,7 @@ def margins(contacts: ContactRows, layout: Layout, poses: Array) -> Array:
     return found.reshape(num_scenes, num_objects)
 
 
-def _carried(contacts: ContactRows, layout: Layout) -> tuple[Array, Array]:
+def _carried_and_carrier(contacts: ContactRows, layout: Layout) -> tuple[Array, Array]:
     """Objects i32[C] each: who is pressed upwards by the contact, and by whom; K for the support."""
     pair = jnp.asarray(layout.geom_object)[contacts.geom]
     is_up = contacts.lift > 0

@@ -118,7 +118,7 @@ class Pairs:
     def _condims(self, *_: object, **__: object) -> np.ndarray:
         return np.full(self._num_contacts, self._condim)
 
-    def overflowed(self, model: mjx.Model, data: mjx.Data) -> Array:
+    def has_overflowed(self, model: mjx.Model, data: mjx.Data) -> Array:
         """bool: more pairs were near than are looked at, or there are more contacts than are kept."""
         if not len(self._geom):
             return jnp.asarray(False)

@@ -44,7 +44,7 @@ class Clutter:
         if isinstance(given, Clutter):
             given = given.targets
         if isinstance(given, str):
-            given = _parsed(given)
+            given = _parse_text(given)
         if not isinstance(given, Mapping):
             raise ConfigError(f"clutter = {given!r}", "text or a mapping of names to numbers", _EXAMPLE)
         if not any(value is not None for value in given.values()):
@@ -52,7 +52,7 @@ class Clutter:
         for name in given:
             if name not in NAMES:
                 raise ConfigError(f"clutter {name!r}", ", ".join(NAMES), _EXAMPLE, closest(name, NAMES))
-        return Clutter(**{name: _checked(name, value) for name, value in given.items()})
+        return Clutter(**{name: _check_value(name, value) for name, value in given.items()})
 
     @property
     def targets(self) -> dict[str, float]:
@@ -82,7 +82,7 @@ _MOST = {"near": 1.0, "occlusion": 1.0}
 _ALLOWED = {"near": "0 to 1 m", "occlusion": "0 to 1"}
 
 
-def _parsed(text: str) -> dict[str, Any]:
+def _parse_text(text: str) -> dict[str, Any]:
     targets: dict[str, Any] = {}
     for part in filter(None, (each.strip() for each in text.split(","))):
         name, equals, value = (each.strip() for each in part.partition("="))
@@ -97,7 +97,7 @@ def _parsed(text: str) -> dict[str, Any]:
     return targets
 
 
-def _checked(name: str, value: object) -> float | None:
+def _check_value(name: str, value: object) -> float | None:
     if value is None:
         return None
     is_number = isinstance(value, Real) and not isinstance(value, bool)

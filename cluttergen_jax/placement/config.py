@@ -21,7 +21,7 @@ RUIN_AFTER = 5
 ORDER_POWER = 4.0
 """Of a footprint in the weights of the order "weighted"."""
 _ALWAYS_RECORDED = 8
-"""So many fields of the config come first in every record; the others where they are not at their defaults."""
+"""So many fields come first in every record; the others where they are not at their defaults."""
 CONTAINMENTS, ORDERS, REWARDS = get_args(Containment), get_args(Order), get_args(Reward)
 OVERHANGS = get_args(Overhang)
 HEIGHTS = get_args(Height)

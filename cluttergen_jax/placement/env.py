@@ -90,7 +90,8 @@ class PlacementEnv(Env):
             num_finished=jnp.int32(0),
         )
         return State(
-            info={"truncation": jnp.float32(0)}, **self._seen(ongoing, jnp.float32(0), jnp.bool_(False))
+            info={"truncation": jnp.float32(0)},
+            **self._state_fields(ongoing, jnp.float32(0), jnp.bool_(False)),
         )
 
     @with_own_settings
@@ -109,11 +110,11 @@ class PlacementEnv(Env):
             num_finished=before.num_finished + ends.astype(jnp.int32),
         )
         if self.auto_reset:
-            ongoing = self._begun_again(ongoing, ends)
-        seen = self._seen(ongoing, transition.reward, after.is_over)
+            ongoing = self._begin_next(ongoing, ends)
+        seen = self._state_fields(ongoing, transition.reward, after.is_over)
         return state.replace(**seen | {"metrics": {**state.metrics, **seen["metrics"]}})
 
-    def _begun_again(self, ongoing: Ongoing, ends: Array) -> Ongoing:
+    def _begin_next(self, ongoing: Ongoing, ends: Array) -> Ongoing:
         """With the next episode in place of one that has ended."""
         key_episode, key_next = jax.random.split(ongoing.key)
         fresh = self.rules.begin(key_episode, keep_out=ongoing.keep_out, start=ongoing.start)
@@ -121,7 +122,7 @@ class PlacementEnv(Env):
             episode=_where(ends, fresh, ongoing.episode), key=jnp.where(ends, key_next, ongoing.key)
         )
 
-    def _seen(self, ongoing: Ongoing, reward: Array, is_over: Array) -> dict[str, Any]:
+    def _state_fields(self, ongoing: Ongoing, reward: Array, is_over: Array) -> dict[str, Any]:
         """The fields of `State` that are this environment's own."""
         finished = ongoing.finished
         return {

@@ -25,7 +25,7 @@ from cluttergen_jax.placement.heightmap import Ground
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Geometry, Start
-from cluttergen_jax.placement.world import World, make_world, repeated
+from cluttergen_jax.placement.world import World, make_world, repeat_objects
 
 SMALLEST_REGION = 0.02
 MOST_CROWDED = 8.0
@@ -118,7 +118,7 @@ def compose(
     if (clutter := config.placement.clutter) is not None:
         clutter.check(wanted + len(standing))
     if wanted > len(objects):
-        objects = repeated(objects, wanted)
+        objects = repeat_objects(objects, wanted)
     region = config.region or support.region
     if min(region.half_extents) * 2 < SMALLEST_REGION:
         raise ConfigError(f"a region of {region}", f"sides from {SMALLEST_REGION} m", "a larger `region`")

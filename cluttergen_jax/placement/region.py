@@ -130,16 +130,16 @@ def is_kept_out(pose: Array, half_extents: Array, keep_out: KeepOut) -> Array:
     def meets(center: Array, half: Array, yaw: Array) -> Array:
         side = jnp.array([jnp.cos(yaw), jnp.sin(yaw)])
         box = center + (
-            jnp.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * half @ jnp.stack([side, _left(side)])
+            jnp.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * half @ jnp.stack([side, _perpendicular(side)])
         )
-        axes = jnp.stack([side, _left(side), heading, _left(heading)])
+        axes = jnp.stack([side, _perpendicular(side), heading, _perpendicular(heading)])
         ours, theirs = corners @ axes.T, box @ axes.T
         return jnp.all((ours.min(0) <= theirs.max(0)) & (theirs.min(0) <= ours.max(0)))
 
     return jnp.any(jax.vmap(meets)(keep_out.center, keep_out.half_extents, keep_out.yaw))
 
 
-def _left(direction: Array) -> Array:
+def _perpendicular(direction: Array) -> Array:
     return jnp.array([-direction[1], direction[0]])
 
 
@@ -225,7 +225,7 @@ def draw_region(key: Array, change: RegionChange, base: Rectangle, bounds: Recta
     yaw = base.yaw + turn
     cos, sin = jnp.abs(jnp.cos(yaw - bounds.yaw)), jnp.abs(jnp.sin(yaw - bounds.yaw))
     room = jnp.array(bounds.half_extents)
-    half = _fitted(half, cos, sin, room)
+    half = _fit_half_extents(half, cos, sin, room)
     reach = jnp.stack([cos * half[0] + sin * half[1], sin * half[0] + cos * half[1]])
     to_world = jnp.array(
         [[math.cos(bounds.yaw), -math.sin(bounds.yaw)], [math.sin(bounds.yaw), math.cos(bounds.yaw)]]
@@ -236,7 +236,7 @@ def draw_region(key: Array, change: RegionChange, base: Rectangle, bounds: Recta
     return make_region(center, half, yaw, jnp.float32(top))
 
 
-def _fitted(half: Array, cos: Array, sin: Array, room: Array) -> Array:
+def _fit_half_extents(half: Array, cos: Array, sin: Array, room: Array) -> Array:
     """The largest half extents f32[2], none above `half`, of a turned rectangle that fits into `room`."""
     first = half[0] * jnp.linspace(1 / _TRIED, 1.0, _TRIED)
     second = jnp.minimum(

@@ -15,7 +15,7 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.commands import COMMANDS, load, overview
-from cluttergen_jax.cli.main import main, parsed
+from cluttergen_jax.cli.main import main, parse_words
 from cluttergen_jax.config import METHODS
 from cluttergen_jax.downstream.suite import NAME as DOWNSTREAM
 from cluttergen_jax.errors import ClutterGenError
@@ -81,7 +81,7 @@ def test_the_table_of_commands_says_what_their_docstrings_say():
         assert examples
         for called, words in examples:
             assert called == name
-            assert isinstance(parsed(command, name, shlex.split(words)), command)
+            assert isinstance(parse_words(command, name, shlex.split(words)), command)
 
 
 @pytest.mark.parametrize(

@@ -62,11 +62,11 @@ def test_a_compilation_before_which_nothing_is_to_be_saved_is_not_waited_for():
         is_over.wait()
 
     with pytest.raises(KeyboardInterrupt), Interrupt() as interrupt:
-        interrupt.compiled(compilation)
+        interrupt.run_compiling(compilation)
     is_over.set()
     assert signal.getsignal(signal.SIGTERM) is before
     with Interrupt() as interrupt:
-        assert interrupt.compiled(divmod, 7, 2) == (3, 1)
+        assert interrupt.run_compiling(divmod, 7, 2) == (3, 1)
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from cluttergen_jax.downstream.perception.symmetry import (
 from cluttergen_jax.downstream.rearrange.layouts import SceneDraw, clearance_of, unlike
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed
-from cluttergen_jax.geometry import transformed, yaw_quaternion
+from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from tests.helpers.worlds import box, prism
 
 OBJECTS = (
@@ -45,7 +45,7 @@ def test_gaps_are_those_of_the_shadows_of_what_is_moved():
     for _ in range(60):
         poses = drawn_poses(rng)
         hulls = [
-            MultiPoint(transformed(pose, asset.parts[0].vertices)[:, :2]).convex_hull
+            MultiPoint(transform_points(pose, asset.parts[0].vertices)[:, :2]).convex_hull
             for asset, pose in zip(OBJECTS, poses, strict=True)
         ]
         num_moved = int(rng.integers(1, 4))

@@ -82,7 +82,7 @@ def test_two_workers_of_which_one_is_killed_make_the_bank_of_one_process(ray, po
     cg.generate(tmp_path / "one" / "bank", **options)
     # Of five blocks the workers have four in hand at first: one that dies is missed.
     killed, hired = [], []
-    write, hire = BankWriter.write_block, clusters._Crew._hired
+    write, hire = BankWriter.write_block, clusters._Crew._start_worker
 
     def write_and_kill(writer, block, table):
         nonlocal killed
@@ -91,7 +91,7 @@ def test_two_workers_of_which_one_is_killed_make_the_bank_of_one_process(ray, po
             killed[0].send_signal(signal.SIGKILL)
 
     monkeypatch.setattr(BankWriter, "write_block", write_and_kill)
-    monkeypatch.setattr(clusters._Crew, "_hired", lambda crew: hired.append(crew) or hire(crew))
+    monkeypatch.setattr(clusters._Crew, "_start_worker", lambda crew: hired.append(crew) or hire(crew))
     cg.generate(tmp_path / "two" / "bank", **options, cluster="local", workers=2)
     assert len(hired) == 3
     assert contents(tmp_path / "one") == contents(tmp_path / "two")

@@ -9,7 +9,7 @@ from cluttergen_jax.learning.networks.cloud_encoder import CloudEncoder, init_en
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training import pretrain
-from cluttergen_jax.learning.training.presets import choose_encoder, fitted
+from cluttergen_jax.learning.training.presets import choose_encoder, fit_to_weights
 from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretraining, make_clouds, shape_cloud
 from cluttergen_jax.learning.training.run import Run, RunConfig, with_encoder
 from tests.helpers.problems import made_up_rules
@@ -95,7 +95,7 @@ def test_stopped_run_goes_on_to_the_same_bits(trained, tmp_path, monkeypatch):
 
 def test_weights_end_up_in_both_networks(trained):
     folder, _, state = trained
-    network = fitted(NetworkConfig(scene_encoder="pointnet"), folder)
+    network = fit_to_weights(NetworkConfig(scene_encoder="pointnet"), folder)
     assert network.object_features == network.scene_features == 24
     clouds = jnp.ones((2, 8, 3))
     fresh = init_encoder(CloudEncoder(network, 2), jax.random.key(0), clouds, jnp.ones((2, 3)))

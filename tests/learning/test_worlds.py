@@ -18,7 +18,7 @@ from cluttergen_jax.learning.training.worlds import (
     draw_settings,
     mean_footprint,
     object_sets,
-    padded,
+    pad_geometry,
 )
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
@@ -79,7 +79,7 @@ def test_worlds_of_one_setting_share_a_program_and_scenes_are_those_of_unpadded_
 def test_padding_adds_nothing_that_was_not_there(maker):
     world = maker.make(TrainingSetting("table-0.30x0.36", 3, 1.0), 1)
     plain = geometry_of(world.world)
-    longer = padded(plain, plain.is_column.shape[1] + 7, len(plain.surface) + 5)
+    longer = pad_geometry(plain, plain.is_column.shape[1] + 7, len(plain.surface) + 5)
     np.testing.assert_array_equal(longer.is_column.sum(1), plain.is_column.sum(1))
 
     def points(geometry):
@@ -88,7 +88,7 @@ def test_padding_adds_nothing_that_was_not_there(maker):
 
     assert points(longer) == points(plain)
     with pytest.raises(ValueError, match="2 runs of surface too many"):
-        padded(plain, plain.is_column.shape[1], len(plain.surface) - 2)
+        pad_geometry(plain, plain.is_column.shape[1], len(plain.surface) - 2)
 
 
 def test_settings_keep_to_their_ranges_and_cover_the_fills():

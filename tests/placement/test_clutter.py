@@ -20,7 +20,7 @@ from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, make_setup
 from cluttergen_jax.placement.rollout import Rollout
 from cluttergen_jax.placement.search.features import FEATURES, Placing
-from cluttergen_jax.placement.search.tilting import shortfall, tilted
+from cluttergen_jax.placement.search.tilting import shortfall, tilt_logits
 from cluttergen_jax.scene.bank.table import table_of
 from tests.helpers.problems import trio_problem
 
@@ -71,7 +71,7 @@ def drawn(seed: int, number: int = 40, features: int = 3):
 def test_tilted_weights_are_those_of_maximum_entropy(seed):
     logits, values, is_allowed = drawn(seed)
     asked = np.random.default_rng(seed + 10).dirichlet(np.ones(is_allowed.sum())) @ values[is_allowed]
-    found = jax.nn.softmax(jnp.where(is_allowed, tilted(logits, values, asked, is_allowed), -jnp.inf))
+    found = jax.nn.softmax(jnp.where(is_allowed, tilt_logits(logits, values, asked, is_allowed), -jnp.inf))
     base, unit = logits[is_allowed], values[is_allowed].std(0)
     scaled = (values[is_allowed] - asked) / unit
     best = minimize(lambda slope: np.log(np.exp(base + scaled @ slope).sum()), np.zeros(3), tol=1e-10).x
@@ -83,7 +83,7 @@ def test_tilted_weights_are_those_of_maximum_entropy(seed):
 def test_what_is_out_of_reach_is_met_as_nearly_as_can_be():
     is_on = (np.arange(40) < 2).astype(float)[:, None]
     for asked, most in ((0.0, 0.0), (5.0, 1.0)):
-        weight = jax.nn.softmax(tilted(np.zeros(40), is_on, np.array([asked]), np.ones(40, bool)))
+        weight = jax.nn.softmax(tilt_logits(np.zeros(40), is_on, np.array([asked]), np.ones(40, bool)))
         assert weight @ is_on == pytest.approx(most, abs=0.01)
 
 

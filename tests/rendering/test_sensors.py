@@ -11,7 +11,7 @@ from PIL import Image
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.scene_cloud import scene_points
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.geometry import transformed
+from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.rendering.assets import close_points, scene_spec
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
@@ -154,4 +154,4 @@ def test_cloud_points_lie_on_objects_and_table():
     spun = trimesh.transformations.quaternion_matrix(turned[3:])
     expected = mug.cloud @ spun[:3, :3].T + turned[:3]
     np.testing.assert_allclose(cloud.points[cloud.labels == 2], expected, atol=1e-6)
-    np.testing.assert_allclose(transformed(turned, mug.cloud), expected, atol=1e-9)
+    np.testing.assert_allclose(transform_points(turned, mug.cloud), expected, atol=1e-9)

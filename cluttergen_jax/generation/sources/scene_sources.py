@@ -83,7 +83,7 @@ class BankSource:
             drift=row.drift,
         )
 
-    def recorded(self, number: int, num_proposals: int = 0) -> Replay:
+    def record(self, number: int, num_proposals: int = 0) -> Replay:
         """See `SceneSource`.
 
         Raises:
@@ -140,7 +140,7 @@ class FileSource:
         """See `SceneSource`."""
         return self._still
 
-    def recorded(self, number: int, num_proposals: int = 0) -> Replay:
+    def record(self, number: int, num_proposals: int = 0) -> Replay:
         """Refused: a scene file does not tell how it was made.
 
         Raises:
@@ -152,8 +152,8 @@ class FileSource:
         )
 
     def sample(self, method: str, seed: int, num_proposals: int = 0) -> Replay:
-        """See `recorded`."""
-        return self.recorded(seed)
+        """See `record`."""
+        return self.record(seed)
 
 
 _MOST = 2**31 - 1
@@ -213,9 +213,9 @@ class LiveSource:
 
     def still(self, number: int) -> Replay:
         """Scene 0 of seed `number`, by the method asked for."""
-        return self.recorded(number)
+        return self.record(number)
 
-    def recorded(self, number: int, num_proposals: int = 0) -> Replay:
+    def record(self, number: int, num_proposals: int = 0) -> Replay:
         """See `still`."""
         return self.sample(self.methods[0], number, num_proposals)
 

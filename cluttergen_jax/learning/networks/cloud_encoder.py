@@ -97,7 +97,7 @@ class SharedLayers(nn.Module):
         return jnp.where(jnp.any(mask, axis=-1, keepdims=True), normed, 0.0)
 
 
-def _joined(position: Array, features: Array) -> Array:
+def _concatenate_weighted(position: Array, features: Array) -> Array:
     """f32[..., 3 + C] of positions f32[..., 3] and features f32[..., C], both about 1: half the weight each.
 
     As three numbers among hundreds, positions are drowned at first by what all features have in common (there
@@ -137,7 +137,7 @@ class SetAbstraction(nn.Module):
         found, is_found = ball_query(centres, cloud, mask, self.radius, self.group_size)
         found, is_found = checkpoint_name(found, NEIGHBOURS), checkpoint_name(is_found, NEIGHBOURS)
         x = (cloud[found] - centres[:, None]) / self.radius
-        x = x if features is None else _joined(x, features[found])
+        x = x if features is None else _concatenate_weighted(x, features[found])
         return SharedLayers(self.widths)(x, is_found & is_centroid[:, None])
 
 
@@ -174,7 +174,7 @@ class PointNet2(nn.Module):
         index, is_centroid = farthest_points(cloud, mask, max(len(centroids) // 4, 1))
         index, is_centroid = checkpoint_name(index, NEIGHBOURS), checkpoint_name(is_centroid, NEIGHBOURS)
         features = second(cloud, mask, features, index, is_centroid)
-        x = _joined(2 * cloud[index], features)
+        x = _concatenate_weighted(2 * cloud[index], features)
         return SharedLayers((256, 512, self.num_features))(x, is_centroid)
 
 

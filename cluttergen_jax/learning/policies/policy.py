@@ -53,10 +53,10 @@ class TrainedPolicy(struct.PyTreeNode, eq=False):
         missing = self.num_attempts - self.rules.config.max_attempts
         if missing == 0:
             return seen
-        return seen | {"history": jax.tree.map(lambda rows: _padded(rows, missing), seen["history"])}
+        return seen | {"history": jax.tree.map(lambda rows: _pad_rows(rows, missing), seen["history"])}
 
 
-def _padded(rows: Array, missing: int) -> Array:
+def _pad_rows(rows: Array, missing: int) -> Array:
     return jnp.pad(rows, [(0, missing)] + [(0, 0)] * (rows.ndim - 1))
 
 

@@ -43,7 +43,7 @@ def _checkpointer() -> Any:
     return ocp.StandardCheckpointer(multiprocessing_options=alone)
 
 
-def _stored(tree: Any) -> dict[str, Any]:
+def _numbered_leaves(tree: Any) -> dict[str, Any]:
     """The leaves that can be stored, by number: PRNG keys as plain arrays, empty arrays left out."""
     leaves = jax.tree.leaves(without_keys(tree))
     if jax.process_count() > 1:
@@ -52,8 +52,8 @@ def _stored(tree: Any) -> dict[str, Any]:
     return {f"{number:05d}": leaf for number, leaf in enumerate(leaves) if leaf.size}
 
 
-def _restored(stored: dict[str, Any], like: Any) -> Any:
-    """The inverse of `_stored`, guided by a tree of the same structure."""
+def _from_numbered_leaves(stored: dict[str, Any], like: Any) -> Any:
+    """The inverse of `_numbered_leaves`, guided by a tree of the same structure."""
     leaves, structure = jax.tree.flatten(without_keys(like))
     for number, leaf in enumerate(leaves):
         if leaf.size:
@@ -65,7 +65,7 @@ def save_state(path: Path, state: Any, record: dict[str, Any]) -> None:
     """Stores a pytree of arrays and a JSON record as one folder, whole or not at all."""
     with folder_whole(path.absolute(), is_only_writer=True) as fresh:
         with _checkpointer() as checkpointer:
-            checkpointer.save(fresh / "state", _stored(state))
+            checkpointer.save(fresh / "state", _numbered_leaves(state))
         (fresh / "record.json").write_bytes(_record_bytes(record))
 
 
@@ -140,10 +140,10 @@ def read_state(path: Path, like: Any) -> Any:
     """The pytree that `save_state` stored; `like` has its structure, shapes and types."""
     with _checkpointer() as checkpointer:
         try:
-            stored = checkpointer.restore((path / "state").absolute(), _stored(like))
+            stored = checkpointer.restore((path / "state").absolute(), _numbered_leaves(like))
         except (ValueError, OSError, KeyError) as error:
             raise PoolError(f"{path} does not hold what this run needs ({error})") from error
-    return _restored(stored, like)
+    return _from_numbered_leaves(stored, like)
 
 
 def save_policy(path: Path, params: Any, record: dict[str, Any]) -> None:

@@ -180,7 +180,7 @@ def make_settings(preset: str, variant: str) -> Settings:
     return replace(settings, network=replace(settings.network, **_CHANGES[variant]))
 
 
-def fitted(network: NetworkConfig, folder: Path) -> NetworkConfig:
+def fit_to_weights(network: NetworkConfig, folder: Path) -> NetworkConfig:
     """The config with as many features as the weights in `folder` give.
 
     Raises:
@@ -214,7 +214,7 @@ def choose_encoder(
     is_frozen = is_frozen or (network.encoder_frozen and (encoder is None or weights is not None))
     network = replace(network, scene_encoder=encoder or network.scene_encoder, encoder_frozen=is_frozen)
     if weights is not None:
-        return fitted(network, Path(weights))
+        return fit_to_weights(network, Path(weights))
     if is_frozen:
         kind = network.scene_encoder
         raise ConfigError(

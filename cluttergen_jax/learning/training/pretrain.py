@@ -26,7 +26,7 @@ from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.progress import Progress, tracked
+from cluttergen_jax.progress import Progress, track
 from cluttergen_jax.types import Array
 
 
@@ -109,7 +109,7 @@ class ClassifierTrainer:
 
     def step(self, state: FitState, cloud: Array, label: Array, key: Array) -> tuple[FitState, Array, Array]:
         """One gradient step on clouds f32[B, P, 3] with labels i32[B]: the new state, loss and accuracy."""
-        vary = jax.vmap(lambda cloud, key: augmented(cloud, key, self.augment))
+        vary = jax.vmap(lambda cloud, key: augment(cloud, key, self.augment))
         cloud, mask = vary(cloud, jax.random.split(key, len(cloud)))
 
         def loss_of(params: Any) -> tuple[Array, Array]:
@@ -123,11 +123,11 @@ class ClassifierTrainer:
         return FitState(params, optimizer, state.step + 1), loss, accuracy
 
 
-def augmented(cloud: Array, key: Array, config: AugmentConfig) -> tuple[Array, Array]:
+def augment(cloud: Array, key: Array, config: AugmentConfig) -> tuple[Array, Array]:
     """A cloud f32[P, 3] varied, and bool[P]: the points that are left of it."""
     key_scale, key_turn, key_jitter, key_where, key_hole = jax.random.split(key, 5)
     cloud = cloud * jax.random.uniform(key_scale, (3,), minval=1 - config.scale, maxval=1 + config.scale)
-    cloud = turned(cloud, jax.random.uniform(key_turn, maxval=2 * jnp.pi))
+    cloud = rotate_about_z(cloud, jax.random.uniform(key_turn, maxval=2 * jnp.pi))
     radius = jnp.max(jnp.linalg.norm(cloud, axis=-1))
     centre = cloud[jax.random.randint(key_where, (), 0, len(cloud))]
     hole = radius * jax.random.uniform(key_hole, maxval=config.hole)
@@ -137,7 +137,7 @@ def augmented(cloud: Array, key: Array, config: AugmentConfig) -> tuple[Array, A
     return cloud, mask | ~jnp.any(mask)
 
 
-def turned(cloud: Array, angle: Array) -> Array:
+def rotate_about_z(cloud: Array, angle: Array) -> Array:
     """A cloud f32[P, 3] turned about z, radians."""
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     x, y, z = cloud.T
@@ -171,7 +171,7 @@ def shape_cloud(family: str, seed: int, num_points: int) -> np.ndarray:
 def make_clouds(families: Sequence[str], seeds: Sequence[int], num_points: int, title: str) -> ShapeClouds:
     """One cloud of each family for each seed, with a progress bar."""
     wanted = [(label, seed) for label in range(len(families)) for seed in seeds]
-    bar = tracked(wanted, title, len(wanted), "shape")
+    bar = track(wanted, title, len(wanted), "shape")
     cloud = np.stack([shape_cloud(families[label], seed, num_points) for label, seed in bar])
     return ShapeClouds(cloud, np.array([label for label, _ in wanted], np.int32))
 
@@ -287,7 +287,7 @@ class Pretraining:
                     break
                 index = self._batch(number)
                 key = jax.random.fold_in(new_key(config.seed + 1), number)
-                call = partial(interrupt.compiled, step) if number == first else step
+                call = partial(interrupt.run_compiling, step) if number == first else step
                 state, loss, accuracy = call(state, shapes.cloud[index], shapes.label[index], key)
                 progress.update(note=f"loss {float(loss):.3f} accuracy {float(accuracy):.2f}")
                 if time.monotonic() - saved > config.save_every:
@@ -311,7 +311,7 @@ class Pretraining:
             config.families, _seeds(config, True), config.network.object_points, "held-out shapes"
         )
         angle = jax.random.uniform(new_key(config.seed), shapes.label.shape, maxval=2 * jnp.pi)
-        cloud = jax.vmap(turned)(jnp.asarray(shapes.cloud), angle)
+        cloud = jax.vmap(rotate_about_z)(jnp.asarray(shapes.cloud), angle)
         logits = jax.jit(self.fit.logits)
         whole = np.ones((config.batch_size, cloud.shape[1]), bool)
         right = 0

@@ -93,9 +93,9 @@ class Run:
         last = self.folder / "last"
         if not distributed.agree(has_state(last))[0, 0]:
             return fresh
-        whole = distributed.gathered(fresh)
-        return distributed.placed(
-            self.ppo, distributed.shared(read_state(last, whole) if distributed.is_writer() else whole)
+        whole = distributed.gather(fresh)
+        return distributed.put_state(
+            self.ppo, distributed.broadcast(read_state(last, whole) if distributed.is_writer() else whole)
         )
 
     def _init(self, key: Any) -> Any:
@@ -136,7 +136,7 @@ class Run:
         if number >= total:
             return state
         logger.say("compiling")
-        updates = interrupt.compiled(Updates, self.ppo, state, config.window)
+        updates = interrupt.run_compiling(Updates, self.ppo, state, config.window)
         seconds, saved = None, time.monotonic()
         logger.say(f"memory     {check_memory(updates.compiled, config.memory_limit)}")
         logger.begin()
@@ -147,7 +147,7 @@ class Run:
             if asked[:, 1].any():
                 break
             if asked[0, 2]:
-                logger.save_state(distributed.gathered(state))
+                logger.save_state(distributed.gather(state))
                 saved = time.monotonic()
             started = time.monotonic()
             after, rows, is_finite = updates(state, int(asked[0, 0]))
@@ -155,11 +155,11 @@ class Run:
             if not is_finite:
                 logger.add(rows[:-1], number, seconds)
                 where = updates.where_not_finite(state, len(rows))
-                raise self._diverged(logger, state, number + len(rows) - 1, where)
+                raise self._diverged_error(logger, state, number + len(rows) - 1, where)
             logger.add(rows, number, seconds)
             state, number = after, number + len(rows)
             self._mark(logger, state, number)
-        logger.save_state(distributed.gathered(state))
+        logger.save_state(distributed.gather(state))
         logger.save_policy(state)
         return state
 
@@ -193,9 +193,9 @@ class Run:
         logger.add_evaluation(state, evaluation)
         logger.save_policy(state, evaluation)
 
-    def _diverged(self, logger: Logger, state: TrainState, number: int, where: str) -> DivergedError:
+    def _diverged_error(self, logger: Logger, state: TrainState, number: int, where: str) -> DivergedError:
         """Saves the state before the call in which numbers stopped being finite; the error to raise."""
-        logger.save_state(distributed.gathered(state))
+        logger.save_state(distributed.gather(state))
         logger.save_policy(state)
         return DivergedError(
             f"update {number}: numbers are not finite" + (f", first in {where}" if where else ""),

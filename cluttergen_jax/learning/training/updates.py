@@ -13,7 +13,7 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.learning.ppo.ppo import PPO, TrainState
-from cluttergen_jax.learning.ppo.sharding import replicated, state_sharding
+from cluttergen_jax.learning.ppo.sharding import state_sharding, whole_sharding
 from cluttergen_jax.types import Array
 
 Figures = dict[str, np.ndarray]
@@ -109,7 +109,7 @@ def _shardings(ppo: PPO, state: TrainState) -> dict[str, Any]:
     """Of arguments and results of the program; nothing to say of one device."""
     if ppo.mesh is None:
         return {}
-    of_state, whole = state_sharding(ppo.mesh, state), replicated(ppo.mesh)
+    of_state, whole = state_sharding(ppo.mesh, state), whole_sharding(ppo.mesh)
     return {
         "in_shardings": (of_state, whole),
         "out_shardings": Carry(of_state, whole, whole, whole),  # type: ignore[arg-type]

@@ -265,7 +265,7 @@ class HandScene:
             self.hold(0.0, 0.0, 0.0)
         else:
             self._failure = verdict
-        return self._told(before, transition, jax.device_get(settling), verdict)
+        return self._drop_report(before, transition, jax.device_get(settling), verdict)
 
     def undo(self) -> int:
         """Takes the object that was placed last back into the hand, and moves all others back; which it was.
@@ -351,7 +351,7 @@ class HandScene:
     def _half_height(self) -> float:
         return float(self._rules.geometry.half_extents[self.left[0], 2])
 
-    def _told(self, before: Episode, transition: Any, settling: Settling, verdict: Verdict) -> Drop:
+    def _drop_report(self, before: Episode, transition: Any, settling: Settling, verdict: Verdict) -> Drop:
         focus, is_placed = int(transition.object_index), np.asarray(before.is_placed)
         config = self._rules.physics.config
         moved = np.maximum(settling.shift / config.max_shift, settling.turn / config.max_turn)

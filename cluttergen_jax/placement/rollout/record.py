@@ -94,19 +94,19 @@ class Recorder:
 
     @cached_property
     def _rollout(self) -> Rollout:
-        return Rollout(_shown, is_constant=True)
+        return Rollout(_picture_parts, is_constant=True)
 
     @cached_property
     def _rollout_with_history(self) -> Rollout:
-        return Rollout(_all, is_constant=True)
+        return Rollout(_all_parts, is_constant=True)
 
 
-def _all(before: Episode, after: Episode, transition: Transition) -> tuple[Any, Any, Transition]:
+def _all_parts(before: Episode, after: Episode, transition: Transition) -> tuple[Any, Any, Transition]:
     """Whole steps, but for keys."""
     return before.replace(key=None), after.replace(key=None, history=None), transition
 
 
-def _shown(before: Episode, after: Episode, transition: Transition) -> tuple[Any, Any, Transition]:
+def _picture_parts(before: Episode, after: Episode, transition: Transition) -> tuple[Any, Any, Transition]:
     """Whole steps, but for what pictures do not show."""
     return before.replace(key=None, history=None), after.replace(key=None, history=None), transition
 

@@ -79,9 +79,9 @@ class BlockSampler(struct.PyTreeNode, eq=False):
 
     def step_one(self, episode: Episode) -> tuple[Episode, Transition]:
         """One attempt, unless the episode is over."""
-        return self.rules.attempt(*self.proposed(episode))
+        return self.rules.attempt(*self.draw_action(episode))
 
-    def proposed(self, episode: Episode) -> tuple[Episode, Array]:
+    def draw_action(self, episode: Episode) -> tuple[Episode, Array]:
         """The episode with its next key, and the action that is proposed."""
         key_propose, key_next = jax.random.split(episode.key)
         action = self.propose(key_propose, episode)
@@ -139,7 +139,7 @@ class Rollout:
 
         # Functions of this rollout alone: JAX counts and clears programs by the function.
         def propose(sampler: BlockSampler, episodes: Episode) -> tuple[Any, ...]:
-            return _by_parts(lambda part: _proposed(sampler, part), episodes, sampler.in_parts)
+            return _by_parts(lambda part: _propose_batch(sampler, part), episodes, sampler.in_parts)
 
         def judge(sampler: BlockSampler, *settled: Any) -> tuple[Episode, Transition, Array]:
             after, transition, is_filled = jax.vmap(sampler.rules.judge)(*settled)
@@ -149,7 +149,7 @@ class Rollout:
         def refill(
             sampler: BlockSampler, key: Array, episodes: Episode, indices: Array, is_new: Array
         ) -> Episode:
-            return _chosen(is_new, sampler.begin(key, indices, is_new), episodes)
+            return _where_new(is_new, sampler.begin(key, indices, is_new), episodes)
 
         def conclude(
             sampler: BlockSampler, before: Episode, after: Episode, transition: Transition, *checked: Any
@@ -178,11 +178,11 @@ class Rollout:
             for function in (self._begin, *pieces, self._finish):
                 function.clear_cache()
         episodes = interruptible(self._begin, sampler, key, indices, np.zeros(len(indices), bool))
-        episodes, *_ = interruptible(self._stepped, sampler, episodes)
+        episodes, *_ = interruptible(self._step_all, sampler, episodes)
         episodes = interruptible(self._refill, sampler, key, episodes, indices, np.zeros(len(indices), bool))
         jax.block_until_ready(interruptible(self._finish, sampler, episodes))
 
-    def _stepped(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, Array, Any]:
+    def _step_all(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, Array, Any]:
         """One attempt in every episode; which are over, bool[N]; and what `look` sees.
 
         An engine on the host is called between compiled pieces. As one program with calls back into Python
@@ -216,17 +216,17 @@ class Rollout:
         left = int(is_wanted.sum())
         while left:
             before = left
-            episodes, is_over, seen = interruptible(self._told, sampler, episodes)
+            episodes, is_over, seen = interruptible(self._step_to_host, sampler, episodes)
             left = int((~is_over).sum())
             on_step(before - left, seen)
-        return interruptible(self._finished, sampler, episodes)
+        return interruptible(self._finish_to_host, sampler, episodes)
 
-    def _told(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, np.ndarray, Any]:
-        """`_stepped`, all but the episodes on the host."""
-        episodes, is_over, seen = self._stepped(sampler, episodes)
+    def _step_to_host(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, np.ndarray, Any]:
+        """`_step_all`, all but the episodes on the host."""
+        episodes, is_over, seen = self._step_all(sampler, episodes)
         return episodes, *jax.device_get((is_over, seen))
 
-    def _finished(self, sampler: BlockSampler, episodes: Episode) -> SceneBatch:
+    def _finish_to_host(self, sampler: BlockSampler, episodes: Episode) -> SceneBatch:
         return jax.device_get(self._finish(sampler, episodes))
 
     def run_all(
@@ -252,13 +252,13 @@ class Rollout:
         episodes = interruptible(self._begin, sampler, key, indices, is_held)
         was_over = ~is_held
         while is_held.any():
-            episodes, is_over, seen = interruptible(self._told, sampler, episodes)
+            episodes, is_over, seen = interruptible(self._step_to_host, sampler, episodes)
             on_step(indices, int((is_over & ~was_over).sum()), seen)
             was_over, is_done = is_over, is_over & is_held
             if not is_done.any() or (is_done.sum() < REFILL * width and (is_held & ~is_done).any()):
                 continue
             rows = np.flatnonzero(is_done)
-            scenes = interruptible(self._finished, sampler, episodes)
+            scenes = interruptible(self._finish_to_host, sampler, episodes)
             parts.append(jax.tree.map(lambda leaf, rows=rows: leaf[rows], scenes))
             order.append(indices[rows])
             rows = rows[: num_scenes - following] if following < num_scenes else rows[:0]
@@ -274,8 +274,8 @@ class Rollout:
         return jax.tree.map(lambda *leaves: np.concatenate(leaves)[by_scene], *parts)
 
 
-def _proposed(sampler: BlockSampler, episodes: Episode) -> tuple[Any, ...]:
-    episodes, action = jax.vmap(sampler.proposed)(episodes)
+def _propose_batch(sampler: BlockSampler, episodes: Episode) -> tuple[Any, ...]:
+    episodes, action = jax.vmap(sampler.draw_action)(episodes)
     return episodes, action, *jax.vmap(sampler.rules.release)(episodes, action)
 
 
@@ -296,7 +296,7 @@ def _by_parts(
     return jax.tree.map(lambda leaf: leaf.reshape(number, *leaf.shape[2:]), found)
 
 
-def _chosen(is_new: Array, new: Episode, old: Episode) -> Episode:
+def _where_new(is_new: Array, new: Episode, old: Episode) -> Episode:
     """Episode by episode, the new one or the old one."""
     return jax.vmap(lambda new_one, *both: jax.tree.map(lambda a, b: jnp.where(new_one, a, b), *both))(
         is_new, new, old

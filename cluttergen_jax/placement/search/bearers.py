@@ -64,12 +64,12 @@ def bearers(scene: SearchScene, geometry: Geometry, candidates: Candidates, rest
         level=most(bearing.level + 1.0, 0.0),
         margin=margin,
         offset=jnp.clip(offset, -_SAFE, _SAFE),
-        touched=_touched(place, geometry.num_objects),
+        touched=_touch_mask(place, geometry.num_objects),
         base=base_share(under, touches),
     )
 
 
-def _touched(place: Array, number: int) -> Array:
+def _touch_mask(place: Array, number: int) -> Array:
     """bool[N, K]: which objects are among i32[N, C], where K stands for none."""
     rows = jnp.arange(len(place))[:, None]
     return jnp.zeros((len(place), number), bool).at[rows, place].set(True, mode="drop")

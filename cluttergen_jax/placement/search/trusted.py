@@ -20,7 +20,7 @@ from cluttergen_jax.placement.search.search import (
     TopCandidates,
     draw_candidates,
 )
-from cluttergen_jax.placement.search.tilting import shortfall, tilted
+from cluttergen_jax.placement.search.tilting import shortfall, tilt_logits
 from cluttergen_jax.placement.types import Episode, Geometry
 from cluttergen_jax.types import Array
 
@@ -135,7 +135,7 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
         least = self.config.least_trust
         is_nearer = shortfall(owed, added, trust >= least) < shortfall(owed, added, trust >= asked) - _CLOSER
         asked = jnp.where(jnp.any(is_nearer), jnp.minimum(asked, least), asked)
-        return tilted(logits, added, owed, trust >= asked), asked
+        return tilt_logits(logits, added, owed, trust >= asked), asked
 
     @property
     def num_above(self) -> int:
