@@ -11,6 +11,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 Array = Any
 """A NumPy array, or a JAX array where the function takes `xp`."""
@@ -90,7 +91,7 @@ def yaw_matrix(yaw: float) -> np.ndarray:
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
-def rotate_in_plane(points: np.ndarray, yaw: float) -> np.ndarray:
+def rotate_in_plane(points: ArrayLike, yaw: float) -> np.ndarray:
     """f64[..., 2]: points of the plane turned about the origin."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     return np.asarray(points, np.float64) @ np.array([[cos, sin], [-sin, cos]])

@@ -31,8 +31,8 @@ from cluttergen_jax.physics.host import SwappablePhysics
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
+from cluttergen_jax.placement.removal import footprint_area
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
-from cluttergen_jax.placement.ruin import footprint_area
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.progress import Progress, interruptible
 

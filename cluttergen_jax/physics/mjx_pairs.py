@@ -194,7 +194,7 @@ def _shape(model: mujoco.MjModel, mjx_model: mjx.Model, geom: int) -> _Shapes:
 def _with_one_size(shapes: list[_Shapes]) -> _Shapes:
     """All shapes as one, with first rows once more where others have more."""
 
-    def stacked(*arrays: np.ndarray) -> np.ndarray:
+    def stack(*arrays: np.ndarray) -> np.ndarray:
         rows = max(len(array) for array in arrays)
         return np.stack([np.concatenate([a, np.repeat(a[:1], rows - len(a), axis=0)]) for a in arrays])
 
@@ -203,4 +203,4 @@ def _with_one_size(shapes: list[_Shapes]) -> _Shapes:
         shape.replace(face=np.pad(shape.face, ((0, 0), (0, width - shape.face.shape[1]), (0, 0)), "edge"))
         for shape in shapes
     ]
-    return jax.tree.map(stacked, *even)
+    return jax.tree.map(stack, *even)

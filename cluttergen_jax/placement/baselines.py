@@ -11,8 +11,8 @@ from flax import struct
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.region import action_of_pose
 from cluttergen_jax.placement.rules import Proposer, Rules
+from cluttergen_jax.placement.search.candidate_sampler import CandidateSampler, CandidateSet
 from cluttergen_jax.placement.search.search import CLEARANCE, CandidateScores, Search
-from cluttergen_jax.placement.search.trusted import CandidateSet, TrustedSearch
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -99,7 +99,7 @@ class Clear(Search, eq=False):
         return jnp.where(is_clear, _CLEAR, cost_of_lying(scores))
 
 
-class Spread(TrustedSearch, eq=False):
+class Spread(CandidateSampler, eq=False):
     """Trusts what rests with little gap and would not tip, by two of the costs of `drop`.
 
     A trust of 0.9 is a cost of 0.105: a gap of 3 mm under the base, or 0.05 less support than is enough.

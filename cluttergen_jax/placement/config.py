@@ -49,13 +49,13 @@ class PlacementConfig:
       min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0, as
         in the paper, asks for nothing. A narrow object is asked for a third of what it has on a flat table.
       ruin_after: failed attempts in a row after which some placed objects are taken away and put into the
-        order again (`placement.ruin`); 0 never does, and the scene has failed after `max_attempts`.
+        order again (`placement.removal`); 0 never does, and the scene has failed after `max_attempts`.
       budget: attempts of a scene in all, of which it ends when fewer are left than slots to fill; None for
         `num_objects` x `max_attempts`.
       overhang: how much of an object may reach beyond the support's edge once it rests, seen from above:
         "any"; "half", a quarter of its footprint, half of where an even body tips; or "none".
       clutter: what the trusted methods should bring about (`Clutter`, or what `Clutter.of` takes).
-      natural: the trusted methods prefer flat, wide bearers (`placement.search.trusted`).
+      natural: the trusted methods prefer flat, wide objects below (`placement.search.candidate_sampler`).
       tidy: of the candidates that they trust the trusted methods take the one that costs the least room, by
         the cost of `drop`, instead of drawing uniformly.
       height: at which `random` lets go: at "rest", 1 mm above where the object would stand on the bare top;

@@ -21,9 +21,9 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
-from cluttergen_jax.placement.heightmap import Ground
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.support_map import SupportMap
 from cluttergen_jax.placement.types import Geometry, Start
 from cluttergen_jax.placement.world import World, make_world, repeat_objects
 
@@ -134,7 +134,7 @@ def compose(
         draw_region=None
         if config.change == "none"
         else ChangedRegion(find_change(config.change), region, support.region, support.top),
-        ground=None if config.placement.overhang == "any" else Ground.of(geometry),
+        support_map=None if config.placement.overhang == "any" else SupportMap.of(geometry),
     )
     return Problem(config, world, rules, region)
 
@@ -199,7 +199,7 @@ def geometry_of(world: World) -> Geometry:
     """The world's objects as arrays, columns padded to the longest."""
     most = max(len(columns.sample) for columns in world.columns)
 
-    def padded(arrays: list[np.ndarray]) -> np.ndarray:
+    def pad(arrays: list[np.ndarray]) -> np.ndarray:
         return np.stack([np.pad(a, [(0, most - len(a))] + [(0, 0)] * (a.ndim - 1)) for a in arrays])
 
     runs = [_surface_runs(columns) for columns in world.columns]
@@ -210,9 +210,9 @@ def geometry_of(world: World) -> Geometry:
         center_of_mass=world.layout.center_of_mass,
         own_margin=np.array([_own_margin(asset) for asset in world.objects]),
         cloud=np.stack([asset.cloud for asset in world.objects]),
-        column_xy=padded([columns.xy[columns.sample] for columns in world.columns]),
-        column_bottom=padded([columns.bottom[columns.sample] for columns in world.columns]),
-        is_column=padded([np.ones(len(columns.sample), bool) for columns in world.columns]),
+        column_xy=pad([columns.xy[columns.sample] for columns in world.columns]),
+        column_bottom=pad([columns.bottom[columns.sample] for columns in world.columns]),
+        is_column=pad([np.ones(len(columns.sample), bool) for columns in world.columns]),
         surface=np.concatenate(runs),
         surface_owner=owner,
         boxes=np.array(boxes),

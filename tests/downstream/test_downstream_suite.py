@@ -24,7 +24,7 @@ from cluttergen_jax.downstream.suite import STUDIES, result_of
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation import suites
 from cluttergen_jax.evaluation.report import document, read_results, tables_of, write_report
-from cluttergen_jax.proportions import wilson
+from cluttergen_jax.statistics import wilson
 from cluttergen_jax.tables import Table
 
 

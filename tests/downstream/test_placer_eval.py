@@ -29,9 +29,9 @@ from cluttergen_jax.downstream.splits import SPLITS
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
 from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig
-from cluttergen_jax.proportions import wilson
 from cluttergen_jax.sensing.noise import NOISE_OFF
 from cluttergen_jax.sensing.partial import PartialMap, merged
+from cluttergen_jax.statistics import wilson
 from cluttergen_jax.types import Verdict
 from tests.helpers.placing import write_bank
 

@@ -16,7 +16,7 @@ from cluttergen_jax.evaluation.studies.study import Scale
 from cluttergen_jax.evaluation.suites import STUDIES, find_suite
 from cluttergen_jax.evaluation.trial import Trial, row_name
 from cluttergen_jax.placement.config import MIN_MARGIN
-from cluttergen_jax.proportions import wilson
+from cluttergen_jax.statistics import wilson
 
 SMALL = Trial(num_objects=2, trials=4)
 NAMES = (

@@ -3,7 +3,7 @@
 import pytest
 
 from cluttergen_jax.learning.training.run_logger import comparison_lines, difference_interval
-from cluttergen_jax.proportions import wilson
+from cluttergen_jax.statistics import wilson
 
 
 def rate(share, trials=256):

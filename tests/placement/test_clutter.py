@@ -19,8 +19,8 @@ from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, make_setup
 from cluttergen_jax.placement.rollout import Rollout
+from cluttergen_jax.placement.search.entropy_tilt import shortfall, tilt_logits
 from cluttergen_jax.placement.search.features import FEATURES, Placing
-from cluttergen_jax.placement.search.tilting import shortfall, tilt_logits
 from cluttergen_jax.scene.bank.table import table_of
 from tests.helpers.problems import trio_problem
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import norm
 
 from cluttergen_jax.evaluation.cells import Column, asked, table_of
-from cluttergen_jax.proportions import wilson
+from cluttergen_jax.statistics import wilson
 from cluttergen_jax.tables import Table
 
 

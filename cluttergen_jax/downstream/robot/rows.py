@@ -12,8 +12,8 @@ from typing import Any, Generic, TypeVar
 
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.proportions import finite, wilson
 from cluttergen_jax.schema import SchemaError, checked_record, convert, digest_of, parse_json, with_checksum
+from cluttergen_jax.statistics import finite, wilson
 
 Row = TypeVar("Row")
 _NONE = object()

@@ -15,7 +15,7 @@ from cluttergen_jax.downstream.perception.evaluation.evaluate import (
 from cluttergen_jax.downstream.perception.evaluation.judged import MaskFigures
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
 from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
-from cluttergen_jax.proportions import proportion, share_row
+from cluttergen_jax.statistics import proportion, share_row
 from cluttergen_jax.tables import Table
 
 POOL = "household"

@@ -80,9 +80,9 @@ def without_keys(tree: Any) -> Any:
 def with_keys(tree: Any, like: Any) -> Any:
     """The inverse of `without_keys`; `like` has the keys' places."""
 
-    def wrapped(leaf: Any, other: Any) -> Any:
+    def wrap(leaf: Any, other: Any) -> Any:
         if not is_key(other):
             return leaf
         return jax.random.wrap_key_data(jnp.asarray(leaf), impl=jax.random.key_impl(other))
 
-    return jax.tree.map(wrapped, tree, like)
+    return jax.tree.map(wrap, tree, like)

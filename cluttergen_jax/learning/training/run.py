@@ -39,7 +39,7 @@ from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
 from cluttergen_jax.placement.rules import Proposer, Rules
-from cluttergen_jax.proportions import wilson
+from cluttergen_jax.statistics import wilson
 
 _SET_ENCODER = "PointNet_0"
 

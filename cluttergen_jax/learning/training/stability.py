@@ -26,8 +26,8 @@ from cluttergen_jax.learning.policies.guided import Guided
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.region import action_scale
 from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.search.candidate_sampler import CandidateSet
 from cluttergen_jax.placement.search.fit import Candidates
-from cluttergen_jax.placement.search.trusted import CandidateSet
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.types import Array, Verdict
 
@@ -119,7 +119,7 @@ def example_of(explorer: Guided, before: Episode, transition: Transition) -> Exa
         disturbs=transition.verdict == Verdict.DISPLACED,
         shift=jnp.minimum(jnp.linalg.norm(settling.poses[focus, :2] - released), _FAR),
         margin=jnp.where(is_at_rest, jnp.clip(settling.margin[focus], -_FAR, _FAR), 0.0),
-        is_on=tried.bearers.is_on[0],
+        is_on=tried.supporters.is_on[0],
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.geometry import yaw_quaternion
+from cluttergen_jax.geometry import rotate_in_plane, yaw_quaternion
 from cluttergen_jax.placement.hand.types import Check, Drop, Held, Lowered
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
 from cluttergen_jax.placement.problem import Setup
@@ -24,7 +24,7 @@ from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.scenes import SceneBatch, scene_of
 from cluttergen_jax.placement.search.fit import Candidates, lower_onto
 from cluttergen_jax.placement.search.search import CLEARANCE, under_side
-from cluttergen_jax.placement.types import Bearing, Episode
+from cluttergen_jax.placement.types import Episode, SupportGraph
 from cluttergen_jax.types import Array, Settling, Verdict
 
 IDLE = 60.0
@@ -72,7 +72,7 @@ class _Before:
 
     poses: Array
     is_placed: Array
-    bearing: Bearing
+    support_graph: SupportGraph
     held: Held
 
 
@@ -167,7 +167,7 @@ class HandScene:
     def held_pose(self) -> np.ndarray:
         """f32[7]: where the current object is held, world frame."""
         region, held = self.setup.problem.region, self.held
-        xy = np.array(region.center) + _turned(region.yaw, held.x, held.y)
+        xy = np.array(region.center) + rotate_in_plane((held.x, held.y), region.yaw)
         position = (*xy, self.setup.problem.world.support.top + held.z)
         return np.array([*position, *yaw_quaternion(region.yaw + held.yaw)], np.float32)
 
@@ -220,7 +220,7 @@ class HandScene:
     def hold_at(self, position: np.ndarray, wxyz: np.ndarray) -> None:
         """`hold` at a world pose; its height and whatever leans do not count."""
         region = self.setup.problem.region
-        x, y = _turned(-region.yaw, *(np.asarray(position)[:2] - region.center))
+        x, y = rotate_in_plane(np.asarray(position)[:2] - region.center, -region.yaw)
         self.hold(x, y, 2.0 * float(np.arctan2(wxyz[3], wxyz[0])) - region.yaw)
 
     def lower(self) -> Lowered:
@@ -261,7 +261,7 @@ class HandScene:
         # A person may go on for as long as they like.
         self._episode = after.replace(is_over=jnp.bool_(False))
         if verdict == Verdict.STABLE:
-            self._before.append(_Before(before.poses, before.is_placed, before.bearing, held))
+            self._before.append(_Before(before.poses, before.is_placed, before.support_graph, held))
             self.hold(0.0, 0.0, 0.0)
         else:
             self._failure = verdict
@@ -283,7 +283,7 @@ class HandScene:
             attempt=jnp.int32(0),
             poses=before.poses,
             is_placed=before.is_placed,
-            bearing=before.bearing,
+            support_graph=before.support_graph,
             counts=now.counts.replace(rest_steps=now.counts.rest_steps.at[slot].set(0)),
             is_success=jnp.bool_(False),
             drift=jnp.float32(0),
@@ -402,8 +402,3 @@ def _judge(rules: Rules, episode: Episode, action: Array, settling: Settling) ->
 @jax.jit
 def _conclude(rules: Rules, episode: Episode, standing: Any) -> Episode:
     return rules.conclude(episode, standing, jnp.bool_(True))
-
-
-def _turned(yaw: float, x: float, y: float) -> np.ndarray:
-    """f64[2]: a vector of a plane, turned."""
-    return np.array([np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y])

@@ -323,14 +323,14 @@ def sample_blocks(
     """
     rollout = Rollout(is_constant=True)
 
-    def told(number: int, _: Any) -> None:
+    def count(number: int, _: Any) -> None:
         progress.rename(title)
         progress.update(number)
 
     with Progress("compiling", sum(rows for _, rows in blocks), "scene") as progress:
         progress.say(sampler.rules.physics.compiling)
         for block, rows in blocks:
-            yield block, *sample_block(rollout, sampler, block, rows, seed, told)
+            yield block, *sample_block(rollout, sampler, block, rows, seed, count)
 
 
 def sample_block(
