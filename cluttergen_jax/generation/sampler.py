@@ -288,4 +288,5 @@ def set_up(spec: SceneSpec) -> tuple[Method, Setup]:
     spec.check_method(method.name)
     config = spec.problem_config(method.name)
     config = replace(config, placement=with_history_of(config.placement, method.checkpoint))
-    return method, make_setup(config, spec.boxes(), read_start(spec.start))
+    standing = None if spec.start is None else read_start(spec.start)
+    return method, make_setup(config, spec.boxes(), standing)
