@@ -101,7 +101,7 @@ def _check_variant(method: str, given: Checkpoint) -> None:
 
 def with_history_of(placement: PlacementConfig, checkpoint: Checkpoint | None) -> PlacementConfig:
     """The settings with the history that a method looks back on: none for a baseline."""
-    stride = 0 if checkpoint is None else checkpoint.placement["history_stride"]
+    stride = 0 if checkpoint is None else checkpoint.trained.placement.history_stride
     return replace(placement, history_stride=stride)
 
 

@@ -187,18 +187,18 @@ class LiveSource:
 
     def __init__(self, config: LiveConfig, checkpoint: Path | None = None) -> None:
         given = None if checkpoint is None else read_checkpoint(checkpoint)
-        record = {} if given is None else given.record
-        placement = record.get("placement", {})
-        pool = config.pool or record.get("pool", "dining")
-        method = config.method or record.get("variant", "drop")
+        known = None if given is None else given.trained
+        placement = None if known is None else known.placement
+        pool = config.pool or (known and known.pool) or "dining"
+        method = config.method or (known and known.variant) or "drop"
         found = checkpoint_of(method, pool, given)
         sampler = make_sampler(
             pool=pool,
-            support=config.support or record.get("support", "table"),
-            num_objects=config.num_objects or placement.get("num_objects"),
+            support=config.support or (known and known.support) or "table",
+            num_objects=config.num_objects or (placement and placement.num_objects),
             method=method,
             checkpoint=None if found is None else found.path,
-            max_attempts=placement.get("max_attempts", 5),
+            max_attempts=placement.max_attempts if placement else 5,
         )
         trained = {} if found is None else {method: found}
         self._context = ReplayContext(Setup(sampler.problem, sampler.keep_out, sampler.start), trained)

@@ -71,7 +71,7 @@ def load_guided(checkpoint: Checkpoint, rules: Rules) -> Guided:
       PoolError: the checkpoint is damaged.
     """
     try:
-        network = StabilityNetConfig(**checkpoint.record["network"])
+        network = StabilityNetConfig(**checkpoint.trained.network)
     except TypeError as error:
         raise PoolError(
             f"{checkpoint.path / 'record.json'} does not say what network it holds ({error})",

@@ -13,7 +13,7 @@ from flax import struct
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.agents import Agent, make_agent
 from cluttergen_jax.learning.networks.config import NetworkConfig
-from cluttergen_jax.learning.policies.checkpoint import Checkpoint
+from cluttergen_jax.learning.policies.checkpoint import Checkpoint, TrainedPlacement
 from cluttergen_jax.learning.ppo.checkpoint import read_policy
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.observation import observe
@@ -84,8 +84,9 @@ def load_policy(checkpoint: Checkpoint, rules: Rules, is_sampled: bool = True) -
       ConfigError: the world's history is not what the policy reads. Fewer attempts are; more are not.
     """
     policy = make_policy(rules, checkpoint.network, None, is_sampled)
-    _check_history(checkpoint.placement, rules)
-    policy = replace(policy, num_attempts=checkpoint.placement["max_attempts"])
+    trained = checkpoint.trained.placement
+    _check_history(trained, rules)
+    policy = replace(policy, num_attempts=trained.max_attempts)
     # Only shapes are needed: drawing fresh parameters would take longer to compile than acting does.
     seen = jax.eval_shape(lambda: policy.observe(rules.begin(new_key(0))))
     shapes = jax.eval_shape(policy.agent.init, new_key(0), seen)
@@ -93,9 +94,9 @@ def load_policy(checkpoint: Checkpoint, rules: Rules, is_sampled: bool = True) -
     return replace(policy, params=read_policy(checkpoint.path, blank))
 
 
-def _check_history(trained: dict[str, Any], rules: Rules) -> None:
+def _check_history(trained: TrainedPlacement, rules: Rules) -> None:
     """Refuses rules whose history a policy cannot read; fewer attempts than it knows it can."""
-    most, stride = trained["max_attempts"], trained["history_stride"]
+    most, stride = trained.max_attempts, trained.history_stride
     if rules.config.max_attempts > most:
         raise ConfigError(
             f"max_attempts = {rules.config.max_attempts} with a policy trained with {most}",

@@ -68,7 +68,7 @@ class CandidateSet(struct.PyTreeNode):
     """
 
     found: TopCandidates
-    find_supporters: Supporters
+    supporters: Supporters
     is_allowed: Array
 
 
