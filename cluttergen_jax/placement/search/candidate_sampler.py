@@ -169,7 +169,7 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         found = search.closely(scene, candidates)
         return CandidateSet(
             found=found,
-            find_supporters=find_supporters(scene, search.rules.geometry, candidates, found.scores.fit.rest),
+            supporters=find_supporters(scene, search.rules.geometry, candidates, found.scores.fit.rest),
             is_allowed=found.cost < FORBIDDEN / 2,
         )
 
