@@ -81,11 +81,7 @@ def no_such(what: str, name: str, known: Iterable[str]) -> ConfigError:
 
 
 def check_engine(engine: str) -> None:
-    """Refuses what is no engine.
-
-    Raises:
-      ConfigError: it names those that there are.
-    """
+    """Refuses what is no engine (ConfigError)."""
     if engine not in ENGINES:
         raise ConfigError(
             f"engine = {engine!r}",
@@ -96,11 +92,7 @@ def check_engine(engine: str) -> None:
 
 
 def check_range(name: str, value: int, least: int, most: int, example: int) -> None:
-    """Refuses what is no whole number from `least` to `most`.
-
-    Raises:
-      ConfigError: it names the argument.
-    """
+    """Refuses what is no whole number from `least` to `most` (ConfigError)."""
     check_whole(**{name: value})
     if not least <= value <= most:
         raise ConfigError(f"{name} = {value}", f"{least} to {most}", f"{name}={example}")
@@ -124,11 +116,7 @@ def _is_positive(value: object) -> bool:
 
 
 def check_positive(config: object, *names: str) -> None:
-    """Refuses fields of a config that are not finite numbers above zero.
-
-    Raises:
-      ConfigError: it names the field.
-    """
+    """Refuses fields of a config that are not finite numbers above zero (ConfigError)."""
     for name in names:
         value = getattr(config, name)
         if not _is_positive(value):
@@ -143,11 +131,7 @@ MAX_WORKERS = 4096
 
 
 def check_workers(argument: str, number: int) -> None:
-    """Refuses a number of threads or processes that cannot be meant; 0 takes every core.
-
-    Raises:
-      ConfigError: it names the argument.
-    """
+    """Refuses a number of threads or processes that cannot be meant; 0 takes every core (ConfigError)."""
     if isinstance(number, bool) or not isinstance(number, Integral) or not 0 <= number <= MAX_WORKERS:
         raise ConfigError(
             f"{argument} = {number!r}",
@@ -163,11 +147,7 @@ MAX_NOISE = 10.0
 
 
 def check_noise(noise: object) -> None:
-    """Refuses what is no sequence of factors of the usual noise.
-
-    Raises:
-      ConfigError: it names the argument.
-    """
+    """Refuses what is no sequence of factors of the usual noise (ConfigError)."""
     factors = list(noise) if isinstance(noise, Iterable) and not isinstance(noise, str) else []
     if not factors or not all(isinstance(each, Real) and 0 <= float(each) <= MAX_NOISE for each in factors):
         raise ConfigError(f"noise = {noise!r}", f"one number or more, 0 to {MAX_NOISE:g}", "noise=(0, 1)")
@@ -343,11 +323,7 @@ MAX_SECONDS = 3600.0
 
 
 def check_seconds(argument: str, seconds: object) -> None:
-    """Refuses a time for which no scene is simulated.
-
-    Raises:
-      ConfigError: it names the argument.
-    """
+    """Refuses a time for which no scene is simulated (ConfigError)."""
     if not (_is_positive(seconds) and float(seconds) <= MAX_SECONDS):  # type: ignore[arg-type]
         raise ConfigError(
             f"{argument} = {seconds!r}",

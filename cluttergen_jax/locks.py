@@ -77,11 +77,7 @@ def lock_beside(folder: Path) -> FolderLock:
 
 
 def check_unlocked(path: Path, folder: Path) -> None:
-    """Refuses a folder that another process is writing to; takes no lock.
-
-    Raises:
-      BankError: somebody holds it.
-    """
+    """Refuses a folder that another process is writing to; takes no lock (BankError)."""
     if path.exists():
         os.close(_open_locked(path, folder))
 

@@ -296,11 +296,7 @@ class SceneSpec:
         )
 
     def check_method(self, method: str) -> None:
-        """Refuses what is asked of scenes that a method cannot bring about.
-
-        Raises:
-          ConfigError: it names the methods that can.
-        """
+        """Refuses what is asked of scenes that a method cannot bring about (ConfigError)."""
         if self.height != "rest" and method != "random":
             given = f"height = {self.height!r} with method {method!r}"
             raise ConfigError(given, "height='rest'", "method='random'")

@@ -179,11 +179,7 @@ def hand_setup(spec: SceneSpec) -> Setup:
 
 
 def _num_rows(path: Path) -> int:
-    """The scenes that a bank holds.
-
-    Raises:
-      BankError: its last block is damaged.
-    """
+    """The scenes that a bank holds; BankError where its last block is damaged."""
     stored = StoredBlocks.of(path)
     if not stored.places:
         return 0

@@ -61,11 +61,7 @@ class Clutter:
         return {name: value for name, value in named.items() if value is not None}
 
     def check(self, num_objects: int) -> None:
-        """Refuses what no scene of so many objects can have.
-
-        Raises:
-          ConfigError: it says what the most is.
-        """
+        """Refuses what no scene of so many objects can have (ConfigError)."""
         pairs = num_objects * (num_objects - 1) // 2
         most = {"stack": num_objects - 1, "depth": pairs, "contacts": pairs}
         for name, value in self.targets.items():

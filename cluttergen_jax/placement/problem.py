@@ -140,11 +140,7 @@ def compose(
 
 
 def check_number(wanted: int, available: int, pool: str, repeat: bool = False) -> None:
-    """Refuses more objects than there are.
-
-    Raises:
-      ConfigError: it says how many there are.
-    """
+    """Refuses more objects than there are (ConfigError)."""
     if wanted > available and not repeat:
         raise ConfigError(
             f"{wanted} objects asked for, {available} chosen of pool {pool!r}",

@@ -178,11 +178,7 @@ REGION_CHANGES = {
 
 
 def find_change(name: str) -> RegionChange:
-    """The change called `name`.
-
-    Raises:
-      ConfigError: there is none.
-    """
+    """The change called `name`; ConfigError where there is none."""
     if name not in REGION_CHANGES:
         raise ConfigError(
             f"region change {name!r}", ", ".join(REGION_CHANGES), meant=closest(name, REGION_CHANGES)

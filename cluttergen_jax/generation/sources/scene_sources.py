@@ -62,11 +62,7 @@ class BankSource:
         return self._context.notice(method) if method else ""
 
     def still(self, number: int) -> Replay:
-        """See `SceneSource`.
-
-        Raises:
-          BankError: there is no such scene.
-        """
+        """See `SceneSource`; BankError where there is no such scene."""
         row = self.bank.rows([number]).get(number)
         if row is None:
             raise BankError(f"{self.name} has no scene {number}", f"{self.numbers[0]} to {self.numbers[-1]}")
@@ -141,11 +137,7 @@ class FileSource:
         return self._still
 
     def record(self, number: int, num_proposals: int = 0) -> Replay:
-        """Refused: a scene file does not tell how it was made.
-
-        Raises:
-          BankError: always.
-        """
+        """Refused: a scene file does not tell how it was made (BankError)."""
         raise BankError(
             f"{self.name}: a scene file does not tell how it was made",
             "a scene of a bank, BANK:INDEX or BANK/scenes/NUMBER.xml",

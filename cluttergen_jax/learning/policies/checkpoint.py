@@ -84,20 +84,12 @@ class Checkpoint:
 
     @cached_property
     def hash(self) -> str:
-        """Hex digest of its weights and record.
-
-        Raises:
-          PoolError: there are no weights.
-        """
+        """Hex digest of its weights and record; PoolError where there are no weights."""
         digests = [hashlib.sha256(data).digest() for data in self.files().values()]
         return hashlib.sha256(b"".join(digests)).hexdigest()
 
     def files(self) -> dict[str, bytes]:
-        """All that it consists of, by name within its folder.
-
-        Raises:
-          PoolError: there are no weights.
-        """
+        """All that it consists of, by name within its folder; PoolError where there are no weights."""
         try:
             return {name: (self.path / name).read_bytes() for name in ("record.json", "weights.npz")}
         except OSError as error:

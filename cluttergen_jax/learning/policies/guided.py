@@ -65,11 +65,7 @@ def make_guided(rules: Rules, network: StabilityNetConfig, params: Any = None, *
 
 
 def load_guided(checkpoint: Checkpoint, rules: Rules) -> Guided:
-    """The placer with the weights of a checkpoint.
-
-    Raises:
-      PoolError: the checkpoint is damaged.
-    """
+    """The placer with the weights of a checkpoint; PoolError where the checkpoint is damaged."""
     try:
         network = StabilityNetConfig(**checkpoint.trained.network)
     except TypeError as error:

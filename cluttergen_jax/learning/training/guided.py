@@ -298,11 +298,7 @@ _NUMBERS = {
 
 
 def _read(file: Path) -> Examples:
-    """The attempts in a file.
-
-    Raises:
-      PoolError: it is damaged.
-    """
+    """The attempts in a file; PoolError where it is damaged."""
     try:
         with np.load(file, allow_pickle=False) as stored:
             found = {each.name: stored[each.name] for each in dataclasses.fields(Examples)}

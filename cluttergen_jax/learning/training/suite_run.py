@@ -145,11 +145,7 @@ def _with_encoder(
 
 
 def _standing(config: TrainConfig, run: PlannedRun) -> RunStatus:
-    """Reads how far a run has come.
-
-    Raises:
-      ConfigError: its folder holds a run with other settings.
-    """
+    """Reads how far a run has come; ConfigError where its folder holds a run with other settings."""
     if config.encoder_weights is None or is_pretrained(Path(config.encoder_weights)):
         settings = config.settings()
         check_folder(config.folder, recipe_of(config, settings))

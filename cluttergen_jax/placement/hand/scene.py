@@ -179,11 +179,7 @@ class HandScene:
             self.clock.touch()
 
     def choose(self, object_index: int) -> None:
-        """Makes another of the objects left the current one.
-
-        Raises:
-          HandError: it is none of them.
-        """
+        """Makes another of the objects left the current one; HandError where it is none of them."""
         if object_index not in self.left:
             raise HandError(f"{self.names[object_index]} is not among the objects left")
         self.skip(self.left.index(object_index))
@@ -246,11 +242,7 @@ class HandScene:
         return Lowered(lift, float(fit.hanging[0]))
 
     def drop(self) -> Drop:
-        """Lets go of the current object where it is held: one attempt.
-
-        Raises:
-          HandError: no object is left.
-        """
+        """Lets go of the current object where it is held: one attempt; HandError where no object is left."""
         self._check_current()
         held, before = self.held, self._episode
         position = jnp.array([held.x, held.y, held.z])
@@ -292,11 +284,7 @@ class HandScene:
         return self.left[0]
 
     def check(self) -> Check:
-        """The last check: whether all objects stand together.
-
-        Raises:
-          HandError: not all are placed.
-        """
+        """The last check: whether all objects stand together; HandError where not all are placed."""
         self._check_open()
         if self.left:
             raise HandError(
