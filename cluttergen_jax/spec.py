@@ -84,6 +84,22 @@ class SceneOptions(EnvOptions, total=False):
     height: Height
 
 
+class PlaceOptions(TypedDict, total=False):
+    """Fields of a `SceneSpec` that `place_by_hand` takes."""
+
+    pool: str | Path
+    objects: Sequence[str]
+    exclude: Sequence[str]
+    num_objects: int | None
+    repeat: bool
+    support: str | Path
+    region: Rectangle | str | None
+    keep_out: Sequence[Rectangle | str]
+    containment: Containment
+    min_margin: float | None
+    overhang: Overhang
+
+
 class EvaluateOptions(TypedDict, total=False):
     """Fields of a `SceneSpec` that `evaluate` takes, for all rows."""
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import compress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -180,17 +181,16 @@ class LiveSource:
     def __init__(self, config: LiveConfig, checkpoint: Path | None = None) -> None:
         given = None if checkpoint is None else read_checkpoint(checkpoint)
         known = None if given is None else given.trained
-        placement = None if known is None else known.placement
         pool = config.pool or (known and known.pool) or "dining"
-        method = config.method or (known and known.variant) or "drop"
+        method: Any = config.method or (known and known.variant) or "drop"
         found = checkpoint_of(method, pool, given)
         sampler = make_sampler(
             pool=pool,
             support=config.support or (known and known.support) or "table",
-            num_objects=config.num_objects or (placement and placement.num_objects),
+            num_objects=config.num_objects or (known.placement.num_objects if known else None),
             method=method,
             checkpoint=None if found is None else found.path,
-            max_attempts=placement.max_attempts if placement else 5,
+            max_attempts=known.placement.max_attempts if known else 5,
         )
         trained = {} if found is None else {method: found}
         self._context = ReplayContext(Setup(sampler.problem, sampler.keep_out, sampler.start), trained)

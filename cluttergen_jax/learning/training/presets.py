@@ -45,12 +45,8 @@ def cpu() -> Settings:
 
 def gpu() -> Settings:
     """For an accelerator: many environments, larger minibatches."""
-    return Settings(
-        ppo=PPOConfig(num_envs=1024, num_steps=8, num_minibatches=8, num_attempts=2_500_000),
-        network=_TUNED,
-        placement=PlacementConfig(reward="compressed", history_stride=12),
-        stability=_training_stability(True),
-    )
+    ppo = PPOConfig(num_envs=1024, num_steps=8, num_minibatches=8, num_attempts=2_500_000)
+    return replace(cpu(), ppo=ppo)
 
 
 def paper() -> Settings:

@@ -27,15 +27,13 @@ class PlannedRun:
     """One training run of a suite.
 
     Attributes:
-      pool, variant, seed, attempts, support, num_objects: as `cluttergen train` takes them.
+      pool, variant, seed, attempts: as `cluttergen train` takes them.
     """
 
     pool: str
     variant: Variant
     seed: int
     attempts: int = DEFAULT_ATTEMPTS
-    support: str = "table"
-    num_objects: int = DEFAULT_OBJECTS
 
     def preset(self, asked: Preset) -> Preset:
         """What it is trained by where a preset is asked for a whole suite."""

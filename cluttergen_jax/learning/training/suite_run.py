@@ -120,8 +120,6 @@ def config_of(base: TrainConfig, run: PlannedRun, root: Path) -> TrainConfig:
         variant=run.variant,
         seed=run.seed,
         max_attempts=run.attempts,
-        support=run.support,
-        num_objects=run.num_objects,
         out=str(root / run.name),
     )
 
