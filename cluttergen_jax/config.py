@@ -6,9 +6,12 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from cluttergen_jax.errors import ConfigError, closest
+
+if TYPE_CHECKING:
+    from cluttergen_jax.schema import Record
 
 # The words of settings stand where nothing heavy is imported: the command line offers them as choices.
 Method = Literal[
@@ -265,7 +268,7 @@ class StabilityConfig:
         return self.decision_step if self.stop_when_decided else self.max_steps
 
 
-def stability_record(config: StabilityConfig) -> dict[str, Any]:
+def stability_record(config: StabilityConfig) -> Record:
     """The config as records keep it: without what older versions did not know, where that is off."""
     record = asdict(config)
     if not config.both_detectors:

@@ -18,6 +18,8 @@ import msgspec
 import numpy as np
 
 T = TypeVar("T")
+Record = dict[str, Any]
+"""JSON values by name, as a file keeps them; what a reader needs of them it has by `convert`."""
 CHECKSUM = "sha256"
 """Of a record: the digest of all else in it."""
 _SEAL = b"cluttergen_sha256"
@@ -70,13 +72,13 @@ def digest_of(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def with_checksum(record: Mapping[str, Any], allow_nan: bool = False) -> dict[str, Any]:
+def with_checksum(record: Mapping[str, Any], allow_nan: bool = False) -> Record:
     """A record of JSON values with its checksum."""
     plain = json.loads(json.dumps(record, allow_nan=allow_nan))
     return {**plain, CHECKSUM: _digest(plain)}
 
 
-def checked_record(data: bytes, allow_nan: bool = False) -> dict[str, Any]:
+def checked_record(data: bytes, allow_nan: bool = False) -> Record:
     """The record in a file, without its checksum.
 
     Args:

@@ -7,7 +7,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, cast, get_args, get_type_hints
 
 from cluttergen_jax.assets.pool import composed, find_pool
 from cluttergen_jax.assets.rectangle_text import parse_boxes, parse_region, recorded_rectangle
@@ -265,13 +265,14 @@ class SceneSpec:
             engine=recipe["engine"],
         )
 
-    def overrides(self) -> dict[str, Any]:
+    def overrides(self) -> SceneOptions:
         """The fields that are not at their defaults, by name."""
-        return {
+        found = {
             each.name: getattr(self, each.name)
             for each in dataclasses.fields(self)
             if getattr(self, each.name) != each.default
         }
+        return cast(SceneOptions, found)
 
     def __repr__(self) -> str:
         return f"SceneSpec({', '.join(f'{name}={value!r}' for name, value in self.overrides().items())})"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from scipy.stats import binomtest
@@ -33,8 +33,17 @@ def finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def spread_of(values: np.ndarray) -> dict[str, Any]:
-    """Count, mean, standard deviation and quartiles of f[N]; None instead of figures of nothing."""
+class SpreadRow(TypedDict):
+    """Count, mean, standard deviation and quartiles; None instead of figures of nothing."""
+
+    count: int
+    mean: float | None
+    std: float | None
+    quartiles: list[float] | None
+
+
+def spread_of(values: np.ndarray) -> SpreadRow:
+    """Of f[N]."""
     if len(values) == 0:
         return {"count": 0, "mean": None, "std": None, "quartiles": None}
     return {

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -30,6 +29,7 @@ from cluttergen_jax.scene.bank.clutter_stats import ClutterTally
 from cluttergen_jax.scene.bank.remote import publish_all, url_of
 from cluttergen_jax.scene.bank.totals import Totals
 from cluttergen_jax.scene.bank.writer import names_of
+from cluttergen_jax.schema import Record
 
 _FEW = 0.5
 _ROOM = "fewer objects, a larger region or a larger `budget`"
@@ -59,7 +59,7 @@ def write_bank(
     out: str | Path,
     setup: Setup,
     method: Method,
-    recipe: dict[str, Any],
+    recipe: Record,
     num_scenes: int,
     render: bool,
     max_files: int,
@@ -118,7 +118,7 @@ def write_bank(
     )
 
 
-def recipe_of(problem: Problem, method: Method) -> dict[str, Any]:
+def recipe_of(problem: Problem, method: Method) -> Record:
     """What decides the scenes of a bank; two equal recipes make equal scenes on one machine."""
     config = dataclasses.asdict(problem.config)
     # Neither decides a scene: threads do not, and every scene of a bank has the same region.

@@ -23,6 +23,9 @@ from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
+Info = dict[str, Any]
+"""What Gymnasium calls info, options and metadata."""
+
 
 class Outcome(struct.PyTreeNode):
     """What is told of one attempt.
@@ -135,7 +138,7 @@ class GymnasiumEnv(_Remade, gymnasium.Env):
       scene: the latest finished scene, arrays of NumPy; None before there is one.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  Gymnasium looks for it on the class.
+    metadata: Info = {"render_modes": []}  # noqa: RUF012  Gymnasium looks for it on the class.
 
     _kept = (*_Remade._kept, "scene")
 
@@ -146,16 +149,14 @@ class GymnasiumEnv(_Remade, gymnasium.Env):
         self._state: State | None = None
         self.scene: SceneBatch | None = None
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Any, Info]:
         """A new episode; `options` has no entries."""
         super().reset(seed=seed)
         _check_options(options)
         self._state = self._reset(_key(self.np_random))
         return to_numpy(self._state.obs), {}
 
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, Info]:
         """One attempt with `action`, f32[4]. After the episode's last one, `reset` has to follow."""
         before = _check_step(self._state, action, self.action_space)
         self._state, outcome = self._attempt(before, np.asarray(action, np.float32))
@@ -192,16 +193,14 @@ class GymnasiumVectorEnv(_Remade, VectorEnv):
         self._reset, self._attempt = jax.jit(jax.vmap(env.reset)), jax.jit(jax.vmap(partial(step, env)))
         self._state: State | None = None
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Any, Info]:
         """New episodes of all scenes, each with a key of its own; `options` has no entries."""
         super().reset(seed=seed)
         _check_options(options)
         self._state = self._reset(jax.random.split(_key(self.np_random), self.num_envs))
         return to_numpy(self._state.obs), {}
 
-    def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, Info]:
         """One attempt of each scene with `actions`, f32[N, 4]."""
         before = _check_step(self._state, actions, self.action_space)
         was_over = np.asarray(before.done) > 0
@@ -212,7 +211,7 @@ class GymnasiumVectorEnv(_Remade, VectorEnv):
             infos |= self._final(outcome, is_over, info)
         return to_numpy(self._state.obs), np.array(reward), np.array(is_over), np.zeros_like(is_over), infos
 
-    def _final(self, outcome: Outcome, is_over: np.ndarray, info: dict[str, np.ndarray]) -> dict[str, Any]:
+    def _final(self, outcome: Outcome, is_over: np.ndarray, info: dict[str, np.ndarray]) -> Info:
         """The last observations and infos of episodes that have ended."""
         last = np.full(self.num_envs, None, dtype=object)
         seen = to_numpy(outcome.obs)
@@ -242,7 +241,7 @@ def _key(random: np.random.Generator) -> Array:
     return new_key(random.integers(2**32, dtype=np.uint32))
 
 
-def _check_options(options: dict[str, Any] | None) -> None:
+def _check_options(options: Info | None) -> None:
     if options:
         raise ConfigError(f"options = {options!r} in reset", "none", "the settings of make_env")
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -157,7 +156,7 @@ class MjxScenes:
     def _with_room(self, blank: mjx.Data, num_scenes: int) -> mjx.Data:
         """Warp's blank data with the contact list, which all scenes share, lengthened for them."""
         size = num_scenes * self._num_contacts
-        changes: dict[str, Any] = {"_impl.naconmax": size, "_impl.naccdmax": size}
+        changes: dict[str, Array] = {"_impl.naconmax": size, "_impl.naccdmax": size}
         for name, array in vars(blank._impl).items():
             if name.startswith("contact__") and array.shape[0] == self._num_contacts:
                 changes[f"_impl.{name}"] = jnp.zeros((size, *array.shape[1:]), array.dtype)

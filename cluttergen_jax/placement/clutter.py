@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from numbers import Real
-from typing import Any
 
 from cluttergen_jax.errors import ConfigError, closest
 
@@ -78,8 +77,8 @@ _MOST = {"near": 1.0, "occlusion": 1.0}
 _ALLOWED = {"near": "0 to 1 m", "occlusion": "0 to 1"}
 
 
-def _parse_text(text: str) -> dict[str, Any]:
-    targets: dict[str, Any] = {}
+def _parse_text(text: str) -> dict[str, float]:
+    targets: dict[str, float] = {}
     for part in filter(None, (each.strip() for each in text.split(","))):
         name, equals, value = (each.strip() for each in part.partition("="))
         if not equals:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
-from typing import Any, get_args
+from typing import get_args
 
 from cluttergen_jax.config import Containment, Height, Order, Overhang, Reward
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.schema import Record
 
 MAX_SLOTS = 40
 MAX_ATTEMPTS = 10
@@ -136,7 +137,7 @@ class PlacementConfig:
         return self.num_objects * self.max_attempts if self.budget is None else self.budget
 
 
-def placement_record(config: PlacementConfig) -> dict[str, Any]:
+def placement_record(config: PlacementConfig) -> Record:
     """The config as records keep it: most settings only where they are not at their defaults."""
     record = asdict(config)
     if config.clutter is not None:

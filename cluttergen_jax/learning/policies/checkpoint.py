@@ -6,14 +6,14 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.learning.networks.config import KIND, NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.schema import SchemaError, convert
+from cluttergen_jax.schema import Record, SchemaError, convert
 
 _HINT = "a policy that `cluttergen train` of this version left"
 
@@ -32,13 +32,13 @@ class TrainedPlacement(msgspec.Struct):
 class Trained(msgspec.Struct):
     """What a policy's record says of how it was trained; a record without a kind is of poses."""
 
-    network: dict[str, Any]
+    network: Record
     placement: TrainedPlacement
     kind: str = KIND
     variant: str | None = None
     pool: str | None = None
     support: str | None = None
-    stability: dict[str, Any] = {}
+    stability: Record = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Checkpoint:
     """
 
     path: Path
-    record: dict[str, Any]
+    record: Record
     trained: Trained
 
     @property

@@ -16,7 +16,7 @@ from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, TrainedPlacement
 from cluttergen_jax.learning.ppo.checkpoint import read_policy
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.placement.observation import observe
+from cluttergen_jax.placement.observation import Observation, observe
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
@@ -47,7 +47,7 @@ class TrainedPolicy(struct.PyTreeNode, eq=False):
         dist = jax.tree.map(lambda leaf: leaf[0], self.agent.apply(self.params, seen)[0])
         return dist.sample(key) if self.is_sampled else dist.mean()
 
-    def observe(self, episode: Episode) -> dict[str, Any]:
+    def observe(self, episode: Episode) -> Observation:
         """What the agent sees of an episode."""
         seen = observe(self.rules, episode, self.agent.observation)
         missing = self.num_attempts - self.rules.config.max_attempts

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from cluttergen_jax.config import StabilityConfig, no_such
 from cluttergen_jax.errors import ConfigError
@@ -152,13 +152,13 @@ def paper_cpu() -> Settings:
 
 PRESETS = {"cpu": cpu, "gpu": gpu, "paper": paper, "paper_code": paper_code, "paper_cpu": paper_cpu}
 
-_CHANGES: dict[str, dict[str, Any]] = {
-    "policy": {},
-    "beta": {"head": "beta"},
-    "beta_free": {"head": "beta_free", "height_precision": 0.0},
-    "normal": {"head": "normal"},
-    "open_loop": {"history_width": 0},
-    "short_memory": {"history_length": 1},
+_CHANGES: dict[str, Callable[[NetworkConfig], NetworkConfig]] = {
+    "policy": lambda network: network,
+    "beta": lambda network: replace(network, head="beta"),
+    "beta_free": lambda network: replace(network, head="beta_free", height_precision=0.0),
+    "normal": lambda network: replace(network, head="normal"),
+    "open_loop": lambda network: replace(network, history_width=0),
+    "short_memory": lambda network: replace(network, history_length=1),
 }
 
 
@@ -173,7 +173,7 @@ def make_settings(preset: str, variant: str) -> Settings:
     if variant not in _CHANGES:
         raise no_such("variant", variant, _CHANGES)
     settings = PRESETS[preset]()
-    return replace(settings, network=replace(settings.network, **_CHANGES[variant]))
+    return replace(settings, network=_CHANGES[variant](settings.network))
 
 
 def fit_to_weights(network: NetworkConfig, folder: Path) -> NetworkConfig:

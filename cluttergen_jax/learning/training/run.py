@@ -30,6 +30,7 @@ from cluttergen_jax.learning.training.run_logger import (
     NullLogger,
     RunConfig,
     RunLogger,
+    SuccessRate,
 )
 from cluttergen_jax.learning.training.updates import Updates, num_updates
 from cluttergen_jax.numerics import new_key
@@ -39,6 +40,7 @@ from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
 from cluttergen_jax.placement.rules import Proposer, Rules
+from cluttergen_jax.schema import Record
 from cluttergen_jax.statistics import wilson
 
 _SET_ENCODER = "PointNet_0"
@@ -72,10 +74,10 @@ class Run:
         ppo: PPOConfig,
         config: RunConfig,
         folder: Path,
-        recipe: dict[str, Any],
+        recipe: Record,
         evaluate: Evaluate | None = None,
         encoder_weights: Path | None = None,
-        random: Callable[[], Evaluation] | None = None,
+        random: Callable[[], SuccessRate] | None = None,
     ) -> None:
         self.config, self.folder = config, folder
         self.recipe = recipe | {"kind": KIND}
@@ -189,7 +191,7 @@ class Run:
         logger.say("evaluating" if self._random is None else "evaluating, beside `random` in the same world")
         evaluation = self._evaluate(jax.device_get(state.params))
         if self._random is not None:
-            evaluation |= {"random": self._random()}
+            evaluation["random"] = self._random()
         logger.add_evaluation(state, evaluation)
         logger.save_policy(state, evaluation)
 
@@ -320,7 +322,7 @@ class Evaluator:
     def _rollout(self) -> Rollout:
         return Rollout()
 
-    def __call__(self, params: Any) -> dict[str, Any]:
+    def __call__(self, params: Any) -> Evaluation:
         """Success with its 95 % interval, and how it was found: JSON values.
 
         Args:
@@ -333,11 +335,11 @@ class Evaluator:
             "last_check_steps": self.rules.physics.config.stand_full_steps,
         }
 
-    def random(self) -> dict[str, Any]:
+    def random(self) -> SuccessRate:
         """The success of `random` in as many episodes of the same world: what a policy has to beat."""
         return self._success(make_proposer("random", self.rules))
 
-    def _success(self, proposer: Proposer) -> dict[str, Any]:
+    def _success(self, proposer: Proposer) -> SuccessRate:
         key = jax.random.fold_in(new_key(self.seed), _FRESH)
         width = min(BLOCK_SIZE, self.num_episodes)
         scenes = self._rollout.run_all(BlockSampler(self.rules, proposer), key, self.num_episodes, width)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import jax
 import numpy as np
@@ -17,10 +17,30 @@ from cluttergen_jax.learning.ppo.ppo import PPOConfig, TrainState
 from cluttergen_jax.learning.training import metrics_log
 from cluttergen_jax.learning.training.updates import Figures
 from cluttergen_jax.progress import Progress
+from cluttergen_jax.schema import Record
 
-Evaluation = dict[str, Any]
+
+class SuccessRate(TypedDict):
+    """The success over fresh episodes with its 95 % interval, and the share whose every slot was filled."""
+
+    success: float
+    low95: float
+    high95: float
+    filled: float
+    episodes: int
+
+
+class Evaluation(SuccessRate, total=False):
+    """The success of weights by the whole last check, how it was found, and what stands beside it."""
+
+    action: str
+    last_check_steps: int
+    random: SuccessRate
+    training_success: float
+    training_updates: int
+
+
 Evaluate = Callable[[Any], Evaluation]
-"""From weights to JSON values, `success`, `low95`, `high95`, `episodes` and `action` among them."""
 
 _SHOWN = (
     ("success", "success", ".2f"),
@@ -71,7 +91,7 @@ class RunLogger:
     def __init__(
         self,
         folder: Path,
-        recipe: dict[str, Any],
+        recipe: Record,
         config: RunConfig,
         ppo: PPOConfig,
         first: int,
@@ -167,7 +187,7 @@ class RunLogger:
         window = min(self._window, len(self._updates.rows))
         return {**evaluation, "training_success": self._success, "training_updates": window}
 
-    def _save(self, name: str, state: TrainState, known: dict[str, Any]) -> None:
+    def _save(self, name: str, state: TrainState, known: Record) -> None:
         attempts = int(state.num_updates) * self._batch
         record = self._recipe | {"attempts": attempts} | known
         save_policy(self._folder / name, jax.device_get(state.params), record)
