@@ -38,7 +38,7 @@ def source(bank):
 def test_attempts_are_made_again_and_end_in_the_stored_scene(source):
     assert source.numbers == (0, 1, 2, 3)
     for number in source.numbers:
-        stored, recording = source.still(number), source.record(number)
+        stored, recording = source.still(number), source.replay(number)
         assert not stored.attempts
         assert recording.attempts
         assert (stored.is_success, stored.verdict) == (recording.is_success, recording.verdict)
@@ -51,7 +51,7 @@ def test_attempts_are_made_again_and_end_in_the_stored_scene(source):
 
 
 def test_proposals_are_drawn_beside_the_attempt_and_change_nothing(source):
-    plain, drawn = source.record(0), source.record(0, 16)
+    plain, drawn = source.replay(0), source.replay(0, 16)
     assert all(attempt.proposals is None for attempt in plain.attempts)
     for one, other in zip(plain.attempts, drawn.attempts, strict=True):
         np.testing.assert_array_equal(one.trajectory, other.trajectory)
@@ -69,7 +69,7 @@ def test_a_scene_that_ends_elsewhere_is_not_passed_off(bank, source, monkeypatch
 
     monkeypatch.setattr(BankSource, "still", moved)
     with pytest.raises(BankError, match="ends elsewhere"):
-        source.record(int(source.successes[0]))
+        source.replay(int(source.successes[0]))
 
 
 def test_scene_file_is_read_as_the_bank_has_it(bank, source, tmp_path):

@@ -148,7 +148,7 @@ class Rendering:
         attempted = None
         if self._makes("replay", "figure", "density"):
             try:
-                attempted = source.record(number, NUM_PROPOSALS if self._makes("density") else 0)
+                attempted = source.replay(number, NUM_PROPOSALS if self._makes("density") else 0)
             except ClutterGenError as error:
                 yield f"{stem.name}, its attempts", error
         try:

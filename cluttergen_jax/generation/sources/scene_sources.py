@@ -80,7 +80,7 @@ class BankSource:
             drift=row.drift,
         )
 
-    def record(self, number: int, num_proposals: int = 0) -> Replay:
+    def replay(self, number: int, num_proposals: int = 0) -> Replay:
         """See `SceneSource`.
 
         Raises:
@@ -137,7 +137,7 @@ class FileSource:
         """See `SceneSource`."""
         return self._still
 
-    def record(self, number: int, num_proposals: int = 0) -> Replay:
+    def replay(self, number: int, num_proposals: int = 0) -> Replay:
         """Refused: a scene file does not tell how it was made (BankError)."""
         raise BankError(
             f"{self.name}: a scene file does not tell how it was made",
@@ -145,8 +145,8 @@ class FileSource:
         )
 
     def sample(self, method: str, seed: int, num_proposals: int = 0) -> Replay:
-        """See `record`."""
-        return self.record(seed)
+        """See `replay`."""
+        return self.replay(seed)
 
 
 _MOST = 2**31 - 1
@@ -205,9 +205,9 @@ class LiveSource:
 
     def still(self, number: int) -> Replay:
         """Scene 0 of seed `number`, by the method asked for."""
-        return self.record(number)
+        return self.replay(number)
 
-    def record(self, number: int, num_proposals: int = 0) -> Replay:
+    def replay(self, number: int, num_proposals: int = 0) -> Replay:
         """See `still`."""
         return self.sample(self.methods[0], number, num_proposals)
 
